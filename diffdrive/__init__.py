@@ -1,0 +1,1 @@
+"""diffdrive: a differentiable simulator of a machine-tool feed drive and its friction compensation."""

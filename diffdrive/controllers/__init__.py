@@ -1,0 +1,24 @@
+"""The controllers: one per file, one interface."""
+
+from diffdrive.controllers.base import Command, Controller, Feedforward, Gains, Reference, Tracking
+from diffdrive.controllers.cascade import Cascade
+from diffdrive.controllers.disturbance_observer import DisturbanceObserver
+from diffdrive.controllers.dobvsc import DOBVSC
+from diffdrive.controllers.feedforward_dob import PDFeedforwardDOB
+from diffdrive.controllers.friction_compensation import FrictionCompensation
+from diffdrive.controllers.pd import PD
+
+__all__ = [
+    "DOBVSC",
+    "PD",
+    "Cascade",
+    "Command",
+    "Controller",
+    "DisturbanceObserver",
+    "Feedforward",
+    "FrictionCompensation",
+    "Gains",
+    "PDFeedforwardDOB",
+    "Reference",
+    "Tracking",
+]

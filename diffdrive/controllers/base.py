@@ -1,0 +1,108 @@
+"""The one interface of all controllers, and the parts that several share."""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from diffdrive.observer import Estimate
+from diffdrive.parameters import Directional, Drive, Plant, Scalar, quantity
+
+
+class Reference(NamedTuple):
+    """Where the table should be now (m), how fast (m/s), and how it should accelerate (m/s^2)."""
+
+    position: Scalar
+    velocity: Scalar
+    acceleration: Scalar
+
+
+class Command(NamedTuple):
+    """The force command (N), and the estimate behind it where the controller makes one."""
+
+    force: Scalar
+    estimate: Estimate | None = None
+
+
+class Controller(eqx.Module):
+    """A controller as its interrupt routine sees it: once a period, from reference, scale and last force."""
+
+    @abc.abstractmethod
+    def init(self, position: Scalar) -> Any:
+        """State at rest, the table measured at `position` (m)."""
+
+    @abc.abstractmethod
+    def step(
+        self, state: Any, reference: Reference, position: Scalar, applied: Scalar, period: float
+    ) -> tuple[Any, Command]:
+        """One period: measured `position` (m), and the force (N) that acted since the last one."""
+
+
+class Feedforward(eqx.Module):
+    """Force for the reference's inertia and damping; zero mass and damping switch it off."""
+
+    mass: Scalar = quantity("kg", "mass in the acceleration feed-forward", at_least=0.0, default=0.0)
+    damping: Directional = quantity(
+        "N*s/m", "damping in the velocity feed-forward", at_least=0.0, per_direction=True, default=0.0
+    )
+
+    def force(self, reference: Reference) -> Scalar:
+        """Feed-forward force (N)."""
+        drag = self.damping.towards(reference.velocity) * reference.velocity
+        return self.mass * reference.acceleration + drag
+
+    @classmethod
+    def of(cls, plant: Plant) -> "Feedforward":
+        """The feed-forward that this plant needs."""
+        return cls(mass=plant.mass, damping=plant.damping)
+
+
+class Gains(eqx.Module):
+    """Position feedback kp e + kd (e[k] - e[k-1]) / T, with e[-1] = e[0]."""
+
+    kp: Scalar = quantity("N/m", "proportional gain", at_least=0.0)
+    kd: Scalar = quantity("N*s/m", "derivative gain, on the backward difference of the error", at_least=0.0)
+
+    def force(self, error: Scalar, last_error: Scalar, period: float) -> Scalar:
+        """Feedback force (N)."""
+        return self.kp * error + self.kd * ((error - last_error) / period)
+
+
+class LastError(NamedTuple):
+    """The error one period ago (m), and whether there was one."""
+
+    error: Scalar
+    known: Scalar
+
+    @classmethod
+    def none(cls) -> "LastError":
+        """Before the first sample."""
+        return cls(jnp.zeros(()), jnp.zeros(()))
+
+    def or_now(self, error: Scalar) -> Scalar:
+        """The last error, at the first sample this one."""
+        return self.known * self.error + (1.0 - self.known) * error
+
+    @staticmethod
+    def after(error: Scalar) -> "LastError":
+        """Remember this error."""
+        return LastError(error, jnp.ones(()))
+
+
+class Tracking(eqx.Module):
+    """What every controller of the paper shares: the same feedback, and the same motion feed-forward."""
+
+    gains: Gains
+    feedforward: Feedforward = Feedforward()
+
+    def step(self, last: LastError, reference: Reference, position: Scalar, period: float) -> tuple[LastError, Scalar]:
+        """Feedback plus motion feed-forward (N)."""
+        error = reference.position - position
+        force = self.gains.force(error, last.or_now(error), period) + self.feedforward.force(reference)
+        return LastError.after(error), force
+
+
+def paper_tracking(drive: Drive, kp: Scalar, kd: Scalar) -> Tracking:
+    """Feedback with these gains, and the feed-forward of the drive's inertia and damping."""
+    return Tracking(Gains(kp, kd), Feedforward.of(drive.plant))

@@ -1,0 +1,48 @@
+"""The cascade of most CNCs and servo amplifiers: proportional position loop, PI velocity loop inside it."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from diffdrive.controllers.base import Command, Controller, Feedforward, Reference
+from diffdrive.parameters import Scalar, quantity
+
+
+class CascadeState(NamedTuple):
+    """Past positions and the velocity loop's integral."""
+
+    past: tuple[Scalar, ...]  # measured positions, newest first
+    integral: Scalar  # N
+    started: Scalar
+
+
+class Cascade(Controller):
+    """u = kv (kp e + ff v_ref - v) + ki int(kp e + ff v_ref - v) + motion feed-forward.
+
+    The velocity is the backward difference over `velocity_samples` samples, (y[k] - y[k-n]) / (n T).
+    """
+
+    kp: Scalar = quantity("1/s", "position loop gain", at_least=0.0)
+    kv: Scalar = quantity("N*s/m", "velocity loop gain", at_least=0.0)
+    ki: Scalar = quantity("N/m", "integral gain of the velocity loop", at_least=0.0, default=0.0)
+    velocity_feedforward: Scalar = quantity(
+        "1", "share of the reference velocity fed forward", at_least=0.0, default=0.0
+    )
+    feedforward: Feedforward = Feedforward()
+    velocity_samples: int = eqx.field(static=True, default=1)
+
+    def init(self, position: Scalar) -> CascadeState:
+        zero = jnp.zeros_like(position)
+        return CascadeState((position,) * self.velocity_samples, zero, zero)
+
+    def step(
+        self, state: CascadeState, reference: Reference, position: Scalar, applied: Scalar, period: float
+    ) -> tuple[CascadeState, Command]:
+        # before the first sample the table stood where it is first measured
+        past = tuple(state.started * p + (1.0 - state.started) * position for p in state.past)
+        velocity = (position - past[-1]) / (self.velocity_samples * period)
+        wanted = self.kp * (reference.position - position) + self.velocity_feedforward * reference.velocity
+        integral = state.integral + self.ki * period * (wanted - velocity)
+        force = self.kv * (wanted - velocity) + integral + self.feedforward.force(reference)
+        return CascadeState((position, *past[:-1]), integral, jnp.ones_like(position)), Command(force)

@@ -1,0 +1,61 @@
+"""The disturbance observer (DOB) that DOBVSC and PD+FF+DOB share: dhat = Q(s) (u - M s^2 x - B s x)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from diffdrive.parameters import Directional, Plant, Scalar, quantity
+
+
+class _Lag(NamedTuple):
+    """One first-order lag 1 / (tau s + 1), exact for an input that is linear between samples."""
+
+    output: Scalar
+    last_input: Scalar
+
+    def step(self, value: Scalar, tau: Scalar, period: float) -> "_Lag":
+        keep = jnp.exp(-period / tau)
+        share = (1.0 - keep) * tau / period
+        return _Lag(keep * self.output + (share - keep) * self.last_input + (1.0 - share) * value, value)
+
+
+class DisturbanceState(NamedTuple):
+    """Two lags in a row, once for the position and once for the force."""
+
+    position: tuple[_Lag, _Lag]
+    force: tuple[Scalar, Scalar]
+
+
+class DisturbanceObserver(eqx.Module):
+    """Q(s) = 1 / (tau s + 1)^2 at `cutoff`; the estimate is the force that resists the motion, N."""
+
+    cutoff: Scalar = quantity("Hz", "cut-off frequency of each of the two lags of Q(s)", above=0.0)
+    mass: Scalar = quantity("kg", "nominal mass", above=0.0)
+    damping: Directional = quantity("N*s/m", "nominal damping", at_least=0.0, per_direction=True)
+
+    @classmethod
+    def of(cls, plant: Plant, cutoff: Scalar) -> "DisturbanceObserver":
+        """For this plant."""
+        return cls(cutoff=cutoff, mass=plant.mass, damping=plant.damping)
+
+    def init(self, position: Scalar) -> DisturbanceState:
+        """At rest at `position`."""
+        zero = jnp.zeros_like(position)
+        settled = _Lag(position + zero, position + zero)
+        return DisturbanceState((settled, settled), (zero, zero))
+
+    def step(
+        self, state: DisturbanceState, position: Scalar, force: Scalar, period: float
+    ) -> tuple[DisturbanceState, Scalar]:
+        """`force` (N) acted over the last period and is explained already; `position` (m) is measured now."""
+        tau = 1.0 / (2.0 * jnp.pi * self.cutoff)
+        first = state.position[0].step(position, tau, period)
+        second = state.position[1].step(first.output, tau, period)
+        keep = jnp.exp(-period / tau)
+        force1 = keep * state.force[0] + (1.0 - keep) * force
+        force2 = keep * state.force[1] + (1.0 - keep) * force1
+        velocity = (first.output - second.output) / tau
+        acceleration = (position - 2.0 * first.output + second.output) / tau**2
+        resisting = force2 - self.mass * acceleration - self.damping.towards(velocity) * velocity
+        return DisturbanceState((first, second), (force1, force2)), resisting

@@ -1,0 +1,44 @@
+"""DOBVSC: disturbance observer plus variable-structure (sliding-mode) control."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
+from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
+from diffdrive.observer import Estimate
+from diffdrive.parameters import Scalar, quantity
+
+
+class DOBVSCState(NamedTuple):
+    """Last error and disturbance observer."""
+
+    last_error: LastError
+    disturbance: DisturbanceState
+
+
+class DOBVSC(Controller):
+    """PD + DOB + eta sat(s / phi), s = de/dt + slope e (paper, Fig. 6(b), after Lin et al. 2013).
+
+    The paper gives neither the law's form nor its gains; this form and the defaults are ours (docs/paper.md).
+    """
+
+    tracking: Tracking
+    observer: DisturbanceObserver
+    reach: Scalar = quantity("N", "switching force eta", at_least=0.0, default=2.0)
+    layer: Scalar = quantity("m/s", "boundary layer phi", above=0.0, default=1e-3)
+    slope: Scalar = quantity("1/s", "slope of the sliding surface", at_least=0.0, default=300.0)
+
+    def init(self, position: Scalar) -> DOBVSCState:
+        return DOBVSCState(LastError.none(), self.observer.init(position))
+
+    def step(
+        self, state: DOBVSCState, reference: Reference, position: Scalar, applied: Scalar, period: float
+    ) -> tuple[DOBVSCState, Command]:
+        error = reference.position - position
+        surface = (error - state.last_error.or_now(error)) / period + self.slope * error
+        switching = self.reach * jnp.clip(surface / self.layer, -1.0, 1.0)
+        last_error, force = self.tracking.step(state.last_error, reference, position, period)
+        disturbance, resisting = self.observer.step(state.disturbance, position, applied, period)
+        estimate = Estimate(resisting)
+        return DOBVSCState(last_error, disturbance), Command(force + switching + resisting, estimate)

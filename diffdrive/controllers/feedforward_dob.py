@@ -1,0 +1,46 @@
+"""PD+FF+DOB: friction predicted from the reference, the rest left to a disturbance observer."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
+from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
+from diffdrive.friction import bristle_at, friction_force, slide
+from diffdrive.observer import Estimate
+from diffdrive.parameters import Friction, Scalar, quantity
+
+
+class FeedforwardState(NamedTuple):
+    """Last error, bristle of the fed-forward friction (m), its force last time (N), disturbance observer."""
+
+    last_error: LastError
+    bristle: Scalar
+    last_feedforward: Scalar
+    disturbance: DisturbanceState
+
+
+class PDFeedforwardDOB(Controller):
+    """PD + LuGre friction driven by the reference velocity + DOB on the remainder (paper, Fig. 6(c))."""
+
+    tracking: Tracking
+    observer: DisturbanceObserver
+    friction: Friction
+    load: Scalar = quantity("N", "applied load that the feed-forward assumes", default=0.0)
+
+    def init(self, position: Scalar) -> FeedforwardState:
+        zero = jnp.zeros_like(position)
+        return FeedforwardState(LastError.none(), zero, zero, self.observer.init(position))
+
+    def step(
+        self, state: FeedforwardState, reference: Reference, position: Scalar, applied: Scalar, period: float
+    ) -> tuple[FeedforwardState, Command]:
+        bristle = bristle_at(self.friction, reference.velocity, state.bristle, self.load)
+        deflection = slide(state.bristle, reference.velocity, bristle.rate, period)
+        predicted = friction_force(bristle, reference.velocity, deflection)
+        unexplained = applied - state.last_feedforward
+        disturbance, resisting = self.observer.step(state.disturbance, position, unexplained, period)
+        last_error, force = self.tracking.step(state.last_error, reference, position, period)
+        estimate = Estimate(predicted + resisting)
+        state = FeedforwardState(last_error, deflection, predicted, disturbance)
+        return state, Command(force + predicted + resisting, estimate)

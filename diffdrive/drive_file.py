@@ -1,0 +1,234 @@
+"""Drive files: what the engineer believes about the axis, as TOML in SI units or with units spelled out.
+
+    [plant]       mass = 100.0              or  mass = "100 kg"
+                  damping = [380.0, 260.0]      one value per direction: [positive, negative]
+
+Tables and keys are those of the parameter classes; `diffdrive template` prints a complete file. Anything unknown is an
+error, because a misspelt key that is silently ignored is a wrong simulation.
+"""
+
+import dataclasses
+import difflib
+import functools
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pint
+import tomli_w
+
+from diffdrive.controller_file import build_controller, controller_table
+from diffdrive.controllers import Controller
+from diffdrive.errors import DriveFileError, ParameterError
+from diffdrive.motion import Limits
+from diffdrive.parameters import (
+    Actuator,
+    Directional,
+    Drive,
+    Friction,
+    Plant,
+    Quantity,
+    Sampling,
+    Sensor,
+    check,
+    check_drive,
+    quantity_table,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class DriveDescription:
+    """A drive file's content: the drive, its controller, the sampling and the limits of the axis."""
+
+    drive: Drive
+    controller: Controller
+    sampling: Sampling
+    limits: Limits
+
+
+@functools.cache
+def _units() -> pint.UnitRegistry:
+    return pint.UnitRegistry()
+
+
+class Section:
+    """One table of a drive file; takes keys out one by one and complains about what is left."""
+
+    def __init__(self, source: str, name: str, table: Any) -> None:
+        if not isinstance(table, dict):
+            raise DriveFileError(f"{source}: [{name}] must be a table, got {table!r}")
+        self.source, self.name, self._left = source, name, dict(table)
+        self._known: list[str] = []
+
+    def fail(self, key: str, problem: str) -> DriveFileError:
+        """The error for a bad `key`."""
+        return DriveFileError(f"{self.source}: [{self.name}] {key}: {problem}")
+
+    def take(self, key: str, default: Any = dataclasses.MISSING) -> Any:
+        """The raw value of `key`, or the default."""
+        self._known.append(key)
+        if key not in self._left:
+            if default is dataclasses.MISSING:
+                raise self.fail(key, "is missing")
+            return default
+        return self._left.pop(key)
+
+    def subsection(self, key: str) -> "Section":
+        """The table below `key`, empty if it is absent."""
+        return Section(self.source, f"{self.name}.{key}", self.take(key, {}))
+
+    def number(self, key: str, unit: str, default: Any = dataclasses.MISSING) -> Any:
+        """A number in SI, converted from a string with a unit where one is given."""
+        return self._number(key, self.take(key, default), unit)
+
+    def _number(self, key: str, value: Any, unit: str) -> Any:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise self.fail(key, f'must be a number in {unit}, or a string such as "1.5 {unit}", got {value!r}')
+        if not isinstance(value, str):
+            return float(value)
+        registry = _units()
+        try:
+            quantity = registry.Quantity(value)
+            return float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
+        except pint.DimensionalityError:
+            raise self.fail(key, f"has the unit of '{value}', but must be in {unit} or a multiple of it") from None
+        except Exception:
+            raise self.fail(
+                key, f"cannot read '{value}' as a number with a unit; write for example '1.5 {unit}'"
+            ) from None
+
+    def quantity(self, key: str, declared: Quantity, default: Any) -> Any:
+        """The value of one declared parameter: a number, or a pair where it may differ by direction."""
+        value = self.take(key, default)
+        if value is default:
+            return value
+        if isinstance(value, list):
+            if not declared.directional:
+                raise self.fail(key, f"must be one number in {declared.unit}, got {value!r}")
+            if len(value) != 2:
+                raise self.fail(key, f"needs two values, [positive, negative], got {value!r}")
+            return Directional(*(self._number(key, one, declared.unit) for one in value))
+        return self._number(key, value, declared.unit)
+
+    def build(self, cls: Any, **given: Any) -> Any:
+        """An instance of a parameter class from the keys of this section, beside those `given`."""
+        for field in dataclasses.fields(cls):
+            if "quantity" in field.metadata and field.name not in given:
+                given[field.name] = self.quantity(field.name, field.metadata["quantity"], field.default)
+        try:
+            built = cls(**given)
+            check(built, self.name)
+        except ParameterError as error:
+            raise DriveFileError(f"{self.source}: {error}") from None
+        return built
+
+    def done(self) -> None:
+        """Raise if keys are left that nobody asked for."""
+        if not self._left:
+            return
+        key = next(iter(self._left))
+        near = difflib.get_close_matches(key, self._known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(set(self._known)))}"
+        raise self.fail(key, f"unknown key; {hint}")
+
+
+def _limits(section: Section) -> Limits:
+    stroke = section.take("stroke", None)
+    if stroke is None:
+        ends = (-np.inf, np.inf)
+    else:
+        pair = stroke if isinstance(stroke, list) else [-np.inf, stroke]
+        if len(pair) != 2:
+            raise section.fail("stroke", f"must be [lowest, highest] or one length, got {stroke!r}")
+        ends = tuple(value if value == -np.inf else section._number("stroke", value, "m") for value in pair)
+        if not isinstance(stroke, list):
+            ends = (-ends[1], ends[1])
+        if not ends[0] < ends[1]:
+            raise section.fail("stroke", f"the lowest position must be below the highest, got {stroke!r}")
+    most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
+    for key, value in most.items():
+        if not value > 0:
+            raise section.fail(key, f"must be positive, got {value!r}")
+    return Limits(stroke=ends, **most)
+
+
+def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescription:
+    """A drive file's tables, already read from TOML; `source` names the file in errors."""
+    root = Section(source, "drive file", tables)
+    sections = {
+        name: Section(source, name, root.take(name, {}))
+        for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
+    }
+    root.done()
+    delay = sections["actuator"].take("delay_samples", 0)
+    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
+        raise sections["actuator"].fail("delay_samples", f"must be a whole number of samples, 0 or more, got {delay!r}")
+    drive = Drive(
+        plant=sections["plant"].build(Plant),
+        friction=sections["friction"].build(Friction),
+        actuator=sections["actuator"].build(Actuator, delay_samples=delay),
+        sensor=sections["sensor"].build(Sensor),
+    )
+    rate = sections["sampling"].number("rate", "Hz", 10_000.0)
+    substeps = sections["sampling"].take("substeps", None)
+    try:
+        check_drive(drive)
+        sampling = Sampling(rate, substeps)
+    except ParameterError as error:
+        raise DriveFileError(f"{source}: {error}") from None
+    limits = _limits(sections["limits"])
+    low, high = limits.stroke
+    if drive.sensor.resolution is not None and float(drive.sensor.resolution) > 1e-2 * min(high - low, 1.0):
+        raise sections["sensor"].fail(
+            "resolution",
+            f"{drive.sensor.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
+        )
+    controller = build_controller(sections["controller"], drive)
+    for section in sections.values():
+        section.done()
+    return DriveDescription(drive, controller, sampling, limits)
+
+
+def read_drive(path: str | Path) -> DriveDescription:
+    """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            tables = tomllib.load(file)
+    except FileNotFoundError:
+        raise DriveFileError(
+            f"{path}: no such file; 'diffdrive template > drive.toml' writes one to start from"
+        ) from None
+    except IsADirectoryError:
+        raise DriveFileError(f"{path}: is a folder, not a drive file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DriveFileError(f"{path}: not a TOML file: {error}") from None
+    return parse_drive(tables, str(path))
+
+
+def drive_tables(description: DriveDescription) -> dict[str, Any]:
+    """The tables of a drive file that `parse_drive` reads back to the same description."""
+    drive, limits = description.drive, description.limits
+    tables = {
+        "plant": quantity_table(drive.plant),
+        "friction": quantity_table(drive.friction),
+        "actuator": quantity_table(drive.actuator) | {"delay_samples": drive.actuator.delay_samples},
+        "sensor": quantity_table(drive.sensor),
+        "controller": controller_table(description.controller),
+        "sampling": {"rate": description.sampling.rate},
+        "limits": {},
+    }
+    if description.sampling.substeps is not None:
+        tables["sampling"]["substeps"] = description.sampling.substeps
+    if np.isfinite(limits.stroke).all():
+        tables["limits"]["stroke"] = list(limits.stroke)
+    for name in ("speed", "acceleration"):
+        if np.isfinite(getattr(limits, name)):
+            tables["limits"][name] = getattr(limits, name)
+    return tables
+
+
+def write_drive(path: str | Path, description: DriveDescription) -> None:
+    """Write a drive file in SI units."""
+    Path(path).write_text(tomli_w.dumps(drive_tables(description)), encoding="utf-8")

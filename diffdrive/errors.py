@@ -1,0 +1,33 @@
+"""The errors and warnings that diffdrive raises; each message says what, where, and what to do."""
+
+
+class DiffdriveError(Exception):
+    """Base of every error that diffdrive raises on purpose."""
+
+
+class ParameterError(DiffdriveError, ValueError):
+    """A parameter is missing, not finite, out of its range, or in the wrong unit."""
+
+
+class MotionError(DiffdriveError, ValueError):
+    """A motion or load profile cannot be run: beyond the limits, not uniform in time, not finite."""
+
+
+class DriveFileError(DiffdriveError, ValueError):
+    """A drive file cannot be read: it names the file, the key and the mend."""
+
+
+class PrecisionError(DiffdriveError, RuntimeError):
+    """JAX runs in single precision, in which the observer's covariance is rounding noise."""
+
+
+class DivergenceError(DiffdriveError, RuntimeError):
+    """A simulation diverged and the caller asked for an error instead of a status."""
+
+
+class LoadEstimatorError(DiffdriveError, ValueError):
+    """An eq. (20) load estimator does not converge at a speed where it must."""
+
+
+class LoadEstimatorWarning(UserWarning):
+    """An eq. (20) load estimator does not converge at a speed where it is about to be used."""

@@ -1,0 +1,72 @@
+"""Applied load on the guides over time: functions of the time grid, in newtons, shape [n]."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diffdrive.errors import MotionError
+from diffdrive.parameters import Drive
+
+GRAVITY = 9.80665  # m/s^2
+
+
+def constant(time: np.ndarray, load: float) -> np.ndarray:
+    """The same load (N) throughout."""
+    return np.full(len(time), float(load))
+
+
+def step(time: np.ndarray, *, at: float, to: float, before: float = 0.0) -> np.ndarray:
+    """`before` (N) until `at` (s), `to` (N) from then on."""
+    return np.where(np.asarray(time) < at, float(before), float(to))
+
+
+def ramp(time: np.ndarray, *, start: float, end: float, to: float, before: float = 0.0) -> np.ndarray:
+    """Linear from `before` (N) at `start` (s) to `to` (N) at `end` (s)."""
+    return piecewise(time, times=[start, end], loads=[before, to])
+
+
+def piecewise(time: np.ndarray, *, times: Sequence[float], loads: Sequence[float]) -> np.ndarray:
+    """Linear between the points (times s, loads N), constant outside."""
+    t, w = np.asarray(times, float), np.asarray(loads, float)
+    if t.shape != w.shape or t.ndim != 1 or not len(t):
+        raise MotionError("piecewise load: give as many times as loads, at least one of each")
+    if not (np.all(np.isfinite(t)) and np.all(np.isfinite(w))):
+        raise MotionError("piecewise load: times and loads must be finite")
+    if np.any(np.diff(t) <= 0):
+        raise MotionError(f"piecewise load: times must increase, got {list(times)!r}")
+    return np.interp(time, t, w)
+
+
+def material_removal(
+    time: np.ndarray, *, workpiece: float, removal_rate: float, cuts: Sequence[tuple[float, float]]
+) -> np.ndarray:
+    """Weight of a workpiece (kg) that loses `removal_rate` (kg/s) while cutting; `cuts` are (from, to) in s."""
+    time = np.asarray(time, float)
+    if not (workpiece >= 0 and removal_rate >= 0):
+        raise MotionError("material removal: workpiece (kg) and removal_rate (kg/s) must be 0 or more")
+    if any(not end > start for start, end in cuts):
+        raise MotionError(f"material removal: each cut must end after it starts, got {list(cuts)!r}")
+    cutting = sum((np.clip(time, start, end) - start for start, end in cuts), np.zeros(len(time)))
+    mass = workpiece - removal_rate * cutting
+    if np.any(mass < 0):
+        raise MotionError(
+            f"material removal: the {workpiece:g} kg workpiece is used up at t = {time[np.argmax(mass < 0)]:g} s"
+        )
+    return GRAVITY * mass
+
+
+def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """The load unchanged, or a `MotionError`: it must be finite, as long as the motion, and above minus the preload."""
+    load = np.asarray(load, float)
+    if load.shape != np.shape(time):
+        raise MotionError(f"the load has {load.size} samples, the motion {len(time)}: give one load per sample")
+    if not np.all(np.isfinite(load)):
+        raise MotionError(f"the load is not finite at t = {time[int(np.argmin(np.isfinite(load)))]:g} s")
+    lowest = -float(drive.friction.initial_load)
+    if np.any(load < lowest):
+        k = int(np.argmax(load < lowest))
+        raise MotionError(
+            f"the load of {load[k]:g} N at t = {time[k]:g} s lifts the table off its guides: it must stay above minus the "
+            f"initial load, {lowest:g} N"
+        )
+    return load

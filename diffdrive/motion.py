@@ -1,0 +1,335 @@
+"""Motions: where the table should be at each control step, checked against what the axis can do.
+
+Every stroke is a chain of pieces of constant jerk, integrated exactly, so that position, velocity and acceleration agree
+to rounding at any sample rate.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import chirp as scipy_chirp
+
+from diffdrive.errors import MotionError
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A reference on a uniform time grid; arrays of shape [n] in s, m, m/s, m/s^2."""
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    name: str = "motion"
+
+    @property
+    def rate(self) -> float:
+        """Samples per second."""
+        return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first sample to the last."""
+        return float(self.time[-1] - self.time[0])
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the axis can do: stroke [lowest, highest] (m), speed (m/s), acceleration (m/s^2)."""
+
+    stroke: tuple[float, float] = (-np.inf, np.inf)
+    speed: float = np.inf
+    acceleration: float = np.inf
+
+
+def require_within(motion: Motion, limits: Limits) -> Motion:
+    """The motion unchanged, or a `MotionError` naming the first sample beyond each limit."""
+    tolerance = 1e-9
+    low, high = limits.stroke
+    cases = (
+        ("position", motion.position, np.clip(motion.position, low, high), f"the stroke {low:g} to {high:g} m", "m"),
+        (
+            "speed",
+            motion.velocity,
+            np.clip(motion.velocity, -limits.speed, limits.speed),
+            f"{limits.speed:g} m/s",
+            "m/s",
+        ),
+        (
+            "acceleration",
+            motion.acceleration,
+            np.clip(motion.acceleration, -limits.acceleration, limits.acceleration),
+            f"{limits.acceleration:g} m/s^2",
+            "m/s^2",
+        ),
+    )
+    problems = []
+    for what, signal, allowed, limit, unit in cases:
+        beyond = np.abs(signal - allowed) > tolerance * max(1.0, float(np.max(np.abs(allowed))))
+        if beyond.any():
+            k = int(np.argmax(beyond))
+            worst = float(signal[np.argmax(np.abs(signal - allowed))])
+            problems.append(f"{what} leaves {limit} first at t = {motion.time[k]:g} s (worst {worst:g} {unit})")
+    if problems:
+        raise MotionError(
+            f"motion '{motion.name}': " + "; ".join(problems) + ". Shorten or slow the motion, or correct the limits"
+        )
+    return motion
+
+
+def _positive(motion: str, **values: float) -> None:
+    bad = [f"{name} = {value!r}" for name, value in values.items() if not (np.isfinite(value) and value > 0)]
+    if bad:
+        raise MotionError(f"{motion}: {', '.join(bad)} must be positive and finite (SI units: m, s, m/s, m/s^2)")
+
+
+def _grid(duration: float, rate: float) -> np.ndarray:
+    _positive("time grid", duration=duration, rate=rate)
+    samples = int(round(duration * rate))
+    if samples < 2:
+        raise MotionError(f"a motion of {duration:g} s at {rate:g} Hz has fewer than three samples: make it longer")
+    return np.arange(samples + 1) / rate
+
+
+def _pieces(
+    name: str,
+    pieces: Sequence[tuple[float, float, float]],
+    rate: float,
+    start: float = 0.0,
+    duration: float | None = None,
+) -> Motion:
+    """Integrate pieces (duration, acceleration at its start, jerk) from standstill at `start`."""
+    lengths = np.array([p[0] for p in pieces])
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    time = _grid(duration if duration is not None else float(knots[-1]), rate)
+    x, v = start, 0.0
+    begin = []
+    for length, a, jerk in pieces:
+        begin.append((x, v, a, jerk))
+        x += v * length + a * length**2 / 2 + jerk * length**3 / 6
+        v += a * length + jerk * length**2 / 2
+    begin.append((x, v, 0.0, 0.0))  # and so on after the end
+    # a sample within rounding of a knot belongs to the piece that starts there
+    index = np.searchsorted(knots[1:], time + 1e-9 / rate, side="right")
+    x0, v0, a0, j0 = np.array(begin).T[:, index]
+    s = time - knots[index]
+    position = x0 + s * (v0 + s * (a0 / 2 + s * j0 / 6))
+    return Motion(time, position, v0 + s * (a0 + s * j0 / 2), a0 + s * j0, name)
+
+
+def triangular(
+    *,
+    speed: float,
+    stroke: float,
+    rounding: float,
+    duration: float,
+    rate: float,
+    first_reversal: float | None = None,
+    start: float = 0.0,
+) -> Motion:
+    """To and fro at constant `speed` (m/s) over `stroke` (m), each velocity reversal linear over `rounding` (s).
+
+    It starts from rest with half a rounding. `stroke` is the distance between the turning points of the sharp triangle:
+    reversals are centred stroke / speed apart, the first at `first_reversal` (s), by default after one such time.
+    """
+    _positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
+    apart = stroke / speed
+    first = apart if first_reversal is None else first_reversal
+    if rounding > min(apart, first):
+        raise MotionError(
+            f"triangular motion: a rounding of {rounding:g} s does not fit between reversals {min(apart, first):g} s apart: "
+            "round less, or lengthen the stroke"
+        )
+    acceleration = 2.0 * speed / rounding
+    pieces = [(rounding / 2, acceleration, 0.0), (first - rounding, 0.0, 0.0)]
+    direction, elapsed = 1.0, first - rounding / 2
+    while elapsed < duration:
+        direction = -direction
+        pieces += [(rounding, direction * acceleration, 0.0), (apart - rounding, 0.0, 0.0)]
+        elapsed += apart
+    return _pieces("triangular", pieces, rate, start, duration)
+
+
+def _stroke(distance: float, speed: float, acceleration: float) -> list[tuple[float, float, float]]:
+    sign, distance = np.sign(distance), abs(distance)
+    peak = min(speed, float(np.sqrt(distance * acceleration)))
+    ramp = peak / acceleration
+    cruise = distance / peak - ramp
+    return [(ramp, sign * acceleration, 0.0), (max(cruise, 0.0), 0.0, 0.0), (ramp, -sign * acceleration, 0.0)]
+
+
+def _jerk_stroke(distance: float, speed: float, acceleration: float, jerk: float) -> list[tuple[float, float, float]]:
+    sign, distance = np.sign(distance), abs(distance)
+
+    def ramp_times(peak: float) -> tuple[float, float]:
+        rise = min(acceleration / jerk, float(np.sqrt(peak / jerk)))
+        return rise, max(peak / (rise * jerk) - rise, 0.0)
+
+    def ramp_distance(peak: float) -> float:
+        rise, hold = ramp_times(peak)
+        return peak * (2 * rise + hold)  # both ramps together, each at half the peak on average
+
+    peak = speed
+    if ramp_distance(speed) > distance:  # the speed is not reached: find the one that just fits
+        low, high = 0.0, speed
+        for _ in range(200):
+            peak = (low + high) / 2
+            low, high = (peak, high) if ramp_distance(peak) <= distance else (low, peak)
+    rise, hold = ramp_times(peak)
+    top = rise * jerk
+    cruise = max((distance - ramp_distance(peak)) / peak, 0.0)
+    up = [(rise, 0.0, jerk), (hold, top, 0.0), (rise, top, -jerk)]
+    down = [(rise, 0.0, -jerk), (hold, -top, 0.0), (rise, -top, jerk)]
+    return [(t, sign * a, sign * j) for t, a, j in (*up, (cruise, 0.0, 0.0), *down)]
+
+
+def _to_and_fro(
+    name: str, out: list[tuple[float, float, float]], back: list[tuple[float, float, float]],
+    dwell: float, repeats: int, rate: float, start: float,
+) -> Motion:  # fmt: skip
+    if repeats < 1 or int(repeats) != repeats or dwell < 0:
+        raise MotionError(f"{name}: repeats must be a whole number of at least 1 and dwell 0 s or more")
+    rest = [(dwell, 0.0, 0.0)] if dwell > 0 else []
+    return _pieces(name, (rest + out + rest + back) * int(repeats) + rest, rate, start)
+
+
+def trapezoidal(
+    *,
+    distance: float,
+    speed: float,
+    acceleration: float,
+    rate: float,
+    dwell: float = 0.1,
+    repeats: int = 1,
+    start: float = 0.0,
+) -> Motion:
+    """Strokes of `distance` (m) there and back, acceleration-limited, resting `dwell` (s) in between."""
+    _positive("trapezoidal stroke", distance=abs(distance), speed=speed, acceleration=acceleration)
+    out, back = (_stroke(d, speed, acceleration) for d in (distance, -distance))
+    return _to_and_fro("trapezoidal", out, back, dwell, repeats, rate, start)
+
+
+def jerk_limited(
+    *,
+    distance: float,
+    speed: float,
+    acceleration: float,
+    jerk: float,
+    rate: float,
+    dwell: float = 0.1,
+    repeats: int = 1,
+    start: float = 0.0,
+) -> Motion:
+    """Strokes of `distance` (m) there and back with limited `jerk` (m/s^3), resting `dwell` (s) in between."""
+    _positive("jerk-limited stroke", distance=abs(distance), speed=speed, acceleration=acceleration, jerk=jerk)
+    out, back = (_jerk_stroke(d, speed, acceleration, jerk) for d in (distance, -distance))
+    return _to_and_fro("jerk-limited", out, back, dwell, repeats, rate, start)
+
+
+def multisine(
+    *,
+    amplitudes: Sequence[float],
+    frequencies: Sequence[float],
+    duration: float,
+    rate: float,
+    phases: Sequence[float] | None = None,
+    start: float = 0.0,
+) -> Motion:
+    """A sum of sines (amplitudes m, frequencies Hz, phases rad; by default Schroeder's, which keep the peak low).
+
+    It starts at `start`; its first velocity is not zero in general: fade in with a `from_array` of your own if the axis
+    must start from rest.
+    """
+    amplitude, frequency = np.asarray(amplitudes, float), np.asarray(frequencies, float)
+    if amplitude.shape != frequency.shape or amplitude.ndim != 1 or not len(amplitude):
+        raise MotionError("multisine: give as many amplitudes as frequencies, at least one of each")
+    if not (np.all(np.isfinite(amplitude)) and np.all(np.isfinite(frequency)) and np.all(frequency > 0)):
+        raise MotionError("multisine: amplitudes and frequencies must be finite, frequencies positive")
+    if np.any(frequency >= rate / 2):
+        raise MotionError(f"multisine: {frequency.max():g} Hz is beyond half of the rate {rate:g} Hz")
+    number = np.arange(len(amplitude))
+    phase = -np.pi * number * (number + 1) / len(amplitude) if phases is None else np.asarray(phases, float)
+    time = _grid(duration, rate)
+    angle = 2 * np.pi * np.outer(time, frequency) + phase
+    omega = 2 * np.pi * frequency
+    position = np.sin(angle) @ amplitude
+    return Motion(
+        time,
+        start + position - position[0],
+        np.cos(angle) @ (amplitude * omega),
+        -np.sin(angle) @ (amplitude * omega**2),
+        "multisine",
+    )
+
+
+def sine(*, amplitude: float, frequency: float, duration: float, rate: float, start: float = 0.0) -> Motion:
+    """One sine that begins at its turning point, hence from rest: start + amplitude (1 - cos(2 pi f t))."""
+    _positive("sine", amplitude=amplitude, frequency=frequency)
+    motion = multisine(
+        amplitudes=[amplitude], frequencies=[frequency], phases=[-np.pi / 2], duration=duration, rate=rate, start=start
+    )
+    return Motion(motion.time, motion.position, motion.velocity, motion.acceleration, "sine")
+
+
+def chirp(
+    *, amplitude: float, from_frequency: float, to_frequency: float, duration: float, rate: float, start: float = 0.0
+) -> Motion:
+    """A sine whose frequency rises linearly from `from_frequency` to `to_frequency` (Hz), starting from rest."""
+    _positive("chirp", amplitude=amplitude, from_frequency=from_frequency, to_frequency=to_frequency)
+    if max(from_frequency, to_frequency) >= rate / 2:
+        raise MotionError(f"chirp: {max(from_frequency, to_frequency):g} Hz is beyond half of the rate {rate:g} Hz")
+    time = _grid(duration, rate)
+    wave = [
+        scipy_chirp(time, from_frequency, duration, to_frequency, method="linear", phi=phi) for phi in (0.0, 90.0)
+    ]  # cos(angle), cos(angle + 90 deg) = -sin(angle)
+    slope = (to_frequency - from_frequency) / duration
+    omega = 2 * np.pi * (from_frequency + slope * time)
+    return Motion(
+        time,
+        start + amplitude * (1.0 - wave[0]),
+        -amplitude * wave[1] * omega,
+        amplitude * (wave[0] * omega**2 - wave[1] * 2 * np.pi * slope),
+        "chirp",
+    )
+
+
+def staircase(
+    *, speeds: Sequence[float], travel: float, acceleration: float, rate: float, dwell: float = 0.2, start: float = 0.0
+) -> Motion:
+    """For each of `speeds` (m/s): a stroke of `travel` (m) out and back with dwells (s), as for a Stribeck curve."""
+    if not len(speeds):
+        raise MotionError("staircase: give at least one speed")
+    _positive(
+        "staircase", travel=travel, acceleration=acceleration, **{f"speeds[{i}]": s for i, s in enumerate(speeds)}
+    )
+    if dwell < 0:
+        raise MotionError("staircase: dwell must be 0 s or more")
+    rest = [(dwell, 0.0, 0.0)] if dwell > 0 else []
+    pieces = list(rest)
+    for speed in speeds:
+        pieces += _stroke(travel, speed, acceleration) + rest + _stroke(-travel, speed, acceleration) + rest
+    return _pieces("staircase", pieces, rate, start)
+
+
+def from_array(time: Sequence[float], position: Sequence[float], *, name: str = "own array") -> Motion:
+    """Your own reference (s, m) on a uniform time grid; velocity and acceleration from its cubic spline."""
+    t, x = np.asarray(time, float), np.asarray(position, float)
+    if t.ndim != 1 or t.shape != x.shape or len(t) < 4:
+        raise MotionError(f"{name}: time and position must be one-dimensional, equally long, with at least 4 samples")
+    for what, signal in (("time", t), ("position", x)):
+        if not np.all(np.isfinite(signal)):
+            raise MotionError(f"{name}: {what} is not finite at sample {int(np.argmin(np.isfinite(signal)))}")
+    steps = np.diff(t)
+    if not np.all(steps > 0):
+        raise MotionError(f"{name}: time does not increase at sample {int(np.argmin(steps > 0)) + 1}")
+    mean = (t[-1] - t[0]) / (len(t) - 1)
+    if np.max(np.abs(steps - mean)) > 1e-3 * mean:
+        k = int(np.argmax(np.abs(steps - mean)))
+        raise MotionError(
+            f"{name}: time is not uniform: step {steps[k]:g} s at t = {t[k]:g} s, {mean:g} s on average; resample it first"
+        )
+    grid = t[0] + mean * np.arange(len(t))
+    spline = make_interp_spline(grid, x, k=3)
+    return Motion(grid - grid[0], x, spline.derivative(1)(grid), spline.derivative(2)(grid), name)

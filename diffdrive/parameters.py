@@ -1,0 +1,259 @@
+"""What a drive is: plant, friction, actuator, sensor, as pytrees in SI units.
+
+Each field states its unit, its range and its meaning once, in `quantity(...)`; the drive-file reader, the
+range checks and the reference table in the documentation are all derived from that statement.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.errors import ParameterError
+
+Scalar = Float[Array, ""] | float
+Tree = TypeVar("Tree")
+
+
+class Quantity(NamedTuple):
+    """Unit, range and meaning of one parameter."""
+
+    unit: str
+    meaning: str
+    above: float | None
+    at_least: float | None
+    directional: bool
+    optional: bool
+
+
+class Directional(eqx.Module):
+    """A parameter that differs between the directions of motion (paper, Tables 2 and 3)."""
+
+    positive: Scalar
+    negative: Scalar
+
+    def towards(self, signal: Scalar) -> Scalar:
+        """The value for the direction in which `signal` (a velocity, a bristle deflection) points; 0 counts as +."""
+        return jnp.where(signal >= 0, self.positive, self.negative)
+
+
+def directional(value: Any) -> Directional:
+    """One value for both directions, or a pair (positive, negative)."""
+    if isinstance(value, Directional):
+        return value
+    if isinstance(value, list | tuple):
+        if len(value) != 2:
+            raise ParameterError(
+                f"a value per direction needs exactly two entries [positive, negative], got {len(value)}: {value!r}"
+            )
+        return Directional(*value)
+    return Directional(value, value)
+
+
+def quantity(
+    unit: str,
+    meaning: str,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+    per_direction: bool = False,
+    default: Any = dataclasses.MISSING,
+) -> Any:
+    """Declare a parameter field: its unit, meaning and range (`above` is exclusive, `at_least` inclusive)."""
+    meta = {"quantity": Quantity(unit, meaning, above, at_least, per_direction, default is None)}
+    options: dict[str, Any] = {"metadata": meta}
+    if per_direction:
+        options["converter"] = directional
+        default = directional(default) if default not in (dataclasses.MISSING, None) else default
+    if default is not dataclasses.MISSING:
+        options["default"] = default
+    return eqx.field(**options)
+
+
+class Plant(eqx.Module):
+    """M_S a + B_S v = u + constant_force - F(v, z)  (paper, eq. (7), and a constant force beside it)."""
+
+    mass: Scalar = quantity("kg", "moving mass, motor and screw inertia included", above=0.0)
+    damping: Directional = quantity("N*s/m", "viscous damping of the system", at_least=0.0, per_direction=True)
+    constant_force: Scalar = quantity("N", "tilt, counterbalance or amplifier offset", default=0.0)
+
+
+class Friction(eqx.Module):
+    """LuGre friction with load-dependent Coulomb friction, per direction (paper, eqs. (4) to (6))."""
+
+    coulomb_screw: Directional = quantity("N", "Coulomb friction of the screw, F_BC", at_least=0.0, per_direction=True)
+    load_coefficient: Directional = quantity(
+        "1", "Coulomb friction coefficient of the guides, mu_LC", at_least=0.0, per_direction=True
+    )
+    initial_load: Scalar = quantity("N", "load on the guides from preload and table, W_LI", at_least=0.0)
+    breakaway_gap: Directional = quantity(
+        "N", "breakaway minus Coulomb friction, F_S - F_C", at_least=0.0, per_direction=True
+    )
+    stribeck_velocity: Directional = quantity("m/s", "Stribeck velocity, v_s", above=0.0, per_direction=True)
+    viscous: Directional = quantity("N*s/m", "viscous friction, mu_v", at_least=0.0, per_direction=True)
+    bristle_stiffness: Directional = quantity("N/m", "bristle stiffness, sigma_0", above=0.0, per_direction=True)
+    bristle_damping: Directional = quantity("N*s/m", "bristle damping, sigma_1", at_least=0.0, per_direction=True)
+
+
+class Actuator(eqx.Module):
+    """Force limit and whole-sample delay between the command and the force on the table."""
+
+    force_limit: Scalar | None = quantity(
+        "N", "largest force in either direction; absent: unlimited", above=0.0, default=None
+    )
+    limit_rounding: Scalar | None = quantity(
+        "N",
+        "width over which the smooth variant rounds the limit; absent: the exact, hard limit",
+        above=0.0,
+        default=None,
+    )
+    delay_samples: int = eqx.field(static=True, default=0)
+
+
+class Sensor(eqx.Module):
+    """Linear scale at the table: white noise, then quantisation."""
+
+    resolution: Scalar | None = quantity(
+        "m", "step of the measured position; absent: no quantisation", above=0.0, default=None
+    )
+    noise: Scalar = quantity(
+        "m", "standard deviation of the white noise before the quantiser", at_least=0.0, default=0.0
+    )
+
+
+class Drive(eqx.Module):
+    """The machine: everything between the force command and the measured position."""
+
+    plant: Plant
+    friction: Friction
+    actuator: Actuator = Actuator()
+    sensor: Sensor = Sensor()
+
+
+class Sampling(eqx.Module):
+    """Control rate, and plant substeps in each control period (`None`: as many as keep a substep within 12.5 us).
+
+    At that substep the position error of the integrator stays below 0.1 nm (docs/numerics.md).
+    """
+
+    rate: float = eqx.field(static=True, default=10_000.0)
+    substeps: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        if not (np.isfinite(self.rate) and 10.0 <= self.rate <= 1e6):
+            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {self.rate!r}")
+        if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
+            raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {self.substeps!r}")
+
+    @property
+    def period(self) -> float:
+        """Seconds from one control step to the next."""
+        return 1.0 / self.rate
+
+    @property
+    def plant_steps(self) -> int:
+        """Substeps of the plant in one control period."""
+        return self.substeps or int(np.ceil(round(self.period / 12.5e-6, 6)))
+
+
+def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any]]:
+    """Every declared parameter below `module`: its dotted path, its declaration and its value."""
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name)
+        name = f"{path}.{field.name}" if path else field.name
+        if "quantity" in field.metadata:
+            yield name, field.metadata["quantity"], value
+        elif dataclasses.is_dataclass(value):
+            yield from quantities(value, name)
+
+
+def _values(value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Directional):
+        yield " (positive direction)", value.positive
+        yield " (negative direction)", value.negative
+    else:
+        yield "", value
+
+
+def check(module: Any, path: str = "") -> None:
+    """Raise `ParameterError` naming every parameter below `module` that is not finite or out of its range.
+
+    Traced values (inside `jit`, `grad`, `vmap`) cannot be looked at and are passed over.
+    """
+    problems = []
+    for name, declared, value in quantities(module, path):
+        if value is None and declared.optional:
+            continue
+        for where, number in _values(value):
+            if isinstance(number, jax.core.Tracer):
+                continue
+            try:
+                numbers = np.asarray(number, dtype=float)
+            except (TypeError, ValueError):
+                problems.append(f"{name}{where} must be a number in {declared.unit}, got {number!r}")
+                continue
+            if not np.all(np.isfinite(numbers)):
+                problems.append(f"{name}{where} must be finite, got {number!r}")
+            elif declared.above is not None and not np.all(numbers > declared.above):
+                problems.append(f"{name}{where} must be above {declared.above:g} {declared.unit}, got {number!r}")
+            elif declared.at_least is not None and not np.all(numbers >= declared.at_least):
+                problems.append(f"{name}{where} must be at least {declared.at_least:g} {declared.unit}, got {number!r}")
+    if problems:
+        raise ParameterError("; ".join(problems))
+
+
+def check_drive(drive: Drive) -> None:
+    """`check`, and what only the parameters together can violate."""
+    check(drive)
+    delay = drive.actuator.delay_samples
+    if not isinstance(delay, int) or delay < 0:
+        raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {delay!r}")
+    friction = drive.friction
+    for side in ("positive", "negative"):
+        level = getattr(friction.coulomb_screw, side) + getattr(friction.load_coefficient, side) * friction.initial_load
+        if not isinstance(level, jax.core.Tracer) and not np.all(np.asarray(level) > 0):
+            raise ParameterError(
+                f"friction: the Coulomb friction in the {side} direction is zero (coulomb_screw + load_coefficient * "
+                "initial_load); LuGre friction needs a positive one: give at least a small coulomb_screw"
+            )
+
+
+def quantity_table(module: Any) -> dict[str, Any]:
+    """The declared parameters of one module as TOML values; absent ones are left out."""
+    table: dict[str, Any] = {}
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name)
+        if "quantity" not in field.metadata or value is None:
+            continue
+        if isinstance(value, Directional):
+            pair = [float(value.positive), float(value.negative)]
+            table[field.name] = pair[0] if pair[0] == pair[1] else pair
+        else:
+            table[field.name] = float(value)
+    return table
+
+
+def require_double_precision() -> None:
+    """Raise `PrecisionError` unless JAX computes in double precision."""
+    if not jax.config.jax_enable_x64:
+        raise PrecisionError(
+            "diffdrive needs double precision, which JAX leaves off by default: run "
+            "`jax.config.update('jax_enable_x64', True)` before the first computation (the command line and "
+            "`experiments.runtime.configure()` do it for you)"
+        )
+
+
+def as_arrays(tree: Tree) -> Tree:
+    """The same tree with every number as a double-precision array, so that a new value never recompiles."""
+
+    def convert(leaf: Any) -> Any:
+        if isinstance(leaf, bool) or not isinstance(leaf, int | float | np.number | np.ndarray | jax.Array):
+            return leaf
+        return jnp.asarray(leaf, dtype=jnp.float64)
+
+    return jax.tree.map(convert, tree)

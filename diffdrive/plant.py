@@ -1,0 +1,72 @@
+"""The rigid table on its guides, integrated over one control period under a constant force.
+
+One substep h solves the mean velocity w of the substep from the momentum balance
+
+    2 M (w - v0) / h + B w = u - mean(F) ,   v1 = 2 w - v0 ,   x1 = x0 + h w
+
+with the bristle solved exactly for the frozen velocity w: its mean deflection and its mean rate are linear in w, so the
+balance is one scalar division. In stick (r -> 0) this is the implicit midpoint rule, in fast sliding (r h >> 1) the
+bristle sits in its steady state; both limits, and everything between, are stable at any step. Second order
+(docs/numerics.md).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from diffdrive.friction import Decay, bristle_at, decay
+from diffdrive.parameters import Drive, Scalar
+
+
+class PlantState(NamedTuple):
+    """Position (m), velocity (m/s) and bristle deflection (m) of the table."""
+
+    position: Scalar
+    velocity: Scalar
+    bristle: Scalar
+
+
+def _mean_velocity(
+    drive: Drive, state: PlantState, slip: Scalar, force: Scalar, load: Scalar, step: float
+) -> tuple[Scalar, Decay]:
+    """Mean velocity over `step` with the friction coefficients taken at velocity `slip`."""
+    _, velocity, deflection = state
+    bristle = bristle_at(drive.friction, slip, deflection, load)
+    fade = decay(bristle.rate * step)
+    momentum = 2.0 * drive.plant.mass / step
+    resistance = bristle.viscous + drive.plant.damping.towards(slip)
+    yielding = bristle.stiffness * step * fade.mean_of_mean + bristle.damping * fade.mean
+    held = deflection * fade.mean * (bristle.stiffness - bristle.damping * bristle.rate)
+    mean = (momentum * velocity + force + drive.plant.constant_force - held) / (momentum + resistance + yielding)
+    return mean, fade
+
+
+def advance(drive: Drive, state: PlantState, force: Scalar, load: Scalar, period: float, substeps: int) -> PlantState:
+    """The state one `period` (s) later under a constant `force` (N) and applied `load` (N)."""
+    step = period / substeps
+
+    def substep(carry: tuple[PlantState, Scalar], _: None) -> tuple[tuple[PlantState, Scalar], None]:
+        state, slip = carry
+        mean, fade = _mean_velocity(drive, state, slip, force, load, step)
+        ahead = PlantState(
+            position=state.position + step * mean,
+            velocity=2.0 * mean - state.velocity,
+            bristle=fade.end * state.bristle + step * fade.mean * mean,
+        )
+        # the next substep's midpoint velocity, extrapolated: second order without a second pass
+        carry = lax.optimization_barrier((ahead, 2.0 * ahead.velocity - mean))
+        return carry, None
+
+    slip, _ = _mean_velocity(drive, state, state.velocity, force, load, step)
+    (state, _), _ = lax.scan(substep, (state, slip), None, length=substeps)
+    return state
+
+
+def at_rest(position: Scalar) -> PlantState:
+    """Standing still at `position`, bristle relaxed."""
+    zero = jnp.zeros_like(jnp.asarray(position))
+    return PlantState(jnp.asarray(position), zero, zero)
+
+
+__all__ = ["PlantState", "advance", "at_rest"]

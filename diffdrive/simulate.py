@@ -1,0 +1,181 @@
+"""The closed loop, one control step at a time, and its roll-out over a motion.
+
+    scale -> controller (with its observer) -> command -> actuator -> force -> plant -> ...
+
+A step begins where a controller's interrupt routine begins, with the measurement; the estimate used at k rests on
+the measurement at k and on the force applied up to k, so there is no algebraic loop.
+"""
+
+import warnings
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive import actuator, plant, sensor
+from diffdrive.controllers import Controller, FrictionCompensation, Reference
+from diffdrive.convergence import divergent_speeds
+from diffdrive.errors import LoadEstimatorWarning, ParameterError
+from diffdrive.friction import bristle_at, friction_force
+from diffdrive.load import require_possible
+from diffdrive.motion import Limits, Motion, require_within
+from diffdrive.observer import Estimate, KalmanObserver
+from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
+from diffdrive.run import Run, judged
+
+
+class Inputs(NamedTuple):
+    """What the loop is given from outside, [n] over time or scalars at one step."""
+
+    reference: Reference
+    load: Float[Array, " n"] | Scalar  # N on the guides
+
+
+class Frame(NamedTuple):
+    """What one control step looks like from outside: the signals at sample k, the command given at k."""
+
+    position: Scalar  # m, of the table
+    velocity: Scalar  # m/s
+    measured: Scalar  # m, as the scale reports it
+    command: Scalar  # N, before the actuator
+    force: Scalar  # N, that acts from k to k+1
+    friction: Scalar  # N, without the damping B_S v
+    estimate: Estimate | None
+
+
+class LoopState(NamedTuple):
+    """What is carried from one control step to the next."""
+
+    plant: plant.PlantState
+    actuator: actuator.ActuatorState
+    controller: Any
+    count: Scalar
+
+
+def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
+    """Everything at rest at `position` (m)."""
+    return LoopState(
+        plant.at_rest(position), actuator.init(drive.actuator), controller.init(position), jnp.zeros((), jnp.uint32)
+    )
+
+
+def step(
+    drive: Drive, controller: Controller, sampling: Sampling, key: Array | None, state: LoopState, inputs: Inputs
+) -> tuple[LoopState, Frame]:
+    """One control period of the closed loop."""
+    table = state.plant
+    normal = None if key is None else jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
+    measured = sensor.measure(drive.sensor, table.position, normal)
+    controller_state, command = controller.step(
+        state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
+    )
+    controller_state, command = lax.optimization_barrier((controller_state, command))
+    drive_state = actuator.step(drive.actuator, state.actuator, command.force)
+    moved = plant.advance(drive, table, drive_state.applied, inputs.load, sampling.period, sampling.plant_steps)
+    bristle = bristle_at(drive.friction, table.velocity, table.bristle, inputs.load)
+    frame = Frame(
+        position=table.position,
+        velocity=table.velocity,
+        measured=measured,
+        command=command.force,
+        force=drive_state.applied,
+        friction=friction_force(bristle, table.velocity, table.bristle),
+        estimate=command.estimate,
+    )
+    return LoopState(moved, drive_state, controller_state, state.count + 1), frame
+
+
+def rollout(
+    drive: Drive,
+    controller: Controller,
+    inputs: Inputs,
+    sampling: Sampling,
+    key: Array | None = None,
+    every: int = 1,
+) -> Frame:
+    """Roll the loop over `inputs` ([n] each) and record each `every`-th frame: arrays of shape [n // every].
+
+    Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
+    """
+
+    def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
+        return step(drive, controller, sampling, key, state, at)
+
+    begin = start(drive, controller, inputs.reference.position[0])
+    if every == 1:
+        return lax.scan(body, begin, inputs)[1]
+
+    def block(state: LoopState, chunk: Inputs) -> tuple[LoopState, Frame]:
+        state, frame = body(state, jax.tree.map(lambda signal: signal[0], chunk))
+        rest = jax.tree.map(lambda signal: signal[1:], chunk)
+        state, _ = lax.scan(lambda s, at: (body(s, at)[0], None), state, rest)
+        return state, frame
+
+    blocks = len(inputs.load) // every
+    chunks = jax.tree.map(lambda signal: signal[: blocks * every].reshape(blocks, every), inputs)
+    return lax.scan(block, begin, chunks)[1]
+
+
+_rollout = eqx.filter_jit(rollout)
+
+
+def inputs_of(motion: Motion, load: np.ndarray) -> Inputs:
+    """A motion and a load (N, [n]) as the arrays that `rollout` takes."""
+    reference = Reference(motion.position, motion.velocity, motion.acceleration)
+    return as_arrays(Inputs(reference, np.asarray(load, float)))
+
+
+def simulate(
+    drive: Drive,
+    controller: Controller,
+    motion: Motion,
+    load: np.ndarray | float = 0.0,
+    *,
+    sampling: Sampling = Sampling(),
+    limits: Limits = Limits(),
+    seed: int | None = 0,
+    every: int = 1,
+) -> Run:
+    """Simulate one motion and return every signal, with a status that says whether to believe it.
+
+    `load` is in N, one number or one per sample. `seed` seeds the sensor noise (None: no noise). `every` keeps each
+    n-th sample. Raises `ParameterError` and `MotionError` on bad input; a loop that diverges does not raise but
+    returns a `Run` whose `status` says which signal left its bounds and when.
+    """
+    require_double_precision()
+    check_drive(drive)
+    check(controller)
+    require_within(motion, limits)
+    if abs(motion.rate / sampling.rate - 1) > 1e-6:
+        raise ParameterError(
+            f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
+        )
+    if not isinstance(every, int) or not 1 <= every < len(motion.time):
+        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {every!r}")
+    loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
+    loads = require_possible(drive, loads, motion.time)
+    _warn_of_divergence(controller, motion, sampling)
+    noisy = seed is not None and float(drive.sensor.noise) > 0
+    key = jax.random.key(seed) if noisy else None
+    frames = _rollout(*as_arrays((drive, controller)), inputs_of(motion, loads), sampling, key, every)
+    return judged(Run.of(motion, loads, frames, every), limits)
+
+
+def _warn_of_divergence(controller: Controller, motion: Motion, sampling: Sampling) -> None:
+    """Say at which of the motion's speeds an eq. (20) load estimator does not converge."""
+    if not isinstance(controller, FrictionCompensation) or not isinstance(controller.observer, KalmanObserver):
+        return
+    speeds = np.unique(np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6))
+    bad = divergent_speeds(controller.observer, speeds, sampling.period)
+    if bad:
+        listed = ", ".join(f"{1e3 * v:.3g}" for v in bad)
+        warnings.warn(
+            f"the eq. (20) load estimator does not converge at {listed} mm/s with this Q, R and K_w (its gain G is not "
+            "positive there, see docs/load-estimation.md): use LoadStateObserver, or choose Q and R with G > 0",
+            LoadEstimatorWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,96 @@
+"""The matrix exponential of the drive's linear model at frozen velocity, in closed form.
+
+    d/dt [v, z] = [[-a, -b], [1, -r]] [v, z] + inputs ,   dx/dt = v
+
+(paper, eq. (8), with a = (s1 + mu_v + B_S) / M, b = s0 (1 - s1 |v| / g) / M, r = s0 |v| / g). In scalars, because a
+library's `expm` in a scan costs twenty times the rest of the control step (docs/numerics.md).
+
+With m = (a + r) / 2 and D = ((a - r) / 2)^2 - b, and exp(A t) = c(t) I + s(t) (A + m I), the integrals over time follow
+from the same two functions, since A is regular (det A = a r + b > 0):
+
+    int s = (1 - c - m s) / det ,   int c = s + m int s ,   and once more for the double integrals.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from diffdrive.friction import Bristle
+from diffdrive.parameters import Plant, Scalar
+
+Matrix2 = tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]
+
+
+class Transition(NamedTuple):
+    """exp(A T) of [v, z], its integral and its double integral over 0..T."""
+
+    exponential: Matrix2
+    integral: Matrix2
+    double_integral: Matrix2
+
+
+# cosh(sqrt p) and sinh(sqrt p) / sqrt p as power series in p; ten terms leave 1e-16 for |p| <= (pi / 2)^2
+_EVEN = tuple(1.0 / math.factorial(2 * n) for n in range(11))
+_ODD = tuple(1.0 / math.factorial(2 * n + 1) for n in range(11))
+
+
+def _series(coefficients: tuple[float, ...], p: Scalar) -> Scalar:
+    total: Scalar = coefficients[-1]
+    for term in reversed(coefficients[:-1]):
+        total = term + p * total
+    return total
+
+
+def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, time: Scalar) -> tuple[Scalar, Scalar]:
+    """exp(-m t) cosh(sqrt(D) t) and exp(-m t) sinh(sqrt(D) t) / sqrt(D), for D of either sign, and at D = 0.
+
+    Far apart real eigenvalues by their exponentials; all else by series, an angle first brought within half a turn.
+    (A library's sin and cos do not vectorise here and cost more than the rest of the observer.)
+    """
+    q = discriminant * time**2
+    apart, turning = q > 0.25, q < -0.25
+    root = jnp.sqrt(jnp.where(apart | turning, jnp.abs(q), 1.0))
+    # real and apart: the slow eigenvalue from det / (m + sqrt D), which does not cancel
+    fast = mean_rate * time + jnp.where(apart, root, 0.0)
+    slow_or_mean = jnp.exp(-jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
+    fast_end = jnp.exp(-fast)
+    # the rest: half the angle, or q itself, into the series; then double once
+    angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root / (2 * jnp.pi)), 0.0)
+    p = jnp.where(apart, 0.0, jnp.where(turning, -(angle**2), q)) / 4
+    half_even, half_odd = _series(_EVEN, p), _series(_ODD, p)
+    even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle / root, 1.0)
+    cosh = jnp.where(apart, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)
+    sinh = jnp.where(apart, 0.5 * (slow_or_mean - fast_end) / root, slow_or_mean * odd)
+    return cosh, time * sinh
+
+
+def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -> Transition:
+    """`Transition` over `time` (s) with the friction coefficients frozen at `velocity` (m/s)."""
+    rate = bristle.rate
+    drag = bristle.viscous + plant.damping.towards(velocity)
+    a = (bristle.damping + drag) / plant.mass
+    b = (bristle.stiffness - bristle.damping * rate) / plant.mass
+    determinant = (bristle.stiffness + drag * rate) / plant.mass  # a r + b, without the cancellation
+    m = 0.5 * (a + rate)
+    half = 0.5 * (a - rate)
+    c, s = _cosh_sinh(m, half**2 - b, determinant, time)
+
+    def combine(even: Scalar, odd: Scalar) -> Matrix2:
+        return ((even - odd * half, -odd * b), (odd, even + odd * half))
+
+    int_s = (1.0 - c - m * s) / determinant
+    int_c = s + m * int_s
+    int2_s = (time - int_c - m * int_s) / determinant
+    int2_c = int_s + m * int2_s
+    return Transition(combine(c, s), combine(int_c, int_s), combine(int2_c, int2_s))
+
+
+def state_matrices(
+    plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar
+) -> tuple[tuple[tuple[Scalar, ...], ...], tuple[Scalar, ...]]:
+    """Ad (3 by 3) and Bd (3) of X = [x, v, z] under a constant force (paper, eqs. (8) and (9)), as nested tuples."""
+    exponential, integral, double = transition(plant, bristle, velocity, time)
+    ad = ((1.0, *integral[0]), (0.0, *exponential[0]), (0.0, *exponential[1]))
+    bd = (double[0][0] / plant.mass, integral[0][0] / plant.mass, integral[1][0] / plant.mass)
+    return ad, bd
