@@ -66,7 +66,7 @@ def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.nda
     if np.any(load < lowest):
         k = int(np.argmax(load < lowest))
         raise MotionError(
-            f"the load of {load[k]:g} N at t = {time[k]:g} s lifts the table off its guides: it must stay above minus the "
-            f"initial load, {lowest:g} N"
+            f"the load of {load[k]:g} N at t = {time[k]:g} s lifts the table off its guides: it must stay above "
+            f"minus the initial load, {lowest:g} N"
         )
     return load

@@ -1,7 +1,7 @@
 """Motions: where the table should be at each control step, checked against what the axis can do.
 
-Every stroke is a chain of pieces of constant jerk, integrated exactly, so that position, velocity and acceleration agree
-to rounding at any sample rate.
+Every stroke is a chain of pieces of constant jerk, integrated exactly, so that position, velocity and acceleration
+agree to rounding at any sample rate.
 """
 
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ def _positive(motion: str, **values: float) -> None:
 
 def _grid(duration: float, rate: float) -> np.ndarray:
     _positive("time grid", duration=duration, rate=rate)
-    samples = int(round(duration * rate))
+    samples = round(duration * rate)
     if samples < 2:
         raise MotionError(f"a motion of {duration:g} s at {rate:g} Hz has fewer than three samples: make it longer")
     return np.arange(samples + 1) / rate
@@ -139,8 +139,8 @@ def triangular(
     first = apart if first_reversal is None else first_reversal
     if rounding > min(apart, first):
         raise MotionError(
-            f"triangular motion: a rounding of {rounding:g} s does not fit between reversals {min(apart, first):g} s apart: "
-            "round less, or lengthen the stroke"
+            f"triangular motion: a rounding of {rounding:g} s does not fit between reversals {min(apart, first):g} s "
+            "apart: round less, or lengthen the stroke"
         )
     acceleration = 2.0 * speed / rounding
     pieces = [(rounding / 2, acceleration, 0.0), (first - rounding, 0.0, 0.0)]
@@ -328,7 +328,8 @@ def from_array(time: Sequence[float], position: Sequence[float], *, name: str = 
     if np.max(np.abs(steps - mean)) > 1e-3 * mean:
         k = int(np.argmax(np.abs(steps - mean)))
         raise MotionError(
-            f"{name}: time is not uniform: step {steps[k]:g} s at t = {t[k]:g} s, {mean:g} s on average; resample it first"
+            f"{name}: time is not uniform: step {steps[k]:g} s at t = {t[k]:g} s, {mean:g} s on average; "
+            "resample it first"
         )
     grid = t[0] + mean * np.arange(len(t))
     spline = make_interp_spline(grid, x, k=3)

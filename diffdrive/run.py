@@ -103,7 +103,7 @@ def judged(run: Run, limits: Limits) -> Run:
         return run
     k, name, signal, bound = min(first, key=lambda fault: fault[0])
     message = (
-        f"diverged: {name} leaves {bound} at t = {run.time[k]:g} s (value {signal[k]:g}): the loop is unstable with these "
-        "gains, delay and sampling; lower kd, kp or the delay, or check their units"
+        f"diverged: {name} leaves {bound} at t = {run.time[k]:g} s (value {signal[k]:g}): the loop is unstable "
+        "with these gains, delay and sampling; lower kd, kp or the delay, or check their units"
     )
     return replace(run, status=Status(False, message, name, float(run.time[k])))

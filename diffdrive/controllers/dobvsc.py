@@ -25,7 +25,7 @@ class DOBVSC(Controller):
 
     tracking: Tracking
     observer: DisturbanceObserver
-    reach: Scalar = quantity("N", "switching force eta", at_least=0.0, default=2.0)
+    reach: Scalar = quantity("N", "switching force eta", at_least=0.0, default=1.0)
     layer: Scalar = quantity("m/s", "boundary layer phi", above=0.0, default=1e-3)
     slope: Scalar = quantity("1/s", "slope of the sliding surface", at_least=0.0, default=300.0)
 

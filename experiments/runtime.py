@@ -1,0 +1,29 @@
+"""What an entry point sets before it computes: double precision, and the flags that make a CPU scan fast.
+
+The library itself changes no global state; the command line, the studies and the tests call `configure` first.
+"""
+
+import contextlib
+import os
+
+import jax
+
+# Without these XLA dispatches each small operation of the loop on its own on jax before 0.12, five to twenty times slower
+# (docs/numerics.md); from 0.12 on they widen the vectors.
+_XLA_FLAGS = (
+    "--xla_cpu_prefer_vector_width=512",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000,xla_cpu_disable_loop_unrolling",
+)
+
+
+def configure() -> None:
+    """Double precision, hoisted loops, one CPU device per core; what the user has set in the environment stays."""
+    flags = os.environ.get("XLA_FLAGS", "").split()
+    names = {flag.split("=")[0] for flag in flags}
+    flags += [flag for flag in _XLA_FLAGS if flag.split("=")[0] not in names]
+    os.environ["XLA_FLAGS"] = " ".join(flags)
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_NUM_CPU_DEVICES" not in os.environ and "--xla_force_host_platform_device_count" not in names:
+        # once the backend runs, the number of devices is fixed: then it stays as it is
+        with contextlib.suppress(RuntimeError):
+            jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
