@@ -35,8 +35,10 @@ _FEEDFORWARD = {"pd": False, "cascade": False}
 
 def build_controller(section: Any, drive: Drive) -> Controller:
     """The controller that a `drive_file.Section` describes, its model being the file's own plant and friction."""
-    kind = section.take("kind")
-    if kind not in KINDS:
+    kind = section.take("kind", None)
+    if kind is None:
+        raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
+    if not isinstance(kind, str) or kind not in KINDS:
         raise section.fail("kind", f"unknown controller {kind!r}; known: {', '.join(KINDS)}")
     wanted = section.take("feedforward", _FEEDFORWARD.get(kind, True))
     if not isinstance(wanted, bool):

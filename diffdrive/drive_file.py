@@ -10,6 +10,7 @@ error, because a misspelt key that is silently ignored is a wrong simulation.
 import dataclasses
 import difflib
 import functools
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,10 @@ class DriveDescription:
     controller: Controller
     sampling: Sampling
     limits: Limits
+
+
+# pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
+_NUMBER_AND_UNIT = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(?P<unit>|[^\d\s.,*+-][^,]*)")
 
 
 @functools.cache
@@ -87,12 +92,16 @@ class Section:
             raise self.fail(key, f'must be a number in {unit}, or a string such as "1.5 {unit}", got {value!r}')
         if not isinstance(value, str):
             return float(value)
+        if not _NUMBER_AND_UNIT.fullmatch(value):
+            raise self.fail(key, f"cannot read '{value}' as one number and its unit; write for example '1.5 {unit}'")
         registry = _units()
         try:
             quantity = registry.Quantity(value)
+            if "radian" in str(quantity.to_base_units().units):  # to pint 1500 rad/s is 1500 Hz
+                raise pint.DimensionalityError(value, unit)
             return float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
         except pint.DimensionalityError:
-            raise self.fail(key, f"has the unit of '{value}', but must be in {unit} or a multiple of it") from None
+            raise self.fail(key, f"'{value}' has the wrong unit: it must be in {unit} or a multiple of it") from None
         except Exception:
             raise self.fail(
                 key, f"cannot read '{value}' as a number with a unit; write for example '1.5 {unit}'"
@@ -100,6 +109,8 @@ class Section:
 
     def quantity(self, key: str, declared: Quantity, default: Any) -> Any:
         """The value of one declared parameter: a number, or a pair where it may differ by direction."""
+        if default is dataclasses.MISSING and key not in self._left:
+            raise self.fail(key, f"is missing: give the {declared.meaning}, in {declared.unit}")
         value = self.take(key, default)
         if value is default:
             return value
@@ -172,6 +183,8 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     )
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
+    if isinstance(substeps, bool):
+        raise sections["sampling"].fail("substeps", f"must be a whole number of at least 1, got {substeps!r}")
     try:
         check_drive(drive)
         sampling = Sampling(rate, substeps)
@@ -202,6 +215,8 @@ def read_drive(path: str | Path) -> DriveDescription:
         ) from None
     except IsADirectoryError:
         raise DriveFileError(f"{path}: is a folder, not a drive file") from None
+    except OSError as error:
+        raise DriveFileError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DriveFileError(f"{path}: not a TOML file: {error}") from None
     return parse_drive(tables, str(path))
@@ -221,7 +236,7 @@ def drive_tables(description: DriveDescription) -> dict[str, Any]:
     }
     if description.sampling.substeps is not None:
         tables["sampling"]["substeps"] = description.sampling.substeps
-    if np.isfinite(limits.stroke).all():
+    if np.isfinite(limits.stroke).any():
         tables["limits"]["stroke"] = list(limits.stroke)
     for name in ("speed", "acceleration"):
         if np.isfinite(getattr(limits, name)):

@@ -17,6 +17,8 @@ def constant(time: np.ndarray, load: float) -> np.ndarray:
 
 def step(time: np.ndarray, *, at: float, to: float, before: float = 0.0) -> np.ndarray:
     """`before` (N) until `at` (s), `to` (N) from then on."""
+    if not np.isfinite(at):
+        raise MotionError(f"load step: at = {at!r} must be a finite time in s")
     return np.where(np.asarray(time) < at, float(before), float(to))
 
 
@@ -42,15 +44,19 @@ def material_removal(
 ) -> np.ndarray:
     """Weight of a workpiece (kg) that loses `removal_rate` (kg/s) while cutting; `cuts` are (from, to) in s."""
     time = np.asarray(time, float)
-    if not (workpiece >= 0 and removal_rate >= 0):
-        raise MotionError("material removal: workpiece (kg) and removal_rate (kg/s) must be 0 or more")
+    if not (0 <= workpiece < np.inf and 0 <= removal_rate < np.inf):
+        raise MotionError(
+            f"material removal: workpiece = {workpiece!r} kg and removal_rate = {removal_rate!r} kg/s must be finite, "
+            "0 or more"
+        )
     if any(not end > start for start, end in cuts):
         raise MotionError(f"material removal: each cut must end after it starts, got {list(cuts)!r}")
     cutting = sum((np.clip(time, start, end) - start for start, end in cuts), np.zeros(len(time)))
     mass = workpiece - removal_rate * cutting
     if np.any(mass < 0):
         raise MotionError(
-            f"material removal: the {workpiece:g} kg workpiece is used up at t = {time[np.argmax(mass < 0)]:g} s"
+            f"material removal: the {workpiece:g} kg workpiece is used up at t = {time[np.argmax(mass < 0)]:g} s: "
+            "cut less, more slowly, or a heavier one"
         )
     return GRAVITY * mass
 
@@ -59,9 +65,11 @@ def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.nda
     """The load unchanged, or a `MotionError`: it must be finite, as long as the motion, and above minus the preload."""
     load = np.asarray(load, float)
     if load.shape != np.shape(time):
-        raise MotionError(f"the load has {load.size} samples, the motion {len(time)}: give one load per sample")
+        raise MotionError(f"the load has shape {load.shape}, the motion {len(time)} samples: give one load per sample")
     if not np.all(np.isfinite(load)):
-        raise MotionError(f"the load is not finite at t = {time[int(np.argmin(np.isfinite(load)))]:g} s")
+        raise MotionError(
+            f"the load is not finite at t = {time[int(np.argmin(np.isfinite(load)))]:g} s: give newtons throughout"
+        )
     lowest = -float(drive.friction.initial_load)
     if np.any(load < lowest):
         k = int(np.argmax(load < lowest))

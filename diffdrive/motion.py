@@ -24,6 +24,15 @@ class Motion:
     acceleration: np.ndarray
     name: str = "motion"
 
+    def __post_init__(self) -> None:
+        _require_samples(
+            f"motion '{self.name}'",
+            self.time,
+            position=self.position,
+            velocity=self.velocity,
+            acceleration=self.acceleration,
+        )
+
     @property
     def rate(self) -> float:
         """Samples per second."""
@@ -42,6 +51,14 @@ class Limits:
     stroke: tuple[float, float] = (-np.inf, np.inf)
     speed: float = np.inf
     acceleration: float = np.inf
+
+    def __post_init__(self) -> None:
+        low, high = self.stroke
+        if not low < high:
+            raise MotionError(f"limits: stroke must be (lowest, highest) in m, got {self.stroke!r}")
+        for name in ("speed", "acceleration"):
+            if not getattr(self, name) > 0:
+                raise MotionError(f"limits: {name} must be positive, got {getattr(self, name)!r}")
 
 
 def require_within(motion: Motion, limits: Limits) -> Motion:
@@ -79,10 +96,45 @@ def require_within(motion: Motion, limits: Limits) -> Motion:
     return motion
 
 
+def _require_samples(name: str, time: np.ndarray, **signals: np.ndarray) -> None:
+    """Raise `MotionError` unless time is uniform and increasing, and all are finite and equally long."""
+    if np.ndim(time) != 1 or any(np.shape(signal) != np.shape(time) for signal in signals.values()) or len(time) < 2:
+        raise MotionError(f"{name}: time, {', '.join(signals)} must be one-dimensional and equally long")
+    for what, signal in {"time": time, **signals}.items():
+        if not np.all(np.isfinite(signal)):
+            raise MotionError(
+                f"{name}: {what} is not finite at sample {int(np.argmin(np.isfinite(signal)))}: fill or cut the gap"
+            )
+    steps = np.diff(time)
+    if not np.all(steps > 0):
+        raise MotionError(
+            f"{name}: time does not increase at sample {int(np.argmin(steps > 0)) + 1}: sort it, drop repeats"
+        )
+    mean = (time[-1] - time[0]) / (len(time) - 1)
+    if np.max(np.abs(steps - mean)) > 1e-3 * mean:
+        k = int(np.argmax(np.abs(steps - mean)))
+        raise MotionError(
+            f"{name}: time is not uniform: step {steps[k]:g} s at t = {time[k]:g} s, {mean:g} s on average; "
+            "resample it first"
+        )
+
+
 def _positive(motion: str, **values: float) -> None:
     bad = [f"{name} = {value!r}" for name, value in values.items() if not (np.isfinite(value) and value > 0)]
     if bad:
         raise MotionError(f"{motion}: {', '.join(bad)} must be positive and finite (SI units: m, s, m/s, m/s^2)")
+
+
+def _finite(motion: str, **values: float) -> None:
+    bad = [f"{name} = {value!r}" for name, value in values.items() if not np.isfinite(value)]
+    if bad:
+        raise MotionError(f"{motion}: {', '.join(bad)} must be finite (SI units: m, s)")
+
+
+def _dwell(motion: str, dwell: float) -> list[tuple[float, float, float]]:
+    if not (np.isfinite(dwell) and dwell >= 0):
+        raise MotionError(f"{motion}: dwell = {dwell!r} must be 0 s or more, and finite")
+    return [(dwell, 0.0, 0.0)] if dwell > 0 else []
 
 
 def _grid(duration: float, rate: float) -> np.ndarray:
@@ -100,10 +152,15 @@ def _pieces(
     start: float = 0.0,
     duration: float | None = None,
 ) -> Motion:
-    """Integrate pieces (duration, acceleration at its start, jerk) from standstill at `start`."""
+    """Integrate pieces (duration, acceleration at its start, jerk) from standstill at `start`.
+
+    Without a `duration` the grid ends with the first sample at or after the last piece.
+    """
+    _finite(name, start=start)
+    _positive(name, rate=rate)
     lengths = np.array([p[0] for p in pieces])
     knots = np.concatenate([[0.0], np.cumsum(lengths)])
-    time = _grid(duration if duration is not None else float(knots[-1]), rate)
+    time = _grid(duration if duration is not None else np.ceil(knots[-1] * rate - 1e-6) / rate, rate)
     x, v = start, 0.0
     begin = []
     for length, a, jerk in pieces:
@@ -137,17 +194,18 @@ def triangular(
     _positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
     apart = stroke / speed
     first = apart if first_reversal is None else first_reversal
-    if rounding > min(apart, first):
+    _positive("triangular motion", first_reversal=first)
+    if rounding > min(apart, first) * (1 + 1e-9):
         raise MotionError(
             f"triangular motion: a rounding of {rounding:g} s does not fit between reversals {min(apart, first):g} s "
             "apart: round less, or lengthen the stroke"
         )
     acceleration = 2.0 * speed / rounding
-    pieces = [(rounding / 2, acceleration, 0.0), (first - rounding, 0.0, 0.0)]
+    pieces = [(rounding / 2, acceleration, 0.0), (max(first - rounding, 0.0), 0.0, 0.0)]
     direction, elapsed = 1.0, first - rounding / 2
     while elapsed < duration:
         direction = -direction
-        pieces += [(rounding, direction * acceleration, 0.0), (apart - rounding, 0.0, 0.0)]
+        pieces += [(rounding, direction * acceleration, 0.0), (max(apart - rounding, 0.0), 0.0, 0.0)]
         elapsed += apart
     return _pieces("triangular", pieces, rate, start, duration)
 
@@ -189,9 +247,9 @@ def _to_and_fro(
     name: str, out: list[tuple[float, float, float]], back: list[tuple[float, float, float]],
     dwell: float, repeats: int, rate: float, start: float,
 ) -> Motion:  # fmt: skip
-    if repeats < 1 or int(repeats) != repeats or dwell < 0:
-        raise MotionError(f"{name}: repeats must be a whole number of at least 1 and dwell 0 s or more")
-    rest = [(dwell, 0.0, 0.0)] if dwell > 0 else []
+    if not (np.isfinite(repeats) and repeats >= 1 and int(repeats) == repeats):
+        raise MotionError(f"{name}: repeats = {repeats!r} must be a whole number of at least 1")
+    rest = _dwell(name, dwell)
     return _pieces(name, (rest + out + rest + back) * int(repeats) + rest, rate, start)
 
 
@@ -247,17 +305,20 @@ def multisine(
         raise MotionError("multisine: give as many amplitudes as frequencies, at least one of each")
     if not (np.all(np.isfinite(amplitude)) and np.all(np.isfinite(frequency)) and np.all(frequency > 0)):
         raise MotionError("multisine: amplitudes and frequencies must be finite, frequencies positive")
+    _finite("multisine", start=start)
+    time = _grid(duration, rate)
     if np.any(frequency >= rate / 2):
-        raise MotionError(f"multisine: {frequency.max():g} Hz is beyond half of the rate {rate:g} Hz")
+        raise MotionError(f"multisine: {frequency.max():g} Hz is beyond half of the rate {rate:g} Hz: lower it")
     number = np.arange(len(amplitude))
     phase = -np.pi * number * (number + 1) / len(amplitude) if phases is None else np.asarray(phases, float)
-    time = _grid(duration, rate)
+    if phase.shape != amplitude.shape or not np.all(np.isfinite(phase)):
+        raise MotionError("multisine: give as many phases (rad, finite) as amplitudes, or none")
     angle = 2 * np.pi * np.outer(time, frequency) + phase
     omega = 2 * np.pi * frequency
     position = np.sin(angle) @ amplitude
     return Motion(
         time,
-        start + position - position[0],
+        start + (position - position[0]),
         np.cos(angle) @ (amplitude * omega),
         -np.sin(angle) @ (amplitude * omega**2),
         "multisine",
@@ -278,9 +339,12 @@ def chirp(
 ) -> Motion:
     """A sine whose frequency rises linearly from `from_frequency` to `to_frequency` (Hz), starting from rest."""
     _positive("chirp", amplitude=amplitude, from_frequency=from_frequency, to_frequency=to_frequency)
-    if max(from_frequency, to_frequency) >= rate / 2:
-        raise MotionError(f"chirp: {max(from_frequency, to_frequency):g} Hz is beyond half of the rate {rate:g} Hz")
+    _finite("chirp", start=start)
     time = _grid(duration, rate)
+    if max(from_frequency, to_frequency) >= rate / 2:
+        raise MotionError(
+            f"chirp: {max(from_frequency, to_frequency):g} Hz is beyond half of the rate {rate:g} Hz: lower it"
+        )
     wave = [
         scipy_chirp(time, from_frequency, duration, to_frequency, method="linear", phi=phi) for phi in (0.0, 90.0)
     ]  # cos(angle), cos(angle + 90 deg) = -sin(angle)
@@ -304,9 +368,7 @@ def staircase(
     _positive(
         "staircase", travel=travel, acceleration=acceleration, **{f"speeds[{i}]": s for i, s in enumerate(speeds)}
     )
-    if dwell < 0:
-        raise MotionError("staircase: dwell must be 0 s or more")
-    rest = [(dwell, 0.0, 0.0)] if dwell > 0 else []
+    rest = _dwell("staircase", dwell)
     pieces = list(rest)
     for speed in speeds:
         pieces += _stroke(travel, speed, acceleration) + rest + _stroke(-travel, speed, acceleration) + rest
@@ -318,19 +380,8 @@ def from_array(time: Sequence[float], position: Sequence[float], *, name: str = 
     t, x = np.asarray(time, float), np.asarray(position, float)
     if t.ndim != 1 or t.shape != x.shape or len(t) < 4:
         raise MotionError(f"{name}: time and position must be one-dimensional, equally long, with at least 4 samples")
-    for what, signal in (("time", t), ("position", x)):
-        if not np.all(np.isfinite(signal)):
-            raise MotionError(f"{name}: {what} is not finite at sample {int(np.argmin(np.isfinite(signal)))}")
-    steps = np.diff(t)
-    if not np.all(steps > 0):
-        raise MotionError(f"{name}: time does not increase at sample {int(np.argmin(steps > 0)) + 1}")
+    _require_samples(name, t, position=x)
     mean = (t[-1] - t[0]) / (len(t) - 1)
-    if np.max(np.abs(steps - mean)) > 1e-3 * mean:
-        k = int(np.argmax(np.abs(steps - mean)))
-        raise MotionError(
-            f"{name}: time is not uniform: step {steps[k]:g} s at t = {t[k]:g} s, {mean:g} s on average; "
-            "resample it first"
-        )
     grid = t[0] + mean * np.arange(len(t))
     spline = make_interp_spline(grid, x, k=3)
     return Motion(grid - grid[0], x, spline.derivative(1)(grid), spline.derivative(2)(grid), name)

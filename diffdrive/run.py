@@ -102,8 +102,13 @@ def judged(run: Run, limits: Limits) -> Run:
     if not first:
         return run
     k, name, signal, bound = min(first, key=lambda fault: fault[0])
-    message = (
-        f"diverged: {name} leaves {bound} at t = {run.time[k]:g} s (value {signal[k]:g}): the loop is unstable "
-        "with these gains, delay and sampling; lower kd, kp or the delay, or check their units"
-    )
+    force, command = np.abs(run.force[: k + 1]), np.abs(run.command[k])
+    limit = float(np.max(force))
+    if np.sum(force >= (1 - 1e-9) * limit) >= 3 and command > 2 * limit > 0:  # a plateau, far below the command
+        cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
+    else:
+        cause = (
+            "the loop is unstable with these gains, delay and sampling; lower kd, kp or the delay, or check their units"
+        )
+    message = f"diverged: {name} leaves {bound} at t = {run.time[k]:g} s (value {signal[k]:g}): {cause}"
     return replace(run, status=Status(False, message, name, float(run.time[k])))

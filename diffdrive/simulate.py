@@ -22,6 +22,7 @@ from diffdrive.convergence import divergent_speeds
 from diffdrive.errors import LoadEstimatorWarning, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import require_possible
+from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate, KalmanObserver
 from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
@@ -33,6 +34,7 @@ class Inputs(NamedTuple):
 
     reference: Reference
     load: Float[Array, " n"] | Scalar  # N on the guides
+    disturbance: Float[Array, " n"] | Scalar  # N on the table beside the actuator's: process force, test pulses
 
 
 class Frame(NamedTuple):
@@ -75,7 +77,8 @@ def step(
     )
     controller_state, command = lax.optimization_barrier((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
-    moved = plant.advance(drive, table, drive_state.applied, inputs.load, sampling.period, sampling.plant_steps)
+    force = drive_state.applied + inputs.disturbance
+    moved = plant.advance(drive, table, force, inputs.load, sampling.period, sampling.plant_steps)
     bristle = bristle_at(drive.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,
@@ -120,13 +123,72 @@ def rollout(
     return lax.scan(block, begin, chunks)[1]
 
 
+class Costs(NamedTuple):
+    """Running costs of a roll-out over the samples that count."""
+
+    rms: Scalar  # m, tracking error
+    peak: Scalar  # m, largest tracking error
+    command_noise: Scalar  # N, RMS of the command's sample-to-sample change over sqrt 2
+    load_error: Scalar | None  # N, RMS of the estimated minus the true load
+    steps_finite: Scalar  # how many control steps passed before the tracking error left 1 m, or was not finite
+
+
+def running_costs(
+    drive: Drive,
+    controller: Controller,
+    inputs: Inputs,
+    counts: Float[Array, " n"],
+    sampling: Sampling,
+    key: Array | None = None,
+) -> Costs:
+    """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
+
+    Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
+    """
+
+    def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, None]:
+        state, last, (square, largest, change, missed, finite) = carry
+        now, count = at
+        state, frame = step(drive, controller, sampling, key, state, now)
+        error = now.reference.position - frame.position
+        estimate = frame.estimate
+        unknown = estimate is None or estimate.load is None
+        missed = missed if unknown else missed + count * (estimate.load - now.load) ** 2
+        sums = (
+            square + count * error**2,
+            jnp.maximum(largest, count * jnp.abs(error)),
+            change + count * (frame.command - last) ** 2,
+            missed,
+            finite + jnp.where((jnp.abs(error) < 1.0) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
+        )
+        return (state, frame.command, sums), None
+
+    zero = jnp.zeros(())
+    begin = (
+        start(drive, controller, inputs.reference.position[0]),
+        zero,
+        (zero, zero, zero, zero, jnp.zeros((), jnp.uint32)),
+    )
+    (_, _, (square, largest, change, missed, finite)), _ = lax.scan(body, begin, (inputs, counts))
+    total = jnp.sum(counts)
+    knows_load = isinstance(controller, FrictionCompensation)
+    return Costs(
+        rms=safe_sqrt(square / total),
+        peak=largest,
+        command_noise=safe_sqrt(change / (2 * total)),
+        load_error=safe_sqrt(missed / total) if knows_load else None,
+        steps_finite=finite,
+    )
+
+
 _rollout = eqx.filter_jit(rollout)
 
 
-def inputs_of(motion: Motion, load: np.ndarray) -> Inputs:
-    """A motion and a load (N, [n]) as the arrays that `rollout` takes."""
+def inputs_of(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
+    """A motion, a load and a disturbing force (N, [n] each; None: no force) as the arrays that `rollout` takes."""
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
-    return as_arrays(Inputs(reference, np.asarray(load, float)))
+    force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
+    return as_arrays(Inputs(reference, np.asarray(load, float), force))
 
 
 def simulate(

@@ -36,7 +36,7 @@ def smooth(part: Part) -> Part:
             rounded = LIMIT_ROUNDING * module.force_limit
             return Actuator(module.force_limit, rounded, module.delay_samples)
         if isinstance(module, InnovationLoad):
-            rounding = GATE_ROUNDING * module.min_speed
+            rounding = GATE_ROUNDING * module.min_speed + 1e-9  # m/s, so that it is a width also without a gate
             return InnovationLoad(module.gain, module.min_speed, None, rounding, module.initial_load)
         if isinstance(module, LoadStateObserver):
             return eqx.tree_at(lambda m: m.floor, module, None, is_leaf=lambda leaf: leaf is None)

@@ -8,7 +8,7 @@ import os
 
 import jax
 
-# Without these XLA dispatches each small operation of the loop on its own on jax before 0.12, five to twenty times slower
+# Without these, jax before 0.12 dispatches each small operation of the loop on its own, five to twenty times slower
 # (docs/numerics.md); from 0.12 on they widen the vectors.
 _XLA_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",

@@ -1,0 +1,118 @@
+"""What a command prints, and the folder it writes: figures, tables, and one result.json with every number printed."""
+
+import contextlib
+import csv
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import matplotlib.figure
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON can hold it; not-finite numbers become their names, since JSON has none."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def _console() -> Console:
+    console = Console(highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = 120  # a pipe or a log file has no width of its own
+    return console
+
+
+class Report:
+    """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one."""
+
+    def __init__(self, title: str, out: Path | None, console: Console | None = None) -> None:
+        self.out = out
+        self.console = console or _console()
+        self.data: dict[str, Any] = {"title": title}
+        self._started = time.perf_counter()
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+        self.console.print(f"[bold]{title}[/bold]")
+
+    def say(self, text: str) -> None:
+        """Print a sentence and keep it."""
+        self.data.setdefault("notes", []).append(text)
+        self.console.print(text, markup=False)
+
+    def values(self, name: str, **numbers: Any) -> None:
+        """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
+        self.data.setdefault(name, {}).update(_plain(numbers))
+        listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
+        self.console.print(f"{name}: {listed}", markup=False)
+
+    def table(self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
+        """Print a table, keep its rows as records, and write it as CSV."""
+        drawn = Table(title=caption or name, title_justify="left", header_style="")
+        for k, column in enumerate(columns):
+            drawn.add_column(column, justify="left" if k == 0 else "right")
+        for row in rows:
+            drawn.add_row(*(_shown(value) for value in row))
+        self.console.print(drawn)
+        self.data.setdefault("tables", {})[name] = [dict(zip(columns, _plain(list(row)), strict=True)) for row in rows]
+        if self.out is not None:
+            with (self.out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(columns)
+                writer.writerows(rows)
+
+    def figure(self, name: str, figure: matplotlib.figure.Figure) -> None:
+        """Save a figure as PNG."""
+        if self.out is not None:
+            figure.savefig(self.out / f"{name}.png", dpi=130)
+            self.data.setdefault("figures", []).append(f"{name}.png")
+
+    @contextlib.contextmanager
+    def working(self, what: str) -> Iterator[None]:
+        """Show that something is under way, and how long it took."""
+        began = time.perf_counter()
+        with self.console.status(f"{what} ..."):
+            yield
+        elapsed = time.perf_counter() - began
+        if elapsed > 2:
+            self.console.print(f"[dim]{what}: {elapsed:.1f} s[/dim]")
+
+    def close(self) -> None:
+        """Write result.json."""
+        self.data["seconds"] = round(time.perf_counter() - self._started, 2)
+        if self.out is None:
+            return
+        text = json.dumps(_plain(self.data), indent=2, allow_nan=False)
+        (self.out / "result.json").write_text(text + "\n", encoding="utf-8")
+        self.console.print(f"written to {self.out}", markup=False)
+
+
+def new_figure(
+    rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.0, share_x: bool = True
+) -> Any:
+    """A figure and its axes ([rows, columns] squeezed), drawn without a display and without global state."""
+    with mpl.rc_context({"axes.grid": True, "grid.alpha": 0.3}):
+        figure = matplotlib.figure.Figure(figsize=(width, height * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, sharex="col" if share_x else False)
+    return figure, axes
