@@ -6,9 +6,8 @@
     python3 experiments/bootstrap.py which             only shows which Pythons were found, the best first
 
 What follows is passed on: `demo --quick`, `test -k plant`. On Windows write `py` for `python3`. The first call picks
-the newest working Python, makes the folder .venv and installs into it (some 180 MB to fetch); later calls start at once.
-Nothing outside this folder changes but pip's cache; to start over delete .venv. Behind a proxy set HTTPS_PROXY.
-The exit code is that of the job, or 3 where the set-up failed.
+the newest working Python, makes the folder .venv and installs into it (some 180 MB to fetch); later calls start at
+once. Nothing outside this folder changes but pip's cache; to start over delete .venv. Exit code: the job's, or 3.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ VENV = ROOT / ".venv"
 STAMP = VENV / "diffdrive-setup.json"
 SCRIPTS, EXE = (VENV / "Scripts", ".exe") if os.name == "nt" else (VENV / "bin", "")
 VENV_PYTHON, VENV_DIFFDRIVE = SCRIPTS / f"python{EXE}", SCRIPTS / f"diffdrive{EXE}"
-UNHEARD = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+UNHEARD = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "cwd": str(ROOT)}
 
 PROBE = """import json, platform, sys, sysconfig
 print(json.dumps([list(sys.version_info), sys.implementation.name, sys.maxsize > 2**32, sys._base_executable,
@@ -83,18 +82,16 @@ def environment() -> dict[str, str]:
 
 def quiet(command: list, timeout: float | None = None) -> tuple[int, str]:
     """Run a command without a word; its exit code and all that it printed. One that cannot start counts as 127."""
-    words = [str(part) for part in command]
     try:
-        done = subprocess.run(words, **UNHEARD, timeout=timeout, env=environment(), cwd=str(ROOT), check=False)
+        done = subprocess.run([*map(str, command)], **UNHEARD, timeout=timeout, env=environment(), check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return 127, str(error)
     return done.returncode, done.stdout.decode("utf-8", "replace")
 
 
 def on_path(folders: str) -> list[str]:
-    """The programs with a Python's name in these folders: all of them, since an earlier one may be a dead shim."""
+    """What is named like a Python in these folders: all, as an earlier one may be a dead shim; not macOS's own 3.9."""
     found = [shutil.which(name, path=folder) for folder in folders.split(os.pathsep) if folder for name in NAMES]
-    # on macOS this one is 3.9, and opens a window where the developer tools are missing
     return [path for path in found if path and (sys.platform != "darwin" or path != "/usr/bin/python3")]
 
 
@@ -107,8 +104,8 @@ def everywhere() -> list[str]:
     kept_off = [path for pattern in patterns for path in sorted(glob.glob(os.path.expanduser(pattern)))]
     launcher = quiet(["py", "-0p"], timeout=30)[1] if os.name == "nt" else ""
     kept_off += re.findall(r"([A-Za-z]:\\.*?python[\d.]*\.exe)\s*$", launcher, re.MULTILINE)
-    folders = os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/local/bin", "/opt/homebrew/bin"])
-    return [*on_path(folders), sys.executable, *kept_off]
+    folders = [os.environ.get("PATH", os.defpath), "/usr/local/bin", "/opt/homebrew/bin"]
+    return [*on_path(os.pathsep.join(folders)), sys.executable, *kept_off]
 
 
 def probe(path: str) -> Python | None:
@@ -237,11 +234,11 @@ def main(arguments: list[str]) -> int:
         print("\n".join(found or [NO_PYTHON]))
         return 0 if verb in ("which", "-h", "--help", "help") else 2
     extras, job, folder = jobs[verb]
-    path = os.pathsep.join([str(SCRIPTS), os.environ.get("PATH", os.defpath)])
+    env = {**environment(), "PATH": os.pathsep.join([str(SCRIPTS), os.environ.get("PATH", os.defpath)])}
     try:
         prepare(extras)
         say("running " + " ".join([job[0].name, *job[1:], *rest]))
-        code = subprocess.call([str(job[0]), *job[1:], *rest], cwd=str(folder), env={**environment(), "PATH": path})
+        code = subprocess.call([str(job[0]), *job[1:], *rest], cwd=str(folder), env=env)
     except (SetupError, OSError, KeyboardInterrupt) as error:
         print(f"\n{str(error) or 'interrupted'}", file=sys.stderr)
         return 130 if isinstance(error, KeyboardInterrupt) else 3

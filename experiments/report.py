@@ -5,7 +5,7 @@ import csv
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import matplotlib as mpl
 import matplotlib.figure
 import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 
@@ -75,7 +76,10 @@ class Report:
         for row in rows:
             drawn.add_row(*(_shown(value) for value in row))
         self.console.print(drawn)
-        self.data.setdefault("tables", {})[name] = [dict(zip(columns, _plain(list(row)), strict=True)) for row in rows]
+        self.data.setdefault("tables", {})[name] = {
+            "columns": list(columns),
+            "rows": _plain([list(row) for row in rows]),
+        }
         if self.out is not None:
             with (self.out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
@@ -97,6 +101,23 @@ class Report:
         elapsed = time.perf_counter() - began
         if elapsed > 2:
             self.console.print(f"[dim]{what}: {elapsed:.1f} s[/dim]")
+
+    @contextlib.contextmanager
+    def progress(self, what: str, total: int) -> Iterator[Callable[[int, int, float], None]]:
+        """A progress bar; yields a function of (step, most, cost) that moves it."""
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}"),
+        )
+        with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
+            task = bar.add_task(what, total=total, note="compiling")
+
+            def advance(step: int, most: int, cost: float) -> None:
+                bar.update(task, completed=step, total=most, note=f"cost {cost:.4g}")
+
+            yield advance
 
     def close(self) -> None:
         """Write result.json."""

@@ -40,7 +40,8 @@ _LISTS = ("speeds", "amplitudes", "frequencies", "phases", "times", "loads")
 _PAIRS = ("cuts",)
 
 
-def _number(text: str, unit: str, where: str) -> float:
+def number(text: str, unit: str, where: str) -> float:
+    """A number in `unit` from text: bare, or with a unit that converts to it."""
     registry = pint.application_registry
     try:
         quantity = registry.Quantity(text)
@@ -56,8 +57,8 @@ def _number(text: str, unit: str, where: str) -> float:
 def _value(text: str, key: str, unit: str, where: str) -> Any:
     """One number; for plural settings a list a;b;c, for cuts a list of pairs from~to."""
     if key in _PAIRS:
-        return [tuple(_number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
-    numbers = [_number(part, unit, where) for part in text.split(";")]
+        return [tuple(number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
+    numbers = [number(part, unit, where) for part in text.split(";")]
     if key in _LISTS:
         return numbers
     if len(numbers) != 1:
@@ -111,4 +112,4 @@ def parse_load(text: str, time: np.ndarray) -> np.ndarray:
     name, _, rest = text.partition(":")
     if name in LOADS:
         return LOADS[name](time, **_arguments(rest, LOADS[name], _LOAD_UNITS, name))
-    return load.constant(time, _number(text, "N", "load"))
+    return load.constant(time, number(text, "N", "load"))

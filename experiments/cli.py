@@ -1,0 +1,193 @@
+"""The `diffdrive` command."""
+
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from experiments.runtime import configure
+
+app = typer.Typer(
+    help="Simulate, tune and check a machine-tool feed drive with friction compensation.\n\n"
+    "Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+DriveFile = Annotated[Path, typer.Argument(help="Drive file (TOML); `diffdrive template` prints one.")]
+Out = Annotated[
+    Path | None, typer.Option("--out", help="Folder for figures, tables and result.json; made if it does not exist.")
+]
+MotionText = Annotated[
+    str,
+    typer.Option(
+        "--motion",
+        help="`name:setting=value,...` with units where you like; names: triangular, trapezoidal, jerk_limited, sine, "
+        "multisine, chirp, staircase. Or a CSV file with the columns time (s) and position (m).",
+    ),
+]
+LoadText = Annotated[
+    str,
+    typer.Option(
+        "--load",
+        help="Load on the guides: a number of newtons, `8kN`, `step:at=1s,to=10kN`, `ramp:start=1,end=2,to=10kN`, "
+        "`piecewise:times=0;1;2,loads=0;5kN;0`, or `material_removal:workpiece=800,removal_rate=20,cuts=0.5~2;3~4`.",
+    ),
+]
+
+DEFAULT_MOTION = "triangular:speed=10mm/s,stroke=10mm,rounding=0.2s,duration=3s"
+
+
+@app.command()
+def demo(
+    out: Out = None,
+    emps: Annotated[Path | None, typer.Option(help="Folder of the EMPS benchmark's .mat files.")] = None,
+    quick: Annotated[bool, typer.Option(help="Fewer tuning steps.")] = False,
+) -> None:
+    """The main job: simulate the paper's drive, differentiate it, tune it over loads, and fit a real axis.
+
+    Takes about a minute. The real axis is the EMPS benchmark; without its files that part is left out, and said so.
+    """
+    from experiments.demo import demo as run
+
+    run(out, emps_folder=emps, quick=quick)
+
+
+@app.command()
+def simulate(
+    drive: DriveFile,
+    motion: MotionText = DEFAULT_MOTION,
+    load: LoadText = "0",
+    machine: Annotated[
+        Path | None,
+        typer.Option(help="Drive file of the machine itself, where it differs from what the controller believes."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
+    out: Out = None,
+) -> None:
+    """Simulate one motion of a drive under its controller, and say how well it follows.
+
+    Writes the run as run.csv and a figure of its signals. A loop that diverges is reported with the signal and the
+    time, and the command then ends with code 3.
+
+    Example: `diffdrive simulate drive.toml --motion "sine:amplitude=5mm,frequency=2Hz,duration=2s" --load 8kN`
+    """
+    from experiments.single import simulate_drive
+
+    if not simulate_drive(drive, motion, load, machine, seed, out):
+        raise typer.Exit(3)
+
+
+@app.command()
+def tune(
+    drive: DriveFile,
+    out: Out = None,
+    speed: Annotated[str, typer.Option(help="Speed of the reversal that it is tuned on.")] = "10 mm/s",
+    max_load: Annotated[str, typer.Option(help="Highest load; the lowest is none.")] = "12.6 kN",
+    loads: Annotated[int, typer.Option(min=2, max=64, help="How many loads, evenly spaced.")] = 4,
+    steps: Annotated[int, typer.Option(min=1, help="Most search steps.")] = 20,
+) -> None:
+    """Tune the controller's gains by gradient over loads, and verify them on the exact simulator, also held out.
+
+    Writes the tuned drive file as tuned.toml. kp and kd move by at most 30 %, since no stability margin is checked
+    here; filter gains by three decades.
+    """
+    from diffdrive.drive_file import read_drive
+    from experiments.scenario import number
+    from experiments.tune import tune_drive
+
+    tune_drive(
+        read_drive(drive), out, speed=number(speed, "m/s", "--speed"), max_load=number(max_load, "N", "--max-load"),
+        loads=loads, max_steps=steps,
+    )  # fmt: skip
+
+
+@app.command()
+def sweep(
+    drive: DriveFile,
+    motion: MotionText = DEFAULT_MOTION,
+    lanes: Annotated[int, typer.Option(min=1, help="How many machines.")] = 256,
+    max_load: Annotated[str, typer.Option(help="Loads are uniform from 0 to this.")] = "12.6 kN",
+    spread: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Relative deviation of the machine's parameters from nominal.")
+    ] = 0.02,
+    settle: Annotated[float, typer.Option(min=0.0, help="Seconds at the start that do not count.")] = 0.5,
+    seed: Annotated[int, typer.Option(help="Seed of loads, parameters and noise.")] = 0,
+    out: Out = None,
+) -> None:
+    """Monte Carlo: the same controller on many machines, with random loads, parameters and noise."""
+    from experiments.single import sweep_drive
+
+    if not sweep_drive(drive, motion, lanes, max_load, spread, settle, seed, out):
+        raise typer.Exit(3)
+
+
+@app.command()
+def convergence(
+    drive: DriveFile,
+    speeds: Annotated[str, typer.Option(help="Speeds, separated by ;")] = "1;3;10;15;20;40;100 mm/s",
+    out: Out = None,
+) -> None:
+    """Say at which speeds the load estimator of the paper's eq. (20) converges, and how fast; code 3 if not at all.
+
+    The drive file's controller must be of kind "pd+fc+le".
+    """
+    from experiments.single import convergence_table
+
+    if not convergence_table(drive, speeds, out):
+        raise typer.Exit(3)
+
+
+@app.command()
+def reproduce(out: Out = None) -> None:
+    """The paper's Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, ours beside theirs, with every assumption."""
+    from experiments.reproduce import reproduce as run
+
+    run(out)
+
+
+@app.command()
+def benchmark(out: Out = None) -> None:
+    """Time the loop: lanes, recording and gradients, as ratios in one run."""
+    from experiments.benchmark import benchmark as run
+
+    run(out)
+
+
+@app.command()
+def template() -> None:
+    """Print a complete drive file, the paper's testbed, to start from."""
+    from experiments.demo import PAPER_DRIVE
+
+    sys.stdout.write(PAPER_DRIVE.read_text(encoding="utf-8"))
+
+
+def _plain_warning(error: Console) -> Callable[..., None]:
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        error.print(f"warning: {message}", markup=False, style="yellow", soft_wrap=True)
+
+    return show
+
+
+def main() -> None:
+    """Run the command line: expected errors in one line, without a traceback, and code 2."""
+    from diffdrive.errors import DiffdriveError
+
+    configure()
+    error = Console(stderr=True, highlight=False)
+    warnings.showwarning = _plain_warning(error)
+    try:
+        app()
+    except DiffdriveError as problem:
+        error.print(f"error: {problem}", markup=False, style="red", soft_wrap=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        error.print("interrupted; what was written so far stays", style="yellow")
+        sys.exit(130)

@@ -1,0 +1,140 @@
+"""The main job: simulate the paper's drive, differentiate it, tune it over loads; replay and fit a real axis."""
+
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from diffdrive import metrics
+from diffdrive.controllers import FrictionCompensation
+from diffdrive.drive_file import DriveDescription, read_drive
+from diffdrive.parameters import as_arrays, quantities
+from diffdrive.simulate import inputs_of, rollout
+from diffdrive.smooth import smooth
+from experiments import emps, paper
+from experiments.report import Report, new_figure
+from experiments.reproduce import table_1
+from experiments.tune import reversal, tune_drive
+
+PAPER_DRIVE = Path(__file__).parent / "drives" / "paper.toml"
+
+
+def sensitivities(description: DriveDescription) -> list[tuple[str, float]]:
+    """d(RMS tracking error) / d(log parameter), um per doubling / ln 2, for every parameter of drive and controller."""
+    motion = reversal(0.010, description.sampling.rate, 0.6)
+    inputs = inputs_of(motion, np.linspace(0.0, 5_000.0, len(motion.time)))
+    models = as_arrays(smooth((description.drive, description.controller)))
+
+    @eqx.filter_jit
+    def gradient(models: Any) -> Any:
+        def rms(models: Any) -> Any:
+            drive, controller = models
+            return metrics.rms(
+                inputs.reference.position - rollout(drive, controller, inputs, description.sampling).position
+            )
+
+        return jax.grad(rms)(models)
+
+    slopes = gradient(models)
+    found = []
+    for part, name in ((0, "machine"), (1, "controller")):
+        for (path, _, value), (_, _, slope) in zip(quantities(models[part]), quantities(slopes[part]), strict=True):
+            for side, number, s in _sides(value, slope):
+                if number is not None and float(number) != 0:
+                    found.append((f"{name}: {path}{side}", 1e6 * float(number) * float(s)))
+    return sorted(found, key=lambda item: -abs(item[1]))
+
+
+def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
+    if hasattr(value, "positive"):
+        return [(" +", value.positive, slope.positive), (" -", value.negative, slope.negative)]
+    return [("", value, slope)]
+
+
+def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = False) -> Report:
+    """The main job; `quick` takes fewer tuning steps. Returns the report, written to `out` if given."""
+    report = Report("diffdrive: the paper's drive, and a real axis", out)
+    description = read_drive(PAPER_DRIVE)
+    _simulate(report, description)
+    _differentiate(report, description)
+    report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN.")
+    tune_drive(description, out, max_steps=5 if quick else 20, report=report)
+    folder = emps_folder or emps.find_folder()
+    if folder is None:
+        report.say(
+            "The EMPS log is not here (looked for shared/data/emps beside this folder): the real axis is left out. "
+            "Name its folder with --emps."
+        )
+    else:
+        _real_axis(report, folder, quick)
+    report.close()
+    return report
+
+
+def _simulate(report: Report, description: DriveDescription) -> None:
+    with report.working("simulating six controllers on the paper's drive"):
+        runs = table_1(description.drive, paper.canonical())
+    rows = []
+    for name, run in runs.items():
+        theirs = paper.TABLE_1.get(name, (None, None))
+        rows.append([name, *theirs, 1e6 * run.peak(*paper.AFTER_LOAD), 1e6 * run.rms(*paper.AFTER_LOAD)])
+    report.table(
+        "table_1",
+        ("controller", "paper peak", "paper RMS", "peak", "RMS"),
+        rows,
+        "Tracking error in um at a reversal under 10 kN (paper, Table 1), 0.1 um scale",
+    )
+
+
+def _differentiate(report: Report, description: DriveDescription) -> None:
+    assert isinstance(description.controller, FrictionCompensation)
+    with report.working("differentiating the closed loop with respect to every parameter"):
+        slopes = sensitivities(description)
+    report.table(
+        "sensitivities",
+        ("parameter", "um per 100 %"),
+        slopes[:12],
+        f"What moves the tracking error most, of {len(slopes)} parameters (reverse-mode gradient of its RMS)",
+    )
+
+
+def _real_axis(report: Report, folder: Path, quick: bool) -> None:
+    records = {name: emps.read(folder / file) for name, file in emps.FILES.items() if (folder / file).is_file()}
+    start = emps.reference_drive()
+    with report.progress("fitting the real axis (EMPS) by gradient", 12) as advance:
+        fitted, search = emps.fit(start, records["estimation"], max_steps=4 if quick else 12, progress=advance)
+    rows, gaps = [], {}
+    for name, record in records.items():
+        was, now = emps.gap(start, record), emps.gap(fitted, record)
+        gaps[name] = (was, now)
+        rows.append([name, was.force_percent, now.force_percent, 1e6 * was.position_rms, 1e6 * now.position_rms])
+    report.table(
+        "emps",
+        ("file", "force gap %", "fitted", "position gap um", "fitted"),
+        rows,
+        "EMPS in closed loop: published parameters, and fitted to the estimation file only",
+    )
+    paths = [free.path for free in emps.FREE]
+    values = {name: value for name, _, value in quantities(start)}
+    after = {name: value for name, _, value in quantities(fitted)}
+
+    def number(value: Any) -> float:
+        return float(value.positive if hasattr(value, "positive") else value)
+
+    report.table(
+        "emps_parameters", ("parameter", "published", "fitted"),
+        [[path, number(values[path]), number(after[path])] for path in paths], f"EMPS parameters, SI; {search.status}",
+    )  # fmt: skip
+    figure, axes = new_figure(2, 1, width=9.0, height=2.4)
+    record, (was, now) = records["estimation"], gaps["estimation"]
+    axes[0].plot(record.motion.time, record.command, "k", lw=0.6, label="logged")
+    axes[0].plot(record.motion.time, now.command, "C3", lw=0.6, label="simulated")
+    axes[1].plot(record.motion.time, was.command - record.command, lw=0.6, label="published parameters")
+    axes[1].plot(record.motion.time, now.command - record.command, lw=0.6, label="fitted")
+    axes[0].set(ylabel="force, N", title="EMPS, estimation file: force command in closed loop")
+    axes[1].set(ylabel="difference, N", xlabel="time, s")
+    for axis in axes:
+        axis.legend(loc="upper right", fontsize=8)
+    report.figure("emps", figure)

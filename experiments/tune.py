@@ -1,0 +1,181 @@
+"""Tune a drive's controller over loads, and prove it on the exact simulator, also where it was not tuned."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from diffdrive import metrics
+from diffdrive.controllers import Controller, FrictionCompensation
+from diffdrive.convergence import require_convergent
+from diffdrive.drive_file import DriveDescription, write_drive
+from diffdrive.errors import LoadEstimatorError
+from diffdrive.motion import Motion, triangular
+from diffdrive.observer import KalmanObserver
+from diffdrive.parameters import Drive, Sampling
+from diffdrive.run import Run
+from diffdrive.simulate import simulate
+from experiments.report import Report, new_figure
+from tuning.gains import Tuned, tune
+from tuning.objective import ensemble
+
+SETTLE = 0.4  # s: load estimators have found their load by then
+
+
+@dataclass(frozen=True)
+class Case:
+    """One verification scenario: its name, motion, load (N) and noise seed."""
+
+    name: str
+    motion: Motion
+    load: float
+    seed: int
+
+
+def reversal(speed: float, rate: float, duration: float = 1.2) -> Motion:
+    """There and back at `speed` (m/s) with one reversal in the middle, rounded over 0.1 s."""
+    return triangular(
+        speed=speed,
+        stroke=speed * duration / 2,
+        rounding=0.1,
+        duration=duration,
+        rate=rate,
+        first_reversal=duration / 2,
+    )
+
+
+def cases(rate: float, speed: float, loads: np.ndarray) -> tuple[list[Case], list[Case]]:
+    """The scenarios tuned on, and others: loads in between and another seed, half and twice the speed."""
+    tuned_on = [Case(f"{speed * 1e3:g} mm/s, {w / 1e3:.3g} kN", reversal(speed, rate), w, 1) for w in loads]
+    between = (loads[1:] + loads[:-1]) / 2
+    held_out = [Case(f"{speed * 1e3:g} mm/s, {w / 1e3:.3g} kN", reversal(speed, rate), w, 2) for w in between]
+    for factor in (0.5, 2.0):
+        v = factor * speed
+        held_out.append(Case(f"{v * 1e3:g} mm/s, {loads[-1] / 2e3:.3g} kN", reversal(v, rate), loads[-1] / 2, 3))
+    return tuned_on, held_out
+
+
+def judge(drive: Drive, controller: Controller, case: Case, sampling: Sampling) -> tuple[Run, list[float | None]]:
+    """Run one case on the exact simulator: RMS and peak error (um), command noise (N), load error (kN)."""
+    run = simulate(drive, controller, case.motion, case.load, sampling=sampling, seed=case.seed)
+    part = run.between(SETTLE, np.inf)
+    missed = None
+    if run.load_estimate is not None:
+        missed = 1e-3 * float(metrics.rms((run.load_estimate - run.load)[part]))
+    noise = float(metrics.command_noise(run.command[part]))
+    return run, [1e6 * run.rms(SETTLE), 1e6 * run.peak(SETTLE), noise, missed]
+
+
+def tune_drive(
+    description: DriveDescription,
+    out: Path | None,
+    *,
+    speed: float = 0.010,
+    max_load: float = 12_600.0,
+    loads: int = 4,
+    max_steps: int = 20,
+    report: Report | None = None,
+) -> tuple[Tuned, Report]:
+    """Tune over `loads` loads from 0 to `max_load` (N) at `speed` (m/s); write figures, tables and tuned.toml to `out`.
+
+    The tuning loop has one more sample of delay than the drive file says, as a reserve of phase.
+    """
+    own = report is None
+    report = report or Report("Gradient tuning over loads", out)
+    drive, sampling = description.drive, description.sampling
+    weights = np.linspace(0.0, max_load, loads)
+    tuned_on, held_out = cases(sampling.rate, speed, weights)
+    delayed = eqx.tree_at(
+        lambda d: d.actuator,
+        drive,
+        replace(drive.actuator, delay_samples=drive.actuator.delay_samples + 1),
+        is_leaf=lambda leaf: leaf is drive.actuator,
+    )
+    motion = tuned_on[0].motion
+    coarse = Sampling(sampling.rate, max(2, sampling.plant_steps // 2))
+    scenarios = ensemble(delayed, motion, np.outer(weights, np.ones(len(motion.time))), coarse, settle=SETTLE)
+    with report.progress("tuning by gradient", max_steps) as advance:
+        tuned = tune(description.controller, scenarios, max_steps=max_steps, progress=advance)
+    search = tuned.search
+    report.values(
+        "tuning", status=search.status, steps=search.steps, cost_before=search.cost_before, cost_after=search.cost,
+        seconds=round(search.seconds, 1),
+    )  # fmt: skip
+    report.table(
+        "gains", ("gain", "before", "after", "ratio"),
+        [[n, float(b), float(a), float(a / b)] for n, b, a in zip(tuned.names, tuned.before, tuned.after, strict=True)],
+        "Gains, SI units",
+    )  # fmt: skip
+    if tuned.at_bound:
+        report.say(f"At the bound of its range: {', '.join(tuned.at_bound)}.")
+    _check_convergence(report, tuned.controller, speed, sampling.period)
+    runs = _verify(report, drive, description.controller, tuned.controller, tuned_on, held_out, sampling)
+    report.figure("tuning", _figure(search.history, runs))
+    if report.out is not None:
+        write_drive(report.out / "tuned.toml", replace(description, controller=tuned.controller))
+    if own:
+        report.close()
+    return tuned, report
+
+
+def _check_convergence(report: Report, controller: Controller, speed: float, period: float) -> None:
+    if not isinstance(controller, FrictionCompensation) or not isinstance(controller.observer, KalmanObserver):
+        return
+    try:
+        require_convergent(controller.observer, [speed], period)
+        report.values("load_estimator", converges_at_mm_per_s=1e3 * speed)
+    except LoadEstimatorError as error:
+        report.say(f"REJECTED: {error}")
+
+
+def _verify(
+    report: Report,
+    drive: Drive,
+    before: Controller,
+    after: Controller,
+    tuned_on: list[Case],
+    held_out: list[Case],
+    sampling: Sampling,
+) -> list[tuple[Case, Run, Run]]:
+    rows: list[list[Any]] = []
+    runs = []
+    with report.working("verifying on the exact simulator"):
+        for role, several in (("tuned on", tuned_on), ("held out", held_out)):
+            for case in several:
+                old, was = judge(drive, before, case, sampling)
+                new, now = judge(drive, after, case, sampling)
+                runs.append((case, old, new))
+                rows.append([case.name, role, *(value for pair in zip(was, now, strict=True) for value in pair)])
+                if not new.status.ok:
+                    report.say(f"{case.name}: {new.status.message}")
+    report.table(
+        "verification",
+        ("scenario", "", "RMS um", "tuned", "peak um", "tuned", "noise N", "tuned", "load error kN", "tuned"),
+        rows,
+        "Before and after on the exact (quantised, limited) simulator",
+    )
+    for role in ("tuned on", "held out"):
+        part = [row for row in rows if row[1] == role]
+        report.values(
+            f"mean_rms_um_{role.replace(' ', '_')}",
+            before=float(np.mean([row[2] for row in part])),
+            after=float(np.mean([row[3] for row in part])),
+        )
+    return runs
+
+
+def _figure(history: list[float], runs: list[tuple[Case, Run, Run]]) -> Any:
+    figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
+    left.semilogy(history, "o-", ms=3)
+    left.set(xlabel="step", ylabel="cost", title="search")
+    case, old, new = runs[-3]
+    right.plot(old.time, 1e6 * old.error, lw=0.8, label="before")
+    right.plot(new.time, 1e6 * new.error, lw=0.8, label="tuned")
+    right.set(xlabel="time, s", ylabel="tracking error, um", title=f"held out: {case.name}", xlim=(SETTLE, None))
+    after = new.time > SETTLE
+    most = 1.2e6 * max(np.abs(old.error[after]).max(), np.abs(new.error[after]).max())
+    right.set_ylim(-most, most)
+    right.legend()
+    return figure
