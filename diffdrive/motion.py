@@ -210,6 +210,12 @@ def triangular(
     return _pieces("triangular", pieces, rate, start, duration)
 
 
+def constant_speed(*, speed: float, ramp: float, duration: float, rate: float, start: float = 0.0) -> Motion:
+    """From rest to `speed` (m/s, either sign) at constant acceleration over `ramp` (s), then on at that speed."""
+    _positive("constant speed", speed=abs(speed), ramp=ramp, duration=duration)
+    return _pieces("constant speed", [(ramp, speed / ramp, 0.0)], rate, start, duration)
+
+
 def _stroke(distance: float, speed: float, acceleration: float) -> list[tuple[float, float, float]]:
     sign, distance = np.sign(distance), abs(distance)
     peak = min(speed, float(np.sqrt(distance * acceleration)))

@@ -22,6 +22,7 @@ from diffdrive.convergence import divergent_speeds
 from diffdrive.errors import LoadEstimatorWarning, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import require_possible
+from diffdrive.load_estimator import InnovationLoad
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate, KalmanObserver
@@ -228,11 +229,20 @@ def simulate(
 
 
 def _warn_of_divergence(controller: Controller, motion: Motion, sampling: Sampling) -> None:
-    """Say at which of the motion's speeds an eq. (20) load estimator does not converge."""
+    """Say at which of the motion's speeds an eq. (20) load estimator does not converge, or chatters at its gate."""
     if not isinstance(controller, FrictionCompensation) or not isinstance(controller.observer, KalmanObserver):
         return
-    speeds = np.unique(np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6))
-    bad = divergent_speeds(controller.observer, speeds, sampling.period)
+    speeds = np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6)
+    estimator = controller.observer.load_estimator
+    if isinstance(estimator, InnovationLoad) and estimator.gates(speeds):
+        warnings.warn(
+            f"the motion cruises at the load estimator's min_speed of {1e3 * float(estimator.min_speed):g} mm/s: noise "
+            "then decides which corrections pass the gate, and the load estimate drifts; set min_speed well below or "
+            "above the speeds of the motion",
+            LoadEstimatorWarning,
+            stacklevel=3,
+        )
+    bad = divergent_speeds(controller.observer, np.unique(speeds), sampling.period)
     if bad:
         listed = ", ".join(f"{1e3 * v:.3g}" for v in bad)
         warnings.warn(

@@ -16,6 +16,7 @@ from diffdrive.presets import paper_drive
 from diffdrive.simulate import Inputs, inputs_of, rollout, running_costs
 from diffdrive.smooth import smooth
 from experiments import paper
+from experiments.accuracy import REFERENCE, SUBSTEPS, integrator_errors
 from experiments.report import Report
 from experiments.tune import reversal
 
@@ -72,6 +73,12 @@ def benchmark(out: Path | None) -> Report:
     report = Report(
         f"Speed of the closed loop (jax {jax.__version__}, {jax.devices()[0].device_kind}, 1.2 s at 10 kHz)", out
     )
+    with report.working("errors of the plant's integrator"):
+        errors = integrator_errors()
+    report.table(
+        "integrator", ("mm/s", *(f"{n} substeps" for n in SUBSTEPS)), errors,
+        f"Largest position error over 1 s, nm, against {REFERENCE} substeps a period (10 kHz, PD, one reversal)",
+    )  # fmt: skip
     drive = paper_drive()
     motion = reversal(0.010, paper.SAMPLING.rate)
     inputs = inputs_of(motion, np.full(len(motion.time), 5_000.0))

@@ -29,8 +29,8 @@ MotionText = Annotated[
     str,
     typer.Option(
         "--motion",
-        help="`name:setting=value,...` with units where you like; names: triangular, trapezoidal, jerk_limited, sine, "
-        "multisine, chirp, staircase. Or a CSV file with the columns time (s) and position (m).",
+        help="`name:setting=value,...` with units where you like; names: triangular, constant_speed, trapezoidal, "
+        "jerk_limited, sine, multisine, chirp, staircase. Or a CSV file with the columns time (s) and position (m).",
     ),
 ]
 LoadText = Annotated[

@@ -21,6 +21,8 @@ from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.run import Run
 from diffdrive.simulate import simulate
 from experiments import paper
+from experiments.load_steps import SPEEDS as SPEEDS_STEPPED
+from experiments.load_steps import load_errors
 from experiments.paper_figures import (
     figure_4,
     figure_5,
@@ -212,6 +214,14 @@ def reproduce(out: Path | None) -> Report:
     with report.working("convergence of eq. (20)"):
         rows = convergence_rows(exact)
     report.table("convergence", ("Q", "mm/s", "G", "time constant s"), rows, "Eq. (20): G, and how fast What settles")
+    with report.working("load steps at seven speeds"):
+        rows = load_errors()
+    report.table(
+        "load_steps",
+        ("estimator", "scale", *(f"{1e3 * v:g} mm/s" for v in SPEEDS_STEPPED)),
+        rows,
+        "Largest |What - W|, N, from 1 s after a step of 10 kN at constant speed",
+    )
     report.table(
         "figure_4", ("load N", "screw + N", "guide + N", "screw - N", "guide - N"), _figure_4_rows(exact.friction)
     )

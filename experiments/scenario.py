@@ -14,6 +14,7 @@ from diffdrive.motion import Motion
 
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
+    "constant_speed": motion.constant_speed,
     "trapezoidal": motion.trapezoidal,
     "jerk_limited": motion.jerk_limited,
     "sine": motion.sine,
@@ -30,7 +31,8 @@ LOADS: dict[str, Callable[..., np.ndarray]] = {
 }
 _UNITS = {
     "speed": "m/s", "speeds": "m/s", "stroke": "m", "distance": "m", "travel": "m", "amplitude": "m", "amplitudes": "m",
-    "start": "m", "acceleration": "m/s^2", "jerk": "m/s^3", "rounding": "s", "duration": "s", "first_reversal": "s",
+    "start": "m", "acceleration": "m/s^2", "jerk": "m/s^3", "rounding": "s", "ramp": "s", "duration": "s",
+    "first_reversal": "s",
     "dwell": "s", "frequency": "Hz", "frequencies": "Hz", "from_frequency": "Hz", "to_frequency": "Hz", "phases": "rad",
     "load": "N", "loads": "N", "to": "N", "before": "N", "at": "s", "times": "s", "workpiece": "kg",
     "removal_rate": "kg/s", "cuts": "s", "repeats": "1",
