@@ -33,7 +33,7 @@ VENV = ROOT / ".venv"
 STAMP = VENV / "diffdrive-setup.json"
 SCRIPTS, EXE = (VENV / "Scripts", ".exe") if os.name == "nt" else (VENV / "bin", "")
 VENV_PYTHON, VENV_DIFFDRIVE = SCRIPTS / f"python{EXE}", SCRIPTS / f"diffdrive{EXE}"
-UNHEARD = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "cwd": str(ROOT)}
+UNHEARD: dict = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "cwd": str(ROOT)}
 
 PROBE = """import json, platform, sys, sysconfig
 print(json.dumps([list(sys.version_info), sys.implementation.name, sys.maxsize > 2**32, sys._base_executable,
@@ -224,7 +224,7 @@ def prepare(extras: list[str]) -> None:
 def main(arguments: list[str]) -> int:
     """Set up and run one job; its exit code."""
     verb, rest = (arguments or [""])[0], arguments[1:]
-    jobs = {
+    jobs: dict[str, tuple[list[str], list, Path]] = {
         "demo": ([], [VENV_DIFFDRIVE, "demo", "--out", "results/demo"], ROOT),
         "test": (["test"], [VENV_PYTHON, "-m", "pytest"], ROOT),
         "run": ([], [VENV_DIFFDRIVE], Path.cwd()),

@@ -169,6 +169,14 @@ def template() -> None:
     sys.stdout.write(PAPER_DRIVE.read_text(encoding="utf-8"))
 
 
+@app.command()
+def keys() -> None:
+    """Print every key that a drive file may hold, with unit, range, default and meaning (a Markdown table)."""
+    from experiments.drive_reference import markdown
+
+    sys.stdout.write(markdown())
+
+
 def _plain_warning(error: Console) -> Callable[..., None]:
     def show(message: Warning | str, *_: object, **__: object) -> None:
         error.print(f"warning: {message}", markup=False, style="yellow", soft_wrap=True)
