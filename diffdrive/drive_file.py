@@ -15,6 +15,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pint
 import tomli_w
@@ -114,6 +115,8 @@ class Section:
         value = self.take(key, default)
         if value is default:
             return value
+        if value == "none" and declared.optional:
+            return None
         if isinstance(value, list):
             if not declared.directional:
                 raise self.fail(key, f"must be one number in {declared.unit}, got {value!r}")
@@ -149,12 +152,9 @@ def _limits(section: Section) -> Limits:
     if stroke is None:
         ends = (-np.inf, np.inf)
     else:
-        pair = stroke if isinstance(stroke, list) else [-np.inf, stroke]
-        if len(pair) != 2:
-            raise section.fail("stroke", f"must be [lowest, highest] or one length, got {stroke!r}")
-        ends = tuple(value if value == -np.inf else section._number("stroke", value, "m") for value in pair)
-        if not isinstance(stroke, list):
-            ends = (-ends[1], ends[1])
+        if not isinstance(stroke, list) or len(stroke) != 2:
+            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {stroke!r}")
+        ends = tuple(section._number("stroke", value, "m") for value in stroke)
         if not ends[0] < ends[1]:
             raise section.fail("stroke", f"the lowest position must be below the highest, got {stroke!r}")
     most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
@@ -245,5 +245,14 @@ def drive_tables(description: DriveDescription) -> dict[str, Any]:
 
 
 def write_drive(path: str | Path, description: DriveDescription) -> None:
-    """Write a drive file in SI units."""
-    Path(path).write_text(tomli_w.dumps(drive_tables(description)), encoding="utf-8")
+    """Write a drive file in SI units; raises if the file could not say what the description says."""
+    tables = drive_tables(description)
+    read_back = parse_drive(tables, str(path))
+    for name in ("drive", "controller"):
+        ours, theirs = (jax.tree.flatten(getattr(one, name)) for one in (description, read_back))
+        if ours[1] != theirs[1] or [*map(float, ours[0])] != [*map(float, theirs[0])]:
+            raise DriveFileError(
+                f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
+                "their model from [plant] and [friction]"
+            )
+    Path(path).write_text(tomli_w.dumps(tables), encoding="utf-8")

@@ -29,7 +29,7 @@ class InnovationLoad(eqx.Module):
 
     gain: Scalar = quantity("1", "load estimator gain, K_w", at_least=0.0, default=100.0)
     min_speed: Scalar = quantity("m/s", "no update at or below this estimated speed", at_least=0.0, default=5e-3)
-    floor: Scalar | None = quantity("N", "smallest load estimate; absent: none", default=0.0)
+    floor: Scalar | None = quantity("N", "smallest load estimate; 'none': no floor", default=0.0, optional=True)
     rounding: Scalar | None = quantity(
         "m/s",
         "width over which the smooth variant opens the speed gate; absent: the exact switch",

@@ -138,7 +138,7 @@ class LoadStateObserver(FrictionObserver):
     friction: Friction
     tuning: LoadStateTuning = LoadStateTuning()
     initial_load: Scalar = quantity("N", "load estimate at the start", default=0.0)
-    floor: Scalar | None = quantity("N", "smallest load estimate; absent: none", default=0.0)
+    floor: Scalar | None = quantity("N", "smallest load estimate; 'none': no floor", default=0.0, optional=True)
 
     def init(self, position: Scalar) -> ObserverState:
         zero = jnp.zeros_like(position)

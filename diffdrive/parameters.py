@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffdrive.errors import ParameterError
+from diffdrive.errors import ParameterError, PrecisionError
 
 Scalar = Float[Array, ""] | float
 Tree = TypeVar("Tree")
@@ -63,9 +63,13 @@ def quantity(
     at_least: float | None = None,
     per_direction: bool = False,
     default: Any = dataclasses.MISSING,
+    optional: bool = False,
 ) -> Any:
-    """Declare a parameter field: its unit, meaning and range (`above` is exclusive, `at_least` inclusive)."""
-    meta = {"quantity": Quantity(unit, meaning, above, at_least, per_direction, default is None)}
+    """Declare a parameter field: its unit, meaning and range (`above` is exclusive, `at_least` inclusive).
+
+    It may be None if its default is None or if it is `optional`.
+    """
+    meta = {"quantity": Quantity(unit, meaning, above, at_least, per_direction, optional or default is None)}
     options: dict[str, Any] = {"metadata": meta}
     if per_direction:
         options["converter"] = directional
@@ -145,9 +149,10 @@ class Sampling(eqx.Module):
     substeps: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        if not (np.isfinite(self.rate) and 10.0 <= self.rate <= 1e6):
+        if not (isinstance(self.rate, int | float | np.number) and 10.0 <= self.rate <= 1e6):
             raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {self.rate!r}")
-        if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
+        whole = isinstance(self.substeps, int) and not isinstance(self.substeps, bool)
+        if self.substeps is not None and not (whole and self.substeps >= 1):
             raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {self.substeps!r}")
 
     @property
@@ -192,11 +197,10 @@ def check(module: Any, path: str = "") -> None:
         for where, number in _values(value):
             if isinstance(number, jax.core.Tracer):
                 continue
-            try:
-                numbers = np.asarray(number, dtype=float)
-            except (TypeError, ValueError):
+            if isinstance(number, bool) or not isinstance(number, int | float | np.number | np.ndarray | jax.Array):
                 problems.append(f"{name}{where} must be a number in {declared.unit}, got {number!r}")
                 continue
+            numbers = np.asarray(number, dtype=float)
             if not np.all(np.isfinite(numbers)):
                 problems.append(f"{name}{where} must be finite, got {number!r}")
             elif declared.above is not None and not np.all(numbers > declared.above):
@@ -228,7 +232,11 @@ def quantity_table(module: Any) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
-        if "quantity" not in field.metadata or value is None:
+        if "quantity" not in field.metadata:
+            continue
+        if value is None:
+            if field.default is not None:  # absent would mean the default
+                table[field.name] = "none"
             continue
         if isinstance(value, Directional):
             pair = [float(value.positive), float(value.negative)]

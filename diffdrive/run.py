@@ -87,24 +87,27 @@ class Run:
         return self
 
 
-def judged(run: Run, limits: Limits) -> Run:
-    """The run with its status: finite throughout, and within a sane distance of its reference."""
+def judged(run: Run, limits: Limits, force_limit: float | None) -> Run:
+    """The run with its status: finite, within a sane distance of its reference, and how much of it saturated."""
     travel = float(np.ptp(run.reference))
     low, high = limits.stroke
     reach = min(max(10 * travel, 0.1), (high - low) if np.isfinite(high - low) else np.inf)
+    limit = np.inf if force_limit is None else force_limit
     with np.errstate(invalid="ignore", over="ignore"):
         faults = [("tracking error", run.error, ~(np.abs(run.error) <= reach), f"{reach:g} m")]
         for name in ("command", "friction_estimate", "load_estimate", "velocity"):
             signal = getattr(run, name)
             if signal is not None:
                 faults.append((name.replace("_", " "), signal, ~np.isfinite(signal), "all bounds"))
+        limited = np.abs(run.command) > limit
     first = [(int(np.argmax(bad)), name, signal, bound) for name, signal, bad, bound in faults if bad.any()]
     if not first:
-        return run
+        if not limited.any():
+            return run
+        share = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"
+        return replace(run, status=Status(True, share))
     k, name, signal, bound = min(first, key=lambda fault: fault[0])
-    force, command = np.abs(run.force[: k + 1]), np.abs(run.command[k])
-    limit = float(np.max(force))
-    if np.sum(force >= (1 - 1e-9) * limit) >= 3 and command > 2 * limit > 0:  # a plateau, far below the command
+    if np.mean(limited[: k + 1]) > 0.5:
         cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
     else:
         cause = (

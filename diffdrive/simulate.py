@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, FrictionCompensation, Reference
 from diffdrive.convergence import divergent_speeds
-from diffdrive.errors import LoadEstimatorWarning, ParameterError
+from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import require_possible
 from diffdrive.load_estimator import InnovationLoad
@@ -100,16 +100,18 @@ def rollout(
     sampling: Sampling,
     key: Array | None = None,
     every: int = 1,
+    begin: LoopState | None = None,
 ) -> Frame:
     """Roll the loop over `inputs` ([n] each) and record each `every`-th frame: arrays of shape [n // every].
 
     Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
+    `begin` is the state to begin from (see `start`); by default at rest where the reference begins.
     """
 
     def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
         return step(drive, controller, sampling, key, state, at)
 
-    begin = start(drive, controller, inputs.reference.position[0])
+    begin = start(drive, controller, inputs.reference.position[0]) if begin is None else begin
     if every == 1:
         return lax.scan(body, begin, inputs)[1]
 
@@ -219,13 +221,18 @@ def simulate(
         )
     if not isinstance(every, int) or not 1 <= every < len(motion.time):
         raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {every!r}")
+    if isinstance(load, str):
+        raise MotionError(f"load must be in N, one number or one per sample, got {load!r}")
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = require_possible(drive, loads, motion.time)
     _warn_of_divergence(controller, motion, sampling)
+    if seed is not None and not isinstance(seed, int):
+        raise ParameterError(f"seed must be a whole number, or None for no noise, got {seed!r}")
     noisy = seed is not None and float(drive.sensor.noise) > 0
     key = jax.random.key(seed) if noisy else None
     frames = _rollout(*as_arrays((drive, controller)), inputs_of(motion, loads), sampling, key, every)
-    return judged(Run.of(motion, loads, frames, every), limits)
+    limit = drive.actuator.force_limit
+    return judged(Run.of(motion, loads, frames, every), limits, None if limit is None else float(limit))
 
 
 def _warn_of_divergence(controller: Controller, motion: Motion, sampling: Sampling) -> None:

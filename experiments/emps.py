@@ -5,13 +5,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.io
 
 from diffdrive.controllers import Cascade
+from diffdrive.controllers.cascade import CascadeState
+from diffdrive.friction import stribeck_level
 from diffdrive.motion import Motion, from_array
 from diffdrive.parameters import Drive, Friction, Plant, Sampling, as_arrays
-from diffdrive.simulate import inputs_of, rollout
+from diffdrive.plant import PlantState
+from diffdrive.simulate import inputs_of, rollout, start
 from tuning.least_squares import Progress, Search, levenberg_marquardt, silent
 from tuning.space import Free, space_of
 
@@ -34,8 +38,8 @@ class Record:
 
 def find_folder() -> Path | None:
     """The EMPS data beside this checkout or the working folder, or None."""
-    for start in (Path.cwd(), Path(__file__).resolve().parent.parent):
-        folder = start.parent / "shared" / "data" / "emps"
+    for beside in (Path.cwd(), Path(__file__).resolve().parent.parent):
+        folder = beside.parent / "shared" / "data" / "emps"
         if (folder / FILES["estimation"]).is_file():
             return folder
     return None
@@ -80,15 +84,25 @@ def controller(record: Record) -> Cascade:
     return Cascade(kp=record.position_gain, kv=record.velocity_gain, velocity_samples=2)
 
 
-def replay(drive: Drive, cascade: Cascade, inputs: Any) -> tuple[Any, Any]:
-    """Simulated position (m) and force command (N), the pulses included, in closed loop."""
-    frame = rollout(drive, cascade, inputs, SAMPLING)
+def replay(drive: Drive, cascade: Cascade, given: Any) -> tuple[Any, Any]:
+    """Simulated position (m) and force command (N), the pulses not included, in closed loop."""
+    inputs, position, velocity = given
+    travel = velocity * SAMPLING.period
+    past = (position - travel, position - 2 * travel)
+    deflection = jnp.sign(velocity) * stribeck_level(drive.friction, velocity, 0.0)
+    moving = start(drive, cascade, position)._replace(
+        plant=PlantState(position, velocity, deflection / drive.friction.bristle_stiffness.towards(velocity)),
+        controller=CascadeState(past, jnp.zeros(()), jnp.ones(())),
+    )
+    frame = rollout(drive, cascade, inputs, SAMPLING, begin=moving)
     return frame.position, frame.command
 
 
 def inputs(record: Record) -> Any:
-    """What the simulation is given: the reference, no load, and the pulses as a disturbing force."""
-    return as_arrays(inputs_of(record.motion, np.zeros(len(record.position)), record.added))
+    """What the simulation is given: reference, pulses as a disturbing force, and where the log begins, in motion."""
+    velocity = (record.position[2] - record.position[0]) / (2 * SAMPLING.period)
+    given = inputs_of(record.motion, np.zeros(len(record.position)), record.added)
+    return as_arrays((given, record.position[0], velocity))
 
 
 @dataclass(frozen=True)
@@ -130,8 +144,8 @@ def fit(drive: Drive, record: Record, *, max_steps: int = 12, progress: Progress
     given = as_arrays((drive, controller(record), inputs(record), record.command - record.added))
 
     def residuals(y: Any, args: Any) -> Any:
-        start, cascade, at, logged = args
-        return 100 * (replay(space.insert(start, y), cascade, at)[1] - logged) / norm
+        before, cascade, at, logged = args
+        return 100 * (replay(space.insert(before, y), cascade, at)[1] - logged) / norm
 
     search = levenberg_marquardt(
         residuals, np.zeros(len(FREE)), given, max_steps=max_steps, tolerance=1e-3, progress=progress

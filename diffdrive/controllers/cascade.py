@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from diffdrive.controllers.base import Command, Controller, Feedforward, Reference
+from diffdrive.errors import ParameterError
 from diffdrive.parameters import Scalar, quantity
 
 
@@ -31,6 +32,11 @@ class Cascade(Controller):
     )
     feedforward: Feedforward = Feedforward()
     velocity_samples: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self) -> None:
+        samples = self.velocity_samples
+        if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
+            raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {samples!r}")
 
     def init(self, position: Scalar) -> CascadeState:
         zero = jnp.zeros_like(position)
