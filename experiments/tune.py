@@ -47,11 +47,11 @@ def reversal(speed: float, rate: float, duration: float = 1.2) -> Motion:
 
 
 def cases(rate: float, speed: float, loads: np.ndarray) -> tuple[list[Case], list[Case]]:
-    """The scenarios tuned on, and others: loads in between and another seed, half and twice the speed."""
+    """The scenarios tuned on, and others: loads in between with another seed, a lower and twice the speed."""
     tuned_on = [Case(f"{speed * 1e3:g} mm/s, {w / 1e3:.3g} kN", reversal(speed, rate), w, 1) for w in loads]
     between = (loads[1:] + loads[:-1]) / 2
     held_out = [Case(f"{speed * 1e3:g} mm/s, {w / 1e3:.3g} kN", reversal(speed, rate), w, 2) for w in between]
-    for factor in (0.5, 2.0):
+    for factor in (0.7, 2.0):
         v = factor * speed
         held_out.append(Case(f"{v * 1e3:g} mm/s, {loads[-1] / 2e3:.3g} kN", reversal(v, rate), loads[-1] / 2, 3))
     return tuned_on, held_out

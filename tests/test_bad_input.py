@@ -1,0 +1,429 @@
+"""Bad input: each mistake is refused with the right error, which names the field and the mend; instability is a status.
+
+An engineer who mistypes a unit must not get a simulation of another machine.
+"""
+
+import contextlib
+import copy
+import warnings
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from diffdrive import motion as motions
+from diffdrive.controllers import (
+    DOBVSC,
+    PD,
+    Cascade,
+    DisturbanceObserver,
+    Feedforward,
+    FrictionCompensation,
+    Gains,
+    Tracking,
+)
+from diffdrive.controllers.base import paper_tracking
+from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
+from diffdrive.errors import DivergenceError, DriveFileError, MotionError, ParameterError, PrecisionError
+from diffdrive.motion import Limits
+from diffdrive.observer import KalmanObserver, LoadStateObserver, LoadStateTuning
+from diffdrive.parameters import Actuator, Sampling, directional
+from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.simulate import simulate
+
+DRIVE = paper_drive(quantised=False)
+MOVE = motions.jerk_limited(distance=2e-3, speed=0.01, acceleration=1.0, jerk=100.0, rate=10_000.0, dwell=0.02)
+N = len(MOVE.time)
+NAN, INF = float("nan"), float("inf")
+
+
+def pd(kp=PAPER_KP, kd=PAPER_KD) -> PD:
+    return PD(paper_tracking(DRIVE, kp, kd))
+
+
+def having(place, value, drive=DRIVE):
+    """The drive with one parameter replaced; `place` picks it."""
+    return eqx.tree_at(place, drive, value, is_leaf=lambda leaf: leaf is None)
+
+
+# --- the drive, the controller, the sampling --------------------------------------------------------------------------
+
+PARAMETERS = {
+    "negative mass": (lambda d: d.plant.mass, -100.0, "plant.mass must be above 0 kg"),
+    "zero mass": (lambda d: d.plant.mass, 0.0, "plant.mass must be above 0 kg"),
+    "NaN mass": (lambda d: d.plant.mass, NAN, "plant.mass must be finite"),
+    "infinite mass": (lambda d: d.plant.mass, INF, "plant.mass must be finite"),
+    "string mass": (lambda d: d.plant.mass, "100", "plant.mass must be a number in kg"),
+    "bool mass": (lambda d: d.plant.mass, True, "plant.mass must be a number in kg"),
+    "list mass": (lambda d: d.plant.mass, [100.0, 50.0], "plant.mass must be a number in kg"),
+    "no mass": (lambda d: d.plant.mass, None, "plant.mass must be .*number|plant.mass must be finite"),
+    "infinite force": (lambda d: d.plant.constant_force, -INF, "plant.constant_force must be finite"),
+    "negative damping": (
+        lambda d: d.plant.damping.negative,
+        -1.0,
+        r"plant.damping \(negative direction\) must be at least 0 N\*s/m",
+    ),
+    "zero stiffness": (
+        lambda d: d.friction.bristle_stiffness.positive,
+        0.0,
+        r"friction.bristle_stiffness \(positive direction\) must be above 0 N/m",
+    ),
+    "negative gap": (lambda d: d.friction.breakaway_gap.positive, -5.0, "friction.breakaway_gap .*at least 0 N"),
+    "zero Stribeck velocity": (lambda d: d.friction.stribeck_velocity.negative, 0.0, "stribeck_velocity .*above 0 m/s"),
+    "infinite Stribeck velocity": (lambda d: d.friction.stribeck_velocity.negative, INF, "stribeck_velocity .*finite"),
+    "no Coulomb friction": (
+        lambda d: (d.friction.coulomb_screw.negative, d.friction.load_coefficient.negative),
+        (0.0, 0.0),
+        "Coulomb friction in the negative direction is zero .* give at least a small coulomb_screw",
+    ),
+    "zero resolution": (lambda d: d.sensor.resolution, 0.0, "sensor.resolution must be above 0 m"),
+    "negative noise": (lambda d: d.sensor.noise, -1e-8, "sensor.noise must be at least 0 m"),
+    "zero force limit": (lambda d: d.actuator.force_limit, 0.0, "actuator.force_limit must be above 0 N"),
+    "negative delay": (lambda d: d.actuator, Actuator(delay_samples=-1), "actuator.delay_samples must be a whole"),
+    "fractional delay": (lambda d: d.actuator, Actuator(delay_samples=1.5), "actuator.delay_samples must be a whole"),
+}
+
+
+@pytest.mark.parametrize(("place", "value", "says"), PARAMETERS.values(), ids=PARAMETERS.keys())
+def test_a_bad_drive_is_refused(place, value, says):
+    with pytest.raises(ParameterError, match=says):
+        simulate(having(place, value), pd(), MOVE)
+
+
+def test_every_bad_parameter_is_named_at_once():
+    bad = having(lambda d: (d.plant.mass, d.sensor.noise), (-1.0, NAN))
+    with pytest.raises(ParameterError, match=r"plant\.mass.*; sensor\.noise"):
+        simulate(bad, pd(), MOVE)
+
+
+def _dob(**changes):
+    return DOBVSC(paper_tracking(DRIVE, PAPER_KP, PAPER_KD), DisturbanceObserver.of(DRIVE.plant, 240.0), **changes)
+
+
+def _fc(observer):
+    return FrictionCompensation(paper_tracking(DRIVE, PAPER_KP, PAPER_KD), observer)
+
+
+CONTROLLERS = {
+    "negative kp": (lambda: pd(kp=-1.0), "tracking.gains.kp must be at least 0 N/m"),
+    "infinite kd": (lambda: pd(kd=INF), "tracking.gains.kd must be finite"),
+    "negative feed-forward": (
+        lambda: PD(Tracking(Gains(1.0, 1.0), Feedforward(mass=-1.0))),
+        "tracking.feedforward.mass must be at least 0 kg",
+    ),
+    "zero cut-off": (
+        lambda: DOBVSC(pd().tracking, DisturbanceObserver.of(DRIVE.plant, 0.0)),
+        "observer.cutoff must be above 0 Hz",
+    ),
+    "no boundary layer": (lambda: _dob(layer=0.0), "layer must be above 0 m/s"),
+    "zero measurement noise": (
+        lambda: _fc(LoadStateObserver(DRIVE.plant, DRIVE.friction, LoadStateTuning(measurement=0.0))),
+        r"observer.tuning.measurement must be above 0 m\^2",
+    ),
+    "observer with no mass": (
+        lambda: _fc(KalmanObserver(having(lambda d: d.plant.mass, 0.0).plant, DRIVE.friction)),
+        "observer.plant.mass must be above 0 kg",
+    ),
+    "cascade over no samples": (lambda: Cascade(kp=50.0, kv=1e5, velocity_samples=0), "velocity_samples .*at least 1"),
+}
+
+
+@pytest.mark.parametrize(("build", "says"), CONTROLLERS.values(), ids=CONTROLLERS.keys())
+def test_a_bad_controller_is_refused(build, says):
+    with pytest.raises(ParameterError, match=says):
+        simulate(DRIVE, build(), MOVE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"rate": 0.0}, "sampling.rate must lie between 10 and 1e6 Hz"),
+        ({"rate": NAN}, "sampling.rate must lie"),
+        ({"rate": -1e4}, "sampling.rate must lie"),
+        ({"rate": "10 kHz"}, "sampling.rate must"),
+        ({"substeps": 0}, "sampling.substeps must be a whole number of at least 1"),
+        ({"substeps": 2.5}, "sampling.substeps must be a whole number"),
+        ({"substeps": True}, "sampling.substeps must be a whole number"),
+    ],
+)
+def test_bad_sampling_is_refused(arguments, says):
+    with pytest.raises(ParameterError, match=says):
+        Sampling(**arguments)
+
+
+def test_three_values_for_a_direction_are_refused():
+    with pytest.raises(ParameterError, match=r"exactly two entries \[positive, negative\], got 3"):
+        directional([1.0, 2.0, 3.0])
+
+
+# --- what the drive is asked to do ------------------------------------------------------------------------------------
+
+REQUESTS = {
+    "load below preload": (
+        {"load": -16_000.0},
+        MotionError,
+        r"load of -16000 N at t = 0 s .*must stay above.*-15200 N",
+    ),
+    "load too short": ({"load": np.zeros(N - 1)}, MotionError, "give one load per sample"),
+    "NaN load": ({"load": NAN}, MotionError, "load is not finite at t = 0 s"),
+    "NaN in load": (
+        {"load": np.where(np.arange(N) < 50, 0.0, NAN)},
+        MotionError,
+        r"load is not finite at t = 0\.005 s",
+    ),
+    "load with a unit": ({"load": "10 kN"}, (MotionError, ParameterError), "load .*N"),
+    "beyond the stroke": ({"limits": Limits((0.0, 1e-3))}, MotionError, "position leaves the stroke 0 to 0.001 m"),
+    "too fast": ({"limits": Limits(speed=0.005)}, MotionError, r"speed leaves 0\.005 m/s .*Shorten or slow"),
+    "too much acceleration": ({"limits": Limits(acceleration=0.1)}, MotionError, r"acceleration leaves 0\.1 m/s\^2"),
+    "other rate": (
+        {"sampling": Sampling(5000.0)},
+        ParameterError,
+        "10000 Hz, the controller runs at 5000 Hz: make them",
+    ),
+    "every 0": ({"every": 0}, ParameterError, rf"every must be a whole number from 1 to {N - 1}, got 0"),
+    "every negative": ({"every": -5}, ParameterError, "every must be a whole number"),
+    "every fractional": ({"every": 2.5}, ParameterError, "every must be a whole number"),
+    "every too large": ({"every": N}, ParameterError, "every must be a whole number"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "error", "says"), REQUESTS.values(), ids=REQUESTS.keys())
+def test_a_bad_request_is_refused(arguments, error, says):
+    with pytest.raises(error, match=says):
+        simulate(DRIVE, pd(), **({"motion": MOVE} | arguments))
+
+
+@pytest.mark.parametrize(
+    ("time", "says"),
+    [
+        (np.r_[MOVE.time[:200], MOVE.time[200:] + 5e-5], "time is not uniform: .* resample it first"),
+        (np.where(np.arange(N) == 100, NAN, MOVE.time), "time is not finite at sample 100"),
+        (MOVE.time[::-1], "time does not increase at sample 1: sort it"),
+    ],
+)
+def test_a_reference_with_a_bad_clock_is_refused(time, says):
+    with pytest.raises(MotionError, match=says):
+        motions.from_array(time, MOVE.position)
+
+
+def test_single_precision_is_refused():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(PrecisionError, match=r"double precision.*jax_enable_x64"):
+            simulate(DRIVE, pd(), MOVE)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+# --- drive files ------------------------------------------------------------------------------------------------------
+
+TABLES = drive_tables(DriveDescription(paper_drive(), pd(), Sampling(), Limits((-0.075, 0.075))))
+MISSING = object()
+
+FILES = {
+    "unknown key": ("plant.mas", 100.0, r"\[plant\] mas: unknown key; did you mean 'mass'\?"),
+    "unknown key, nothing near": ("sensor.xyz", 1.0, r"\[sensor\] xyz: unknown key; known here: noise, resolution"),
+    "unknown table": ("plants", {}, r"plants: unknown key; did you mean 'plant'\?"),
+    "number for a table": ("sensor", 1e-7, r"\[sensor\] must be a table"),
+    "missing key": ("plant.mass", MISSING, r"\[plant\] mass: is missing: give the moving mass.* in kg"),
+    "missing table": ("friction", MISSING, r"\[friction\] coulomb_screw: is missing: .* in N"),
+    "missing gains": ("controller.kd", MISSING, r"\[controller\] kd: is missing: .* in N\*s/m"),
+    "wrong unit": ("plant.mass", "100 mm", r"\[plant\] mass: '100 mm' has the wrong unit: it must be in kg"),
+    "unparsable unit": (
+        "plant.mass",
+        "100 zorks",
+        r"\[plant\] mass: cannot read '100 zorks'.* write for example '1.5 kg'",
+    ),
+    "word for a number": ("sensor.noise", "quiet", r"\[sensor\] noise: cannot read 'quiet'.* for example '1.5 m'"),
+    "bool for a number": ("plant.mass", True, r"\[plant\] mass: must be a number in kg"),
+    "table for a number": ("plant.mass", {}, r"\[plant\] mass: must be a number in kg"),
+    "three directions": (
+        "plant.damping",
+        [1.0, 2.0, 3.0],
+        r"\[plant\] damping: needs two values, \[positive, negative\]",
+    ),
+    "bool in a direction": ("plant.damping", [1.0, False], r"\[plant\] damping: must be a number in N\*s/m"),
+    "list for a scalar": ("plant.mass", [100.0, 100.0], r"\[plant\] mass: must be one number in kg"),
+    "NaN": ("plant.mass", NAN, r"plant\.mass must be finite"),
+    "infinite": ("friction.viscous", INF, r"friction\.viscous .*must be finite"),
+    "negative": ("plant.mass", -1, r"plant\.mass must be above 0 kg"),
+    "zero resolution": ("sensor.resolution", 0.0, r"sensor\.resolution must be above 0 m"),
+    "micrometres": ("sensor.resolution", 0.1, r"\[sensor\] resolution: 0\.1 m is coarser .* is it in micrometres\?"),
+    "no Coulomb friction": (
+        "friction",
+        {"coulomb_screw": 0, "load_coefficient": 0},
+        "give at least a small coulomb_screw",
+    ),
+    "negative delay": ("actuator.delay_samples", -1, r"\[actuator\] delay_samples: must be a whole number of samples"),
+    "fractional delay": ("actuator.delay_samples", 0.5, r"\[actuator\] delay_samples: must be a whole number"),
+    "bool delay": ("actuator.delay_samples", True, r"\[actuator\] delay_samples: must be a whole number"),
+    "rate 0": ("sampling.rate", 0, r"sampling\.rate must lie between 10 and 1e6 Hz"),
+    "rate as a period": (
+        "sampling.rate",
+        "0.1 ms",
+        r"\[sampling\] rate: '0.1 ms' has the wrong unit: it must be in Hz",
+    ),
+    "substeps 0": ("sampling.substeps", 0, r"sampling\.substeps must be a whole number of at least 1"),
+    "bool substeps": ("sampling.substeps", True, r"substeps: must be a whole number of at least 1"),
+    "substeps as text": ("sampling.substeps", "4", r"sampling\.substeps must be a whole number of at least 1"),
+    "stroke reversed": (
+        "limits.stroke",
+        [0.1, -0.1],
+        r"\[limits\] stroke: the lowest position must be below the highest",
+    ),
+    "stroke of three": ("limits.stroke", [0.0, 0.1, 0.2], r"\[limits\] stroke: must be \[lowest, highest\]"),
+    "stroke in kg": ("limits.stroke", [0.0, "3 kg"], r"\[limits\] stroke: '3 kg' has the wrong unit: it must be in m"),
+    "speed 0": ("limits.speed", 0.0, r"\[limits\] speed: must be positive"),
+    "NaN acceleration": ("limits.acceleration", NAN, r"\[limits\] acceleration: must be positive"),
+    "unknown controller": (
+        "controller.kind",
+        "pid",
+        r"\[controller\] kind: unknown controller 'pid'; known: pd, dobvsc",
+    ),
+    "list of controllers": ("controller.kind", ["pd"], r"\[controller\] kind: unknown controller"),
+    "no controller": ("controller", MISSING, r"\[controller\] kind: is missing; known: pd, dobvsc"),
+    "feedforward as text": ("controller.feedforward", "yes", r"\[controller\] feedforward: must be true or false"),
+    "other derivative": ("controller.derivative", "filtered", r"\[controller\] derivative: only 'backward-difference'"),
+    "negative gain": ("controller.kp", -1.0, r"controller\.kp must be at least 0 N/m"),
+    "gain of another controller": ("controller.cutoff", 240.0, r"\[controller\] cutoff: unknown key; known here: .*kp"),
+    "cascade over no samples": (
+        "controller",
+        {"kind": "cascade", "kp": 50.0, "kv": 1e5, "velocity_samples": 0},
+        r"\[controller\] velocity_samples: must be a whole number of at least 1",
+    ),
+    "misspelt observer": (
+        "controller",
+        {"kind": "pd+fc", "kp": 1e6, "kd": 1e3, "observer": {"positon": 1e-15}},
+        r"\[controller.observer\] positon: unknown key; did you mean 'position'\?",
+    ),
+    "load estimator of another controller": (
+        "controller",
+        {"kind": "pd+fc", "kp": 1e6, "kd": 1e3, "load_estimator": {"gain": 100.0}},
+        r"\[controller.load_estimator\] gain: unknown key; known here: load",
+    ),
+}
+
+
+def tampered(place: str, value) -> dict:
+    tables = copy.deepcopy(TABLES)
+    table, _, key = place.partition(".")
+    owner, name = (tables[table], key) if key else (tables, table)
+    if value is MISSING:
+        del owner[name]
+    elif table == "friction" and not key:
+        owner[name] |= value
+    else:
+        owner[name] = value
+    return tables
+
+
+@pytest.mark.parametrize(("place", "value", "says"), FILES.values(), ids=FILES.keys())
+def test_a_bad_drive_file_is_refused(place, value, says):
+    with pytest.raises(DriveFileError, match="^axis.toml: .*" + says):
+        parse_drive(tampered(place, value), "axis.toml")
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("[plant\nmass = 1", r"drive\.toml: not a TOML file: .*line 1"),
+        ("mass = 100 kg", r"drive\.toml: not a TOML file"),
+        (b"\xff\xfe", r"drive\.toml: not a TOML file"),
+        ("", r"drive\.toml: .*\[plant\] mass: is missing"),
+        (None, r"drive\.toml: no such file; 'diffdrive template > drive\.toml' writes one"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_refused(content, says, tmp_path):
+    path = tmp_path / "drive.toml"
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(DriveFileError, match=says):
+        read_drive(path)
+
+
+def test_a_folder_is_not_a_drive_file(tmp_path):
+    with pytest.raises(DriveFileError, match="is a folder, not a drive file"):
+        read_drive(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(DriveFileError, match="cannot be read"):
+        read_drive(tmp_path / "file" / "drive.toml")
+
+
+# --- what is allowed, and goes wrong only when it runs ----------------------------------------------------------------
+
+DELAYED = having(lambda d: d.actuator, Actuator(delay_samples=3))
+# kd / M times the whole lag of 0.4 ms (delay, hold, difference) must stay below pi / 2: kd below 3.9e5 N s/m
+UNSTABLE = {
+    "kd 40 times too high": (DELAYED, pd(kd=40 * PAPER_KD)),
+    "kp huge": (DRIVE, pd(kp=1e12)),
+    "kp beyond all floats": (DRIVE, pd(kp=1e300)),
+    "cascade": (DELAYED, Cascade(kp=50.0, kv=40 * PAPER_KD)),
+    "disturbance observer": (DELAYED, _dob(reach=1e9)),
+    "friction observer": (
+        DELAYED,
+        FrictionCompensation(
+            paper_tracking(DRIVE, PAPER_KP, 40 * PAPER_KD), LoadStateObserver(DRIVE.plant, DRIVE.friction)
+        ),
+    ),
+}
+
+
+@contextlib.contextmanager
+def no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@pytest.mark.parametrize(("drive", "controller"), UNSTABLE.values(), ids=UNSTABLE.keys())
+def test_an_unstable_loop_is_a_status_that_names_signal_and_time(drive, controller):
+    with no_warnings():
+        run = simulate(drive, controller, MOVE)
+    status = run.status
+    assert not status.ok
+    assert status.signal in ("tracking error", "command", "friction estimate", "load estimate", "velocity")
+    assert 0 < status.time <= MOVE.duration
+    assert f"diverged: {status.signal} leaves" in status.message
+    assert f"at t = {status.time:g} s" in status.message
+    assert "lower kd, kp or the delay" in status.message
+    before = run.time < status.time  # the first signal that left is the one named
+    assert np.max(np.abs(run.error[before])) <= 0.1
+    assert np.all(np.isfinite(run.command[before]))
+    assert np.all(np.isfinite(run.velocity[before]))
+    with pytest.raises(DivergenceError, match="diverged") as caught:
+        run.require_ok()
+    assert str(caught.value) == status.message
+
+
+def test_a_stable_loop_is_ok_up_to_its_known_limit():
+    run = simulate(DELAYED, pd(kd=20 * PAPER_KD), MOVE)  # 0.8 of the limit above
+    assert run.status.ok
+    assert run.require_ok() is run
+    assert run.peak() < 20e-6
+
+
+def test_an_axis_too_weak_for_its_friction_stands_still_within_its_limit():
+    with no_warnings():
+        run = simulate(having(lambda d: d.actuator, Actuator(force_limit=10.0)), pd(), MOVE)
+    assert np.max(np.abs(run.force)) == 10.0
+    assert np.max(np.abs(run.table_position)) < 1e-6  # the bristles give 10 N / 33.5 N/um
+    assert run.peak() == pytest.approx(2e-3, rel=1e-3)
+    assert run.status.ok  # nothing diverged: this is what such an axis does
+
+
+def test_an_axis_too_weak_for_its_weight_is_said_to_be_so():
+    weak = having(lambda d: (d.actuator, d.plant.constant_force), (Actuator(force_limit=10.0), -1e3))
+    with no_warnings():
+        run = simulate(weak, pd(), MOVE)
+    assert not run.status.ok
+    assert "the force sits at its limit of 10 N; raise force_limit" in run.status.message
+
+
+def test_a_load_of_a_giganewton_still_gives_finite_numbers():
+    with no_warnings():
+        run = simulate(DRIVE, pd(), MOVE, load=1e9)
+    for signal in (run.table_position, run.velocity, run.command, run.force, run.friction):
+        assert np.all(np.isfinite(signal))
+    assert run.status.ok
+    assert np.max(np.abs(run.friction)) < 3.66e-4 * (1e9 + 15_200) + 100

@@ -1,0 +1,106 @@
+"""The closed loop compiles into one native kernel on a CPU; without this every step is ten times slower."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from diffdrive import motion
+from diffdrive.controllers import (
+    DOBVSC,
+    PD,
+    Cascade,
+    DisturbanceObserver,
+    Feedforward,
+    FrictionCompensation,
+    PDFeedforwardDOB,
+)
+from diffdrive.controllers.base import paper_tracking
+from diffdrive.load_estimator import InnovationLoad
+from diffdrive.observer import KalmanObserver, LoadStateObserver, Tuning
+from diffdrive.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
+from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.simulate import inputs_of, rollout, running_costs, start, step
+from diffdrive.smooth import smooth
+
+pytestmark = pytest.mark.skipif(
+    jax.default_backend() != "cpu", reason="only XLA's CPU compiler hoists loops into one kernel"
+)
+
+SAMPLES, LANES = 500, 64
+PAPER = paper_drive()
+TRACKING = paper_tracking(PAPER, PAPER_KP, PAPER_KD)
+CONTROLLERS = {
+    "PD": PD(TRACKING),
+    "PD+FC": FrictionCompensation(TRACKING, KalmanObserver(PAPER.plant, PAPER.friction)),
+    "PD+FC+LE": FrictionCompensation(TRACKING, KalmanObserver(PAPER.plant, PAPER.friction, Tuning(), InnovationLoad())),
+    "PD+FC+LS": FrictionCompensation(TRACKING, LoadStateObserver(PAPER.plant, PAPER.friction)),
+    "DOBVSC": DOBVSC(TRACKING, DisturbanceObserver.of(PAPER.plant, 240.0)),
+    "PD+FF+DOB": PDFeedforwardDOB(TRACKING, DisturbanceObserver.of(PAPER.plant, 3.0), PAPER.friction),
+    "cascade": Cascade(100.0, 2e4, 1e6, 1.0, Feedforward.of(PAPER.plant), 4),
+}
+IMPERFECT = Drive(PAPER.plant, PAPER.friction, Actuator(500.0, delay_samples=2), Sensor(1e-7, 2e-8))
+DRIVES = {"exact": PAPER, "imperfect": IMPERFECT, "smooth": smooth(IMPERFECT)}
+
+
+def inputs():
+    there = motion.sine(amplitude=1e-3, frequency=5.0, duration=(SAMPLES - 1) * 1e-4, rate=1e4)
+    return inputs_of(there, np.zeros(SAMPLES))
+
+
+def key_for(drive):
+    return jax.random.key(0) if np.any(drive.sensor.noise > 0) else None
+
+
+def one_kernel(function, *args):
+    """Is the loop over the samples a kernel? The plant's inner loop is one in any case, its mark says nothing."""
+    text = jax.jit(function).lower(*args).compile().as_text()
+    entry = text[text.index("\nENTRY ") :]
+    return "xla_cpu_small_call" in entry and " while(" not in entry
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("machine", DRIVES)
+def test_one_lane_is_one_kernel(name, machine):
+    drive, controller = as_arrays((DRIVES[machine], CONTROLLERS[name]))
+    key = key_for(DRIVES[machine])
+    assert one_kernel(lambda d, c, i: rollout(d, c, i, Sampling(), key), drive, controller, inputs())
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_many_lanes_with_a_running_cost_are_one_kernel(name):
+    drive, controller = as_arrays((PAPER, CONTROLLERS[name]))
+    lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), controller)
+    counts = jnp.ones(SAMPLES)
+    costs = jax.vmap(lambda d, c, i: running_costs(d, c, i, counts, Sampling()), in_axes=(None, 0, None))
+    assert one_kernel(costs, drive, lanes, inputs())
+
+
+def test_many_imperfect_lanes_are_one_kernel():
+    drive, controller = as_arrays((IMPERFECT, CONTROLLERS["PD+FC+LE"]))
+    lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), controller)
+
+    def roll(drive, controller, key, inputs):
+        return rollout(drive, controller, inputs, Sampling(), key).position
+
+    keys = jax.random.split(jax.random.key(0), LANES)
+    assert one_kernel(jax.vmap(roll, in_axes=(None, 0, 0, None)), drive, lanes, keys, inputs())
+
+
+def test_decimated_recording_is_one_kernel():
+    drive, controller = as_arrays((PAPER, CONTROLLERS["PD+FC+LS"]))
+    assert one_kernel(lambda d, c, i: rollout(d, c, i, Sampling(), every=10), drive, controller, inputs())
+
+
+def test_the_guard_sees_a_loop_that_is_no_kernel():
+    drive, controller = as_arrays((PAPER, CONTROLLERS["PD"]))
+
+    def solving(drive, controller, inputs):
+        def body(state, at):
+            state, frame = step(drive, controller, Sampling(), None, state, at)
+            return state, jnp.linalg.inv(jnp.eye(3) * (2.0 + frame.position))
+
+        return lax.scan(body, start(drive, controller, inputs.load[0]), inputs)[1]
+
+    assert not one_kernel(solving, drive, controller, inputs())
