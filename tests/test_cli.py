@@ -54,7 +54,7 @@ def test_simulate_writes_what_it_prints(drive_file, tmp_path):
 
 @pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
 def test_simulate_says_what_diverged_and_ends_with_3(drive_file):
-    drive_file.write_text(drive_file.read_text().replace("kd = 15959.29", "kd = 1.5959e6"))
+    drive_file.write_text(drive_file.read_text().replace("kd = 15959.29", "kd = 1.6e7"))
     result = run("simulate", drive_file, "--motion", SHORT)
     assert result.exit_code == 3
     assert "diverged: " in result.output
