@@ -6,7 +6,7 @@ One substep h solves the mean velocity w of the substep from the momentum balanc
 
 with the bristle solved exactly for the frozen velocity w: its mean deflection and its mean rate are linear in w, so the
 balance is one scalar division. In stick (r -> 0) this is the implicit midpoint rule, in fast sliding (r h >> 1) the
-bristle sits in its steady state; both limits, and everything between, are stable at any step. Second order
+bristle sits in its steady state; both limits, and everything between, are stable at any practical step. Second order
 (docs/numerics.md).
 """
 

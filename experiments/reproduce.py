@@ -220,7 +220,7 @@ def reproduce(out: Path | None) -> Report:
         "load_steps",
         ("estimator", "scale", *(f"{1e3 * v:g} mm/s" for v in SPEEDS_STEPPED)),
         rows,
-        "Largest |What - W|, N, from 1 s after a step of 10 kN at constant speed",
+        "Largest |What - W|, N, from 1 s after a step of 10 kN at constant speed (0.1 um scale: speeds 1.37 % higher)",
     )
     report.table(
         "figure_4", ("load N", "screw + N", "guide + N", "screw - N", "guide - N"), _figure_4_rows(exact.friction)
