@@ -80,31 +80,29 @@ def _loops(
 
 def benchmark(out: Path | None) -> Report:
     """Time the loop of PD, PD+FC+LE and PD+FC+LS in several forms; in ns per lane-step and relative to one lane."""
-    report = Report(
-        f"Speed of the closed loop (jax {jax.__version__}, {jax.devices()[0].device_kind}, 1.2 s at 10 kHz)", out
-    )
-    with report.working("errors of the plant's integrator"):
-        errors = integrator_errors()
-    report.table(
-        "integrator", ("mm/s", *(f"{n} substeps" for n in SUBSTEPS)), errors,
-        f"Largest position error over 1 s, nm, against {REFERENCE} substeps a period (10 kHz, PD, one reversal)",
-    )  # fmt: skip
-    drive = paper_drive()
-    motion = reversal(0.010, paper.SAMPLING.rate)
-    inputs = inputs_of(motion, np.full(len(motion.time), 5_000.0))
-    rows = []
-    for name in ("PD", "PD+FC+LE", "PD+FC+LS"):
-        controller = paper.controllers(drive)[name]
-        base = None
-        with report.working(f"timing {name}"):
-            for form, (function, arguments, lanes) in _loops(drive, controller, inputs, paper.SAMPLING).items():
-                built, building, hoisted = compiled(function, *arguments)
-                spent = 1e9 * seconds(built, *arguments) / (lanes * len(motion.time))
-                base = base or spent
-                rows.append([name, form, spent, spent / base, building, "yes" if hoisted else "NO"])
-    report.table(
-        "benchmark", ("controller", "form", "ns per lane-step", "x one lane", "compile s", "one kernel"), rows,
-        "Time of one control step (8 plant substeps)",
-    )  # fmt: skip
-    report.close()
+    title = f"Speed of the closed loop (jax {jax.__version__}, {jax.devices()[0].device_kind}, 1.2 s at 10 kHz)"
+    with Report(title, out) as report:
+        with report.working("errors of the plant's integrator"):
+            errors = integrator_errors()
+        report.table(
+            "integrator", ("mm/s", *(f"{n} substeps" for n in SUBSTEPS)), errors,
+            f"Largest position error over 1 s, nm, against {REFERENCE} substeps a period (10 kHz, PD, one reversal)",
+        )  # fmt: skip
+        drive = paper_drive()
+        motion = reversal(0.010, paper.SAMPLING.rate)
+        inputs = inputs_of(motion, np.full(len(motion.time), 5_000.0))
+        rows = []
+        for name in ("PD", "PD+FC+LE", "PD+FC+LS"):
+            controller = paper.controllers(drive)[name]
+            base = None
+            with report.working(f"timing {name}"):
+                for form, (function, arguments, lanes) in _loops(drive, controller, inputs, paper.SAMPLING).items():
+                    built, building, hoisted = compiled(function, *arguments)
+                    spent = 1e9 * seconds(built, *arguments) / (lanes * len(motion.time))
+                    base = base or spent
+                    rows.append([name, form, spent, spent / base, building, "yes" if hoisted else "NO"])
+        report.table(
+            "benchmark", ("controller", "form", "ns per lane-step", "x one lane", "compile s", "one kernel"), rows,
+            "Time of one control step (8 plant substeps)",
+        )  # fmt: skip
     return report

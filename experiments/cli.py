@@ -100,13 +100,14 @@ def tune(
     here; filter gains by three decades.
     """
     from diffdrive.drive_file import read_drive
+    from experiments.report import Report
     from experiments.scenario import number
     from experiments.tune import tune_drive
 
-    tune_drive(
-        read_drive(drive), out, speed=number(speed, "m/s", "--speed"), max_load=number(max_load, "N", "--max-load"),
-        loads=loads, max_steps=steps,
-    )  # fmt: skip
+    description = read_drive(drive)
+    fastest, heaviest = number(speed, "m/s", "--speed"), number(max_load, "N", "--max-load")
+    with Report(f"{drive.name}: gradient tuning over loads", out) as report:
+        tune_drive(description, report, speed=fastest, max_load=heaviest, loads=loads, max_steps=steps)
 
 
 @app.command()

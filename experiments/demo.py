@@ -55,21 +55,20 @@ def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
 
 def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = False) -> Report:
     """The main job; `quick` takes fewer tuning steps. Returns the report, written to `out` if given."""
-    report = Report("diffdrive: the paper's drive, and a real axis", out)
-    description = read_drive(PAPER_DRIVE)
-    _simulate(report, description)
-    _differentiate(report, description)
-    report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN.")
-    tune_drive(description, out, max_steps=5 if quick else 20, report=report)
-    folder = emps_folder or emps.find_folder()
-    if folder is None:
-        report.say(
-            "The EMPS log is not here (looked for shared/data/emps beside this folder): the real axis is left out. "
-            "Name its folder with --emps."
-        )
-    else:
-        _real_axis(report, folder, quick)
-    report.close()
+    with Report("diffdrive: the paper's drive, and a real axis", out) as report:
+        description = read_drive(PAPER_DRIVE)
+        _simulate(report, description)
+        _differentiate(report, description)
+        report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN.")
+        tune_drive(description, report, max_steps=5 if quick else 20)
+        folder = emps_folder or emps.find_folder()
+        if folder is None:
+            report.say(
+                "The EMPS log is not here (looked for shared/data/emps beside this folder): the real axis is left out. "
+                "Name its folder with --emps."
+            )
+        else:
+            _real_axis(report, folder, quick)
     return report
 
 

@@ -57,6 +57,15 @@ class Report:
             out.mkdir(parents=True, exist_ok=True)
         self.console.print(f"[bold]{title}[/bold]")
 
+    def __enter__(self) -> "Report":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: Any) -> None:
+        """Write what there is, also when the work was interrupted or failed."""
+        if kind is not None:
+            self.data["stopped_by"] = f"{kind.__name__}: {error}".rstrip(": ")
+        self.close()
+
     def say(self, text: str) -> None:
         """Print a sentence and keep it."""
         self.data.setdefault("notes", []).append(text)

@@ -182,64 +182,69 @@ def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[Any]]:
 
 def reproduce(out: Path | None) -> Report:
     """Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, with every assumption stated; into `out` if given."""
-    report = Report("Lee et al. 2015, reproduced", out)
-    for number, assumption in enumerate(ASSUMPTIONS, 1):
-        report.say(f"Assumption {number}. {assumption}")
-    exact, quantised = paper_drive(quantised=False), paper_drive()
-    report.table(
-        "static", ("quantity", "ours", "closed form", "difference"),
-        [[name, ours, theirs, ours / theirs - 1] for name, ours, theirs in static_checks(exact)],
-        "Gains and static errors",
-    )  # fmt: skip
-    with report.working("simulating the canonical scenario, six controllers, with and without the scale's resolution"):
-        scenario = paper.canonical()
-        runs, coarse = table_1(exact, scenario), table_1(quantised, scenario)
-    report.table(
-        "table_1",
-        (
-            "controller",
-            "paper peak",
-            "paper RMS",
-            "peak",
-            "RMS",
-            "0.1 um: peak",
-            "0.1 um: RMS",
-            "2 s: peak",
-            "2 s: RMS",
-        ),
-        table_1_rows(runs, coarse),
-        "Table 1: tracking error, um, at 4 to 4.2 s (the last two columns: at 2 to 2.2 s)",
-    )
-    report.table("load_estimates", ("N", "3.0 s", "3.5 s", "3.9 s", "4.2 s"), load_estimates(runs), "Estimated load, N")
-    with report.working("convergence of eq. (20)"):
-        rows = convergence_rows(exact)
-    report.table("convergence", ("Q", "mm/s", "G", "time constant s"), rows, "Eq. (20): G, and how fast What settles")
-    with report.working("load steps at seven speeds"):
-        rows = load_errors()
-    report.table(
-        "load_steps",
-        ("estimator", "scale", *(f"{1e3 * v:g} mm/s" for v in SPEEDS_STEPPED)),
-        rows,
-        "Largest |What - W|, N, from 1 s after a step of 10 kN at constant speed (0.1 um scale: speeds 1.37 % higher)",
-    )
-    report.table(
-        "figure_4", ("load N", "screw + N", "guide + N", "screw - N", "guide - N"), _figure_4_rows(exact.friction)
-    )
-    with report.working("the experiments of Figs. 9 and 10"):
-        unloaded = unloaded_experiment(quantised)
-        loaded = {kn: loaded_experiment(quantised, 1e3 * kn) for kn in paper.TABLE_4}
-    report.table(
-        "table_4",
-        ("case", "paper est. N", "est. N", "paper track um", "track um", "paper load kN", "load kN"),
-        table_4_rows(loaded),
-        "Table 4: RMS errors under load",
-    )
-    observed = unloaded["PD+FC"]
-    assert observed.friction_estimate is not None
-    miss = np.linalg.norm(observed.friction_estimate - observed.friction) / np.linalg.norm(observed.friction)
-    report.values("figure_9", estimation_accuracy_percent=100 * (1 - float(miss)), paper_percent=93.0)
-    _figures(report, exact, scenario, coarse, unloaded, loaded)
-    report.close()
+    with Report("Lee et al. 2015, reproduced", out) as report:
+        for number, assumption in enumerate(ASSUMPTIONS, 1):
+            report.say(f"Assumption {number}. {assumption}")
+        exact, quantised = paper_drive(quantised=False), paper_drive()
+        report.table(
+            "static", ("quantity", "ours", "closed form", "difference"),
+            [[name, ours, theirs, ours / theirs - 1] for name, ours, theirs in static_checks(exact)],
+            "Gains and static errors",
+        )  # fmt: skip
+        with report.working(
+            "simulating the canonical scenario, six controllers, with and without the scale's resolution"
+        ):
+            scenario = paper.canonical()
+            runs, coarse = table_1(exact, scenario), table_1(quantised, scenario)
+        report.table(
+            "table_1",
+            (
+                "controller",
+                "paper peak",
+                "paper RMS",
+                "peak",
+                "RMS",
+                "0.1 um: peak",
+                "0.1 um: RMS",
+                "2 s: peak",
+                "2 s: RMS",
+            ),
+            table_1_rows(runs, coarse),
+            "Table 1: tracking error, um, at 4 to 4.2 s (the last two columns: at 2 to 2.2 s)",
+        )
+        report.table(
+            "load_estimates", ("N", "3.0 s", "3.5 s", "3.9 s", "4.2 s"), load_estimates(runs), "Estimated load, N"
+        )
+        with report.working("convergence of eq. (20)"):
+            rows = convergence_rows(exact)
+        report.table(
+            "convergence", ("Q", "mm/s", "G", "time constant s"), rows, "Eq. (20): G, and how fast What settles"
+        )
+        with report.working("load steps at seven speeds"):
+            rows = load_errors()
+        report.table(
+            "load_steps",
+            ("estimator", "scale", *(f"{1e3 * v:g} mm/s" for v in SPEEDS_STEPPED)),
+            rows,
+            "Largest |What - W|, N, 1 s after a step of 10 kN at constant speed (0.1 um scale: 1.37 % faster)",
+        )
+        report.table(
+            "figure_4", ("load N", "screw + N", "guide + N", "screw - N", "guide - N"), _figure_4_rows(exact.friction)
+        )
+        with report.working("the experiments of Figs. 9 and 10"):
+            unloaded = unloaded_experiment(quantised)
+            loaded = {kn: loaded_experiment(quantised, 1e3 * kn) for kn in paper.TABLE_4}
+        report.table(
+            "table_4",
+            ("case", "paper est. N", "est. N", "paper track um", "track um", "paper load kN", "load kN"),
+            table_4_rows(loaded),
+            "Table 4: RMS errors under load",
+        )
+        observed = unloaded["PD+FC"]
+        assert observed.friction_estimate is not None
+        miss = np.linalg.norm(observed.friction_estimate - observed.friction) / np.linalg.norm(observed.friction)
+        report.values("figure_9", estimation_accuracy_percent=100 * (1 - float(miss)), paper_percent=93.0)
+        _figures(report, exact, scenario, coarse, unloaded, loaded)
     return report
 
 

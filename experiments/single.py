@@ -41,27 +41,26 @@ def simulate_drive(drive: Path, motion: str, load: str, machine: Path | None, se
     truth = description.drive if machine is None else read_drive(machine).drive
     planned = parse_motion(motion, description.sampling.rate)
     loads = parse_load(load, planned.time)
-    report = Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out)
-    with report.working("simulating"):
-        run = simulate(
-            truth, description.controller, planned, loads,
-            sampling=description.sampling, limits=description.limits, seed=seed,
-        )  # fmt: skip
-    report.values("run", status=run.status.message)
-    if run.status.ok:
-        report.values(
-            "result",
-            peak_error_um=1e6 * run.peak(),
-            rms_error_um=1e6 * run.rms(),
-            peak_command_N=float(np.max(np.abs(run.command))),
-            command_noise_N=float(metrics.command_noise(run.command)),
-        )
-        if run.load_estimate is not None:
-            report.values("load", final_N=float(run.load[-1]), final_estimate_N=float(run.load_estimate[-1]))
-    if report.out is not None:
-        write_run(report.out / "run.csv", run)
-        report.figure("run", _run_figure(run))
-    report.close()
+    with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
+        with report.working("simulating"):
+            run = simulate(
+                truth, description.controller, planned, loads,
+                sampling=description.sampling, limits=description.limits, seed=seed,
+            )  # fmt: skip
+        report.values("run", status=run.status.message)
+        if run.status.ok:
+            report.values(
+                "result",
+                peak_error_um=1e6 * run.peak(),
+                rms_error_um=1e6 * run.rms(),
+                peak_command_N=float(np.max(np.abs(run.command))),
+                command_noise_N=float(metrics.command_noise(run.command)),
+            )
+            if run.load_estimate is not None:
+                report.values("load", final_N=float(run.load[-1]), final_estimate_N=float(run.load_estimate[-1]))
+        if report.out is not None:
+            write_run(report.out / "run.csv", run)
+            report.figure("run", _run_figure(run))
     return run.status.ok
 
 
@@ -92,43 +91,46 @@ def sweep_drive(
     """`diffdrive sweep`; False if a machine diverged."""
     description = read_drive(drive)
     planned = require_within(parse_motion(motion, description.sampling.rate), description.limits)
-    report = Report(f"{drive.name}: {lanes} machines, {planned.name}, {planned.duration:g} s", out)
-    with report.working("sweeping"):
-        found = sweep(
-            description.drive, description.controller, planned, sampling=description.sampling, lanes=lanes,
-            load=(0.0, number(max_load, "N", "--max-load")), spread=spread, settle=settle, seed=seed,
-        )  # fmt: skip
-    report.values("machines", total=lanes, diverged=int(np.sum(~found.ok)))
-    good = found.ok
-    if not good.any():
-        report.say("Every machine diverged: the loop is unstable with these gains.")
-        report.close()
-        return False
-    rows = [
-        ["RMS error, um", *percentiles(1e6 * found.rms[good])],
-        ["peak error, um", *percentiles(1e6 * found.peak[good])],
-    ]
-    rows.append(["command noise, N", *percentiles(found.command_noise[good])])
-    if found.load_error is not None:
-        rows.append(["load error, kN", *percentiles(1e-3 * found.load_error[good])])
-    report.table("sweep", ("", "median", "95 %", "worst"), rows, "Over all machines that did not diverge")
-    columns = {"load_N": found.load, "rms_m": found.rms, "peak_m": found.peak, "command_noise_N": found.command_noise}
-    if found.load_error is not None:
-        columns["load_error_N"] = found.load_error
-    if report.out is not None:
-        with (report.out / "machines.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([*columns, "ok"])
-            writer.writerows(zip(*(c.tolist() for c in columns.values()), found.ok.tolist(), strict=True))
-    figure, (left, right) = new_figure(1, 2, width=10.0, share_x=False)
-    left.plot(1e-3 * found.load[good], 1e6 * found.rms[good], ".", label="RMS")
-    left.plot(1e-3 * found.load[good], 1e6 * found.peak[good], ".", ms=3, label="peak")
-    left.set(xlabel="load, kN", ylabel="tracking error, um", ylim=(0, None))
-    left.legend()
-    right.hist(1e6 * found.rms[good], bins=30)
-    right.set(xlabel="RMS tracking error, um", ylabel="machines")
-    report.figure("sweep", figure)
-    report.close()
+    with Report(f"{drive.name}: {lanes} machines, {planned.name}, {planned.duration:g} s", out) as report:
+        with report.working("sweeping"):
+            found = sweep(
+                description.drive, description.controller, planned, sampling=description.sampling, lanes=lanes,
+                load=(0.0, number(max_load, "N", "--max-load")), spread=spread, settle=settle, seed=seed,
+            )  # fmt: skip
+        report.values("machines", total=lanes, diverged=int(np.sum(~found.ok)))
+        good = found.ok
+        if not good.any():
+            report.say("Every machine diverged: the loop is unstable with these gains.")
+            return False
+        rows = [
+            ["RMS error, um", *percentiles(1e6 * found.rms[good])],
+            ["peak error, um", *percentiles(1e6 * found.peak[good])],
+        ]
+        rows.append(["command noise, N", *percentiles(found.command_noise[good])])
+        if found.load_error is not None:
+            rows.append(["load error, kN", *percentiles(1e-3 * found.load_error[good])])
+        report.table("sweep", ("", "median", "95 %", "worst"), rows, "Over all machines that did not diverge")
+        columns = {
+            "load_N": found.load,
+            "rms_m": found.rms,
+            "peak_m": found.peak,
+            "command_noise_N": found.command_noise,
+        }
+        if found.load_error is not None:
+            columns["load_error_N"] = found.load_error
+        if report.out is not None:
+            with (report.out / "machines.csv").open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow([*columns, "ok"])
+                writer.writerows(zip(*(c.tolist() for c in columns.values()), found.ok.tolist(), strict=True))
+        figure, (left, right) = new_figure(1, 2, width=10.0, share_x=False)
+        left.plot(1e-3 * found.load[good], 1e6 * found.rms[good], ".", label="RMS")
+        left.plot(1e-3 * found.load[good], 1e6 * found.peak[good], ".", ms=3, label="peak")
+        left.set(xlabel="load, kN", ylabel="tracking error, um", ylim=(0, None))
+        left.legend()
+        right.hist(1e6 * found.rms[good], bins=30)
+        right.set(xlabel="RMS tracking error, um", ylabel="machines")
+        report.figure("sweep", figure)
     return bool(good.all())
 
 
@@ -149,27 +151,29 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
     unit = speeds.split()[-1] if " " in speeds.strip() else ""
     parts = [part.split()[0] for part in speeds.split(";") if part.strip()]
     asked = np.array([abs(number(f"{part} {unit}".strip(), "m/s", "--speeds")) for part in parts])
-    report = Report(f"{drive.name}: convergence of eq. (20)", out)
-    period = description.sampling.period
-    with report.working("linearising the observer at each speed"):
-        columns = [
-            (convergence_gains(observer, sign * asked, period), time_constants(observer, sign * asked, period))
-            for sign in (1.0, -1.0)
+    with Report(f"{drive.name}: convergence of eq. (20)", out) as report:
+        period = description.sampling.period
+        with report.working("linearising the observer at each speed"):
+            columns = [
+                (convergence_gains(observer, sign * asked, period), time_constants(observer, sign * asked, period))
+                for sign in (1.0, -1.0)
+            ]
+        (up, up_time), (down, down_time) = columns
+        fine = np.isfinite(up_time) & np.isfinite(down_time)
+        gated = asked <= float(observer.load_estimator.min_speed)
+        verdicts = [
+            "no update below min_speed" if g else "converges" if f else "DIVERGES"
+            for g, f in zip(gated, fine, strict=True)
         ]
-    (up, up_time), (down, down_time) = columns
-    fine = np.isfinite(up_time) & np.isfinite(down_time)
-    gated = asked <= float(observer.load_estimator.min_speed)
-    verdicts = [
-        "no update below min_speed" if g else "converges" if f else "DIVERGES" for g, f in zip(gated, fine, strict=True)
-    ]
-    rows = [
-        [1e3 * v, float(a), float(b), float(c), float(d), verdict]
-        for v, a, b, c, d, verdict in zip(asked, up, down, up_time, down_time, verdicts, strict=True)
-    ]
-    report.table("convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "verdict"), rows)
-    ok = bool(np.all(fine | gated))
-    report.values("verdict", converges_everywhere=ok)
-    if not ok:
-        report.say('Use kind = "pd+fc+ls", whose estimator converges at every speed, or change Q and R until G > 0.')
-    report.close()
+        rows = [
+            [1e3 * v, float(a), float(b), float(c), float(d), verdict]
+            for v, a, b, c, d, verdict in zip(asked, up, down, up_time, down_time, verdicts, strict=True)
+        ]
+        report.table("convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "verdict"), rows)
+        ok = bool(np.all(fine | gated))
+        report.values("verdict", converges_everywhere=ok)
+        if not ok:
+            report.say(
+                'Use kind = "pd+fc+ls", whose estimator converges at every speed, or change Q and R until G > 0.'
+            )
     return ok

@@ -1,7 +1,6 @@
 """Tune a drive's controller over loads, and prove it on the exact simulator, also where it was not tuned."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -70,20 +69,17 @@ def judge(drive: Drive, controller: Controller, case: Case, sampling: Sampling) 
 
 def tune_drive(
     description: DriveDescription,
-    out: Path | None,
+    report: Report,
     *,
     speed: float = 0.010,
     max_load: float = 12_600.0,
     loads: int = 4,
     max_steps: int = 20,
-    report: Report | None = None,
-) -> tuple[Tuned, Report]:
-    """Tune over `loads` loads from 0 to `max_load` (N) at `speed` (m/s); write figures, tables and tuned.toml to `out`.
+) -> Tuned:
+    """Tune over `loads` loads from 0 to `max_load` (N) at `speed` (m/s); figures, tables and tuned.toml go to `report`.
 
     The tuning loop has one more sample of delay than the drive file says, as a reserve of phase.
     """
-    own = report is None
-    report = report or Report("Gradient tuning over loads", out)
     drive, sampling = description.drive, description.sampling
     weights = np.linspace(0.0, max_load, loads)
     tuned_on, held_out = cases(sampling.rate, speed, weights)
@@ -115,9 +111,7 @@ def tune_drive(
     report.figure("tuning", _figure(search.history, runs))
     if report.out is not None:
         write_drive(report.out / "tuned.toml", replace(description, controller=tuned.controller))
-    if own:
-        report.close()
-    return tuned, report
+    return tuned
 
 
 def _check_convergence(report: Report, controller: Controller, speed: float, period: float) -> None:

@@ -155,6 +155,19 @@ def test_a_report_writes_every_number_it_prints(tmp_path, capsys):
     assert all(text in printed for text in ("title", "1.25", "7.5", "a sentence"))
 
 
+def test_an_interrupted_report_keeps_what_it_has(tmp_path):
+    def work():
+        with Report("title", tmp_path) as report:
+            report.values("first", done=1)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    written = json.loads((tmp_path / "result.json").read_text())
+    assert written["first"] == {"done": 1}
+    assert written["stopped_by"] == "KeyboardInterrupt"
+
+
 def test_the_canonical_scenario_reverses_where_the_paper_does():
     scenario = paper.canonical()
     time, velocity = scenario.motion.time, scenario.motion.velocity

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import Gains, Tracking, paper_tracking
-from diffdrive.errors import ParameterError
+from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.motion import triangular
 from diffdrive.parameters import Actuator, Plant, Sampling, as_arrays
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -97,8 +97,25 @@ def test_a_search_that_runs_out_of_steps_says_so_and_returns_its_best():
     assert found.cost == min(found.history) <= found.cost_before
 
 
+def test_an_interrupted_search_returns_the_best_it_has_seen():
+    def progress(step, most, cost):
+        if step == 3:
+            raise KeyboardInterrupt
+
+    found = levenberg_marquardt(
+        lambda y, a: jnp.stack([a * (y[1] - y[0] ** 2), 1.0 - y[0]]),
+        np.array([-1.2, 1.0]),
+        jnp.asarray(10.0),
+        max_steps=100,
+        tolerance=1e-8,
+        progress=progress,
+    )
+    assert found.status == "interrupted after 2 steps"
+    assert found.cost == min(found.history) < found.cost_before
+
+
 def test_a_search_from_a_diverging_start_is_refused():
-    with pytest.raises(ValueError, match="diverges where the search starts"):
+    with pytest.raises(DivergenceError, match="diverges where the search starts"):
         levenberg_marquardt(lambda y, _: jnp.log(y), np.array([-1.0]), None, max_steps=3, tolerance=1e-3)
 
 
