@@ -108,6 +108,7 @@ class Report:
         with self.console.status(f"{what} ..."):
             yield
         elapsed = time.perf_counter() - began
+        self.data.setdefault("timings_s", {})[what] = round(elapsed, 1)
         if elapsed > 2:
             self.console.print(f"[dim]{what}: {elapsed:.1f} s[/dim]")
 
