@@ -6,7 +6,6 @@ per newton of error. The error of the load then decays as (1 - K_w mu_LC G)^k: f
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,9 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive import kalman
+from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.friction import bristle_at, steady_friction, stribeck_level
 from diffdrive.load_estimator import InnovationLoad
+from diffdrive.motion import Motion
 from diffdrive.observer import KalmanObserver, estimated_friction
 from diffdrive.parameters import Friction, Scalar, as_arrays, require_double_precision
 from diffdrive.transition import state_matrices
@@ -121,24 +122,66 @@ def time_constants(
     return np.where(converges, -period / np.log(np.maximum(kept, 1e-300)), np.inf)
 
 
-def divergent_speeds(observer: Any, speeds: Sequence[float] | np.ndarray, period: float) -> list[float]:
-    """Those of `speeds` (m/s) above the estimator's `min_speed` at which eq. (20) does not converge, either way."""
-    estimator = observer.load_estimator
-    if not isinstance(estimator, InnovationLoad) or float(estimator.gain) == 0:
-        return []
-    working = np.asarray([v for v in speeds if v > float(estimator.min_speed)])
+def printed_estimator(controller: Controller) -> KalmanObserver | None:
+    """The observer with an eq. (20) estimator in this controller, if there is one and it is switched on."""
+    observer = controller.observer if isinstance(controller, FrictionCompensation) else None
+    if not isinstance(observer, KalmanObserver) or not isinstance(observer.load_estimator, InnovationLoad):
+        return None
+    return observer if float(observer.load_estimator.gain) > 0 else None
+
+
+def divergent_speeds(
+    observer: KalmanObserver,
+    speeds: Sequence[float] | np.ndarray,
+    period: float,
+    loads: Sequence[float] = (0.0,),
+) -> list[float]:
+    """Those of `speeds` (m/s) above the estimator's `min_speed` at which eq. (20) fails to converge.
+
+    It must converge in both directions and under each of `loads` (N), since G's change of sign moves with the load.
+    """
+    gate = float(observer.load_estimator.min_speed) if isinstance(observer.load_estimator, InnovationLoad) else np.inf
+    working = np.asarray([v for v in speeds if v > gate])
     if not len(working):
         return []
-    both = np.stack([time_constants(observer, sign * working, period) for sign in (1.0, -1.0)])
-    return [float(v) for v, fine in zip(working, np.isfinite(both).all(axis=0), strict=True) if not fine]
+    times = [time_constants(observer, sign * working, period, load) for sign in (1.0, -1.0) for load in loads]
+    return [float(v) for v, fine in zip(working, np.isfinite(times).all(axis=0), strict=True) if not fine]
 
 
-def require_convergent(observer: KalmanObserver, speeds: Sequence[float] | np.ndarray, period: float) -> None:
-    """Raise `LoadEstimatorError` naming the speeds (m/s) at which eq. (20) does not converge."""
-    bad = divergent_speeds(observer, speeds, period)
+def require_convergent(
+    observer: KalmanObserver, speeds: Sequence[float] | np.ndarray, period: float, loads: Sequence[float] = (0.0,)
+) -> None:
+    """Raise `LoadEstimatorError` naming the speeds (m/s) at which eq. (20) does not converge under `loads` (N)."""
+    bad = divergent_speeds(observer, speeds, period, loads)
     if bad:
-        listed = ", ".join(f"{1e3 * v:.3g}" for v in bad)
-        raise LoadEstimatorError(
-            f"the eq. (20) load estimator does not converge at {listed} mm/s: G is not positive there. Use "
-            "LoadStateObserver, raise its min_speed above these, or choose Q and R with G > 0"
+        raise LoadEstimatorError(_verdict(bad))
+
+
+def _verdict(speeds: Sequence[float]) -> str:
+    listed = ", ".join(f"{1e3 * v:.3g}" for v in speeds)
+    return (
+        f"the eq. (20) load estimator does not converge at {listed} mm/s: its gain G is not positive there (see "
+        "docs/load-estimation.md). Use LoadStateObserver, raise its min_speed above these, or choose Q and R with G > 0"
+    )
+
+
+def advice(controller: Controller, motion: Motion, load: np.ndarray, period: float) -> list[str]:
+    """What is wrong with using this controller's eq. (20) estimator on this motion under this load (N), if anything.
+
+    It must converge at the motion's working speeds under its lowest and highest load, and not cruise at its gate.
+    """
+    observer = printed_estimator(controller)
+    if observer is None:
+        return []
+    deciles = np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6)
+    gate = float(observer.load_estimator.min_speed)  # type: ignore[union-attr]
+    problems = []
+    if gate > 0 and int(np.sum(np.abs(deciles - gate) < 0.05 * gate)) >= 2:
+        problems.append(
+            f"the motion cruises at the load estimator's min_speed of {1e3 * gate:g} mm/s: noise then decides which "
+            "corrections pass the gate, and the load estimate drifts; set min_speed well below or above the speeds of "
+            "the motion"
         )
+    extremes = sorted({float(np.min(load)), float(np.max(load))})
+    bad = divergent_speeds(observer, np.unique(deciles), period, extremes)
+    return problems + ([_verdict(bad)] if bad else [])

@@ -3,7 +3,6 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from diffdrive.parameters import Scalar, quantity
 
@@ -40,11 +39,6 @@ class InnovationLoad(eqx.Module):
 
     def init(self) -> Scalar:
         return self.initial_load
-
-    def gates(self, speeds: np.ndarray) -> bool:
-        """Whether a motion with these deciles of speed (m/s) cruises at the gate: two or more lie within 5 % of it."""
-        gate = float(self.min_speed)
-        return gate > 0 and int(np.sum(np.abs(np.abs(speeds) - gate) < 0.05 * gate)) >= 2
 
     def step(self, load: Scalar, velocity: Scalar, before: Scalar, after: Scalar) -> Scalar:
         speed = jnp.abs(velocity)

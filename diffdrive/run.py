@@ -102,6 +102,15 @@ def judged(run: Run, limits: Limits, force_limit: float | None) -> Run:
         limited = np.abs(run.command) > limit
     first = [(int(np.argmax(bad)), name, signal, bound) for name, signal, bad, bound in faults if bad.any()]
     if not first:
+        late = limited[-len(limited) // 4 :]
+        if np.mean(late) > 0.5:
+            begin = float(run.time[int(np.argmax(limited))])
+            message = (
+                f"saturated: the command exceeds the force limit of {limit:g} N in {100 * np.mean(late):.0f} % of the "
+                f"last quarter, first at t = {begin:g} s: the axis is too weak for this motion and load, or the loop "
+                "oscillates between its limits; raise force_limit, slow the motion, or lower kp and kd"
+            )
+            return replace(run, status=Status(False, message, "command", begin))
         if not limited.any():
             return run
         share = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"

@@ -18,15 +18,14 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive import actuator, plant, sensor
-from diffdrive.controllers import Controller, FrictionCompensation, Reference
-from diffdrive.convergence import divergent_speeds
+from diffdrive.controllers import Controller, Reference
+from diffdrive.convergence import advice
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import require_possible
-from diffdrive.load_estimator import InnovationLoad
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
-from diffdrive.observer import Estimate, KalmanObserver
+from diffdrive.observer import Estimate
 from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
 from diffdrive.run import Run, judged
 
@@ -113,6 +112,7 @@ def rollout(
     Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
     `begin` is the state to begin from (see `start`); by default at rest where the reference begins.
     """
+    require_double_precision()
 
     @recomputed
     def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
@@ -139,7 +139,8 @@ class Costs(NamedTuple):
     rms: Scalar  # m, tracking error
     peak: Scalar  # m, largest tracking error
     command_noise: Scalar  # N, RMS of the command's sample-to-sample change over sqrt 2
-    load_error: Scalar | None  # N, RMS of the estimated minus the true load
+    load_error: Scalar | None  # N, RMS of the estimated minus the true load; None where no load is estimated
+    saturated: Scalar  # share of the samples at which the command exceeded the force limit
     steps_finite: Scalar  # how many control steps passed before the tracking error left 1 m, or was not finite
 
 
@@ -155,39 +156,43 @@ def running_costs(
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
+    require_double_precision()
 
     @recomputed
-    def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, None]:
-        state, last, (square, largest, change, missed, finite) = carry
+    def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
+        state, last, (square, largest, change, missed, limited, finite) = carry
         now, count = at
         state, frame = step(drive, controller, sampling, key, state, now)
         error = now.reference.position - frame.position
-        estimate = frame.estimate
-        unknown = estimate is None or estimate.load is None
-        missed = missed if unknown else missed + count * (estimate.load - now.load) ** 2
+        known = frame.estimate is not None and frame.estimate.load is not None
+        follows = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
+        limit = jnp.inf if drive.actuator.force_limit is None else drive.actuator.force_limit
         sums = (
             square + count * error**2,
             jnp.maximum(largest, count * jnp.abs(error)),
-            change + count * (frame.command - last) ** 2,
-            missed,
+            change + follows * (frame.command - last) ** 2,
+            missed + count * (frame.estimate.load - now.load) ** 2 if known else None,
+            limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
             finite + jnp.where((jnp.abs(error) < 1.0) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
         )
         return (state, frame.command, sums), None
 
     zero = jnp.zeros(())
-    begin = (
-        start(drive, controller, inputs.reference.position[0]),
-        zero,
-        (zero, zero, zero, zero, jnp.zeros((), jnp.uint32)),
+    begin = start(drive, controller, inputs.reference.position[0])
+    at_first = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
+    estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, at_first)[1].estimate)
+    missed = None if estimate is None or estimate.load is None else zero
+    sums = (zero, zero, zero, missed, zero, jnp.zeros((), jnp.uint32))
+    (_, _, (square, largest, change, missed, limited, finite)), _ = lax.scan(
+        body, (begin, zero, sums), (inputs, counts)
     )
-    (_, _, (square, largest, change, missed, finite)), _ = lax.scan(body, begin, (inputs, counts))
     total = jnp.sum(counts)
-    knows_load = isinstance(controller, FrictionCompensation)
     return Costs(
         rms=safe_sqrt(square / total),
         peak=largest,
-        command_noise=safe_sqrt(change / (2 * total)),
-        load_error=safe_sqrt(missed / total) if knows_load else None,
+        command_noise=safe_sqrt(change / (2 * (total - counts[0]))),
+        load_error=None if missed is None else safe_sqrt(missed / total),
+        saturated=limited / total,
         steps_finite=finite,
     )
 
@@ -233,7 +238,8 @@ def simulate(
         raise MotionError(f"load must be in N, one number or one per sample, got {load!r}")
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = require_possible(drive, loads, motion.time)
-    _warn_of_divergence(controller, motion, sampling)
+    for problem in advice(controller, motion, loads, sampling.period):
+        warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
     if seed is not None and not isinstance(seed, int):
         raise ParameterError(f"seed must be a whole number, or None for no noise, got {seed!r}")
     noisy = seed is not None and float(drive.sensor.noise) > 0
@@ -241,28 +247,3 @@ def simulate(
     frames = _rollout(*as_arrays((drive, controller)), inputs_of(motion, loads), sampling, key, every)
     limit = drive.actuator.force_limit
     return judged(Run.of(motion, loads, frames, every), limits, None if limit is None else float(limit))
-
-
-def _warn_of_divergence(controller: Controller, motion: Motion, sampling: Sampling) -> None:
-    """Say at which of the motion's speeds an eq. (20) load estimator does not converge, or chatters at its gate."""
-    if not isinstance(controller, FrictionCompensation) or not isinstance(controller.observer, KalmanObserver):
-        return
-    speeds = np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6)
-    estimator = controller.observer.load_estimator
-    if isinstance(estimator, InnovationLoad) and estimator.gates(speeds):
-        warnings.warn(
-            f"the motion cruises at the load estimator's min_speed of {1e3 * float(estimator.min_speed):g} mm/s: noise "
-            "then decides which corrections pass the gate, and the load estimate drifts; set min_speed well below or "
-            "above the speeds of the motion",
-            LoadEstimatorWarning,
-            stacklevel=3,
-        )
-    bad = divergent_speeds(controller.observer, np.unique(speeds), sampling.period)
-    if bad:
-        listed = ", ".join(f"{1e3 * v:.3g}" for v in bad)
-        warnings.warn(
-            f"the eq. (20) load estimator does not converge at {listed} mm/s with this Q, R and K_w (its gain G is not "
-            "positive there, see docs/load-estimation.md): use LoadStateObserver, or choose Q and R with G > 0",
-            LoadEstimatorWarning,
-            stacklevel=3,
-        )

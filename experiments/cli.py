@@ -96,7 +96,8 @@ def tune(
 ) -> None:
     """Tune the controller's gains by gradient over loads, and verify them on the exact simulator, also held out.
 
-    Writes the tuned drive file as tuned.toml. kp and kd move by at most 30 %, since no stability margin is checked
+    Writes the tuned drive file as tuned.toml, unless a verification run is not ok or the load estimator would not
+    converge: then it ends with code 3. kp and kd move by at most 30 %, since no stability margin is checked
     here; filter gains by three decades.
     """
     from diffdrive.drive_file import read_drive
@@ -107,7 +108,9 @@ def tune(
     description = read_drive(drive)
     fastest, heaviest = number(speed, "m/s", "--speed"), number(max_load, "N", "--max-load")
     with Report(f"{drive.name}: gradient tuning over loads", out) as report:
-        tune_drive(description, report, speed=fastest, max_load=heaviest, loads=loads, max_steps=steps)
+        _, accepted = tune_drive(description, report, speed=fastest, max_load=heaviest, loads=loads, max_steps=steps)
+    if not accepted:
+        raise typer.Exit(3)
 
 
 @app.command()

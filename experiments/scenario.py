@@ -1,16 +1,18 @@
 """Motions and loads as one line of text: `triangular:speed=10mm/s,stroke=20mm,rounding=0.3s,duration=4.5s`."""
 
+import contextlib
 import inspect
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pint
 
 from diffdrive import load, motion
 from diffdrive.errors import MotionError
 from diffdrive.motion import Motion
+from diffdrive.units import to_si
 
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
@@ -43,17 +45,15 @@ _PAIRS = ("cuts",)
 
 
 def number(text: str, unit: str, where: str) -> float:
-    """A number in `unit` from text: bare, or with a unit that converts to it."""
-    registry = pint.application_registry
+    """A number in the SI `unit` from text: bare, or with a unit that converts to it."""
+    with contextlib.suppress(ValueError):
+        bare = float(text)
+        if math.isfinite(bare):
+            return bare
     try:
-        quantity = registry.Quantity(text)
-        if quantity.dimensionless:
-            return float(quantity.to("dimensionless").magnitude)  # a bare number is SI
-        return float(quantity.to(unit).magnitude)
-    except pint.DimensionalityError:
-        raise MotionError(f"{where}: '{text}' is not in {unit} or a multiple of it") from None
-    except Exception:
-        raise MotionError(f"{where}: cannot read '{text}' as a number; write for example 1.5 or '1.5 {unit}'") from None
+        return to_si(text, unit)
+    except ValueError as problem:
+        raise MotionError(f"{where}: {problem}") from None
 
 
 def _value(text: str, key: str, unit: str, where: str) -> Any:
@@ -76,6 +76,8 @@ def _arguments(text: str, builder: Callable[..., Any], units: dict[str, str], ki
         key = key.strip()
         if not equals or key not in known:
             raise MotionError(f"{kind}: '{item}' is not one of its settings; they are {', '.join(known)}")
+        if key in given:
+            raise MotionError(f"{kind}: {key} is given twice")
         given[key] = _value(value.strip(), key, units[key], f"{kind}: {key}")
     required = [
         name
@@ -84,8 +86,6 @@ def _arguments(text: str, builder: Callable[..., Any], units: dict[str, str], ki
     ]
     if required:
         raise MotionError(f"{kind}: still needs {', '.join(required)}; write {kind}:{required[0]}=...")
-    if "repeats" in given:
-        given["repeats"] = round(given["repeats"])
     return given
 
 

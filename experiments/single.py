@@ -107,6 +107,8 @@ def sweep_drive(
             ["peak error, um", *percentiles(1e6 * found.peak[good])],
         ]
         rows.append(["command noise, N", *percentiles(found.command_noise[good])])
+        if found.saturated.any():
+            rows.append(["at the force limit, %", *percentiles(100 * found.saturated[good])])
         if found.load_error is not None:
             rows.append(["load error, kN", *percentiles(1e-3 * found.load_error[good])])
         report.table("sweep", ("", "median", "95 %", "worst"), rows, "Over all machines that did not diverge")

@@ -29,6 +29,7 @@ class Sweep:
     peak: np.ndarray  # m
     command_noise: np.ndarray  # N
     load_error: np.ndarray | None  # N
+    saturated: np.ndarray  # share of the samples at the force limit
     ok: np.ndarray
 
 
@@ -106,19 +107,22 @@ def sweep(
     rng = np.random.default_rng(seed)
     share = BLOCK * len(jax.devices()) if lanes > BLOCK else len(jax.devices())
     total = -(-lanes // share) * share  # whole blocks on every device
-    loads = rng.uniform(low, high, total)
-    machines = perturbed(drive, spread, total, rng)
+    # drawn for the lanes asked for, so that the same seed gives the same machines on any number of devices
+    lane = np.arange(total) % lanes
+    loads = rng.uniform(low, high, lanes)[lane]
+    varied = perturbed(drive, spread, lanes, rng)
+    machines = jax.tree.map(lambda leaf: leaf[lane] if leaf.ndim else jnp.broadcast_to(leaf, (total,)), varied)
     costs = _costs(
-        jax.tree.map(lambda leaf: leaf if leaf.ndim else jnp.broadcast_to(leaf, (total,)), machines),
+        machines,
         as_arrays(controller),
         inputs_of(motion, np.zeros(len(motion.time))),
         jnp.asarray(loads),
         jnp.asarray(motion.time >= settle, jnp.float64),
-        jax.random.split(jax.random.key(seed), total),
+        jax.random.split(jax.random.key(seed), lanes)[lane],
         sampling,
     )
-    rms, peak, noise, missed, steps = (None if c is None else np.asarray(c)[:lanes] for c in costs)
-    return Sweep(loads[:lanes], rms, peak, noise, missed, steps == len(motion.time))
+    rms, peak, noise, missed, saturated, steps = (None if c is None else np.asarray(c)[:lanes] for c in costs)
+    return Sweep(loads[:lanes], rms, peak, noise, missed, saturated, steps == len(motion.time))
 
 
 def percentiles(values: Float[np.ndarray, " n"]) -> tuple[float, float, float]:

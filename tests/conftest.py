@@ -1,8 +1,13 @@
 import pytest
+from hypothesis import settings
 
 from experiments.runtime import configure
 
 configure()
+
+# the first example of a test pays for compilation: no deadline
+settings.register_profile("compiled", deadline=None)
+settings.load_profile("compiled")
 
 
 @pytest.fixture(scope="session")

@@ -115,15 +115,25 @@ def test_loads_in_one_line(text, last):
     [
         ("triangular:speed=10mm/s", "still needs stroke, rounding, duration"),
         ("triangular:sped=1", "'sped=1' is not one of its settings"),
-        ("triangular:speed=10mm,stroke=1,rounding=1,duration=1", "'10mm' is not in m/s"),
+        ("triangular:speed=10mm,stroke=1,rounding=1,duration=1", "'10mm' has the wrong unit: it must be in m/s"),
         ("triangular:speed=fast,stroke=1,rounding=1,duration=1", "cannot read 'fast'"),
         ("triangular:speed=1;2,stroke=1,rounding=1,duration=1", "one number expected"),
+        ("constant_speed:speed=8,5,ramp=1,duration=1", "'5' is not one of its settings"),
+        ("constant_speed:speed=10deg,ramp=1,duration=1", "wrong unit: it must be in m/s"),
+        ("constant_speed:speed=1,speed=2,ramp=1,duration=1", "speed is given twice"),
+        ("trapezoidal:distance=1,speed=1,acceleration=1,repeats=1.6", "repeats = 1.6 must be a whole number"),
         ("zigzag:speed=1", "neither a file nor one of the motions"),
     ],
 )
 def test_bad_lines_say_what_is_wrong(text, says):
     with pytest.raises(MotionError, match=says):
         parse_motion(text, RATE)
+
+
+@pytest.mark.parametrize("text", ["8,5kN", "8 mm", "heavy", "8 kN 3"])
+def test_bad_loads_are_refused(text):
+    with pytest.raises(MotionError, match=f"load: .*'{text}'"):
+        parse_load(text, np.linspace(0.0, 1.0, 11))
 
 
 def test_a_motion_from_a_file(tmp_path):

@@ -56,6 +56,11 @@ def test_parameters_near_their_bounds_are_named():
     assert space.at_bound(np.array([9.0, -9.0])) == ["kp", "kd"]
 
 
+def test_directions_that_differ_are_not_moved_as_one():
+    with pytest.raises(ParameterError, match=r"free 'damping\.positive' and 'damping\.negative'"):
+        space_of(Plant(mass=100.0, damping=(380.0, 260.0)), [Free("damping", 1.0, 1e3)])
+
+
 @pytest.mark.parametrize(
     ("bounds", "says"),
     [(Free("kq", 1.0, 2.0), "no parameter 'kq'.*known: .*kp"), (Free("kp", 1.0, 2.0), "not inside its bounds.*widen")],

@@ -71,7 +71,13 @@ class Space(NamedTuple):
 
 def _value(model: object, path: str) -> float:
     node = attrgetter(path)(model)
-    return float(node.positive if isinstance(node, Directional) else node)
+    if not isinstance(node, Directional):
+        return float(node)
+    if float(node.positive) != float(node.negative):
+        raise ParameterError(
+            f"'{path}' differs between the directions: free '{path}.positive' and '{path}.negative' in its place"
+        )
+    return float(node.positive)
 
 
 def space_of(model: object, bounds: Sequence[Free]) -> Space:
