@@ -17,11 +17,6 @@ def rms(signal: Float[Array, " n"]) -> Scalar:
     return safe_sqrt(jnp.mean(signal**2))
 
 
-def peak(signal: Float[Array, " n"]) -> Scalar:
-    """Largest magnitude."""
-    return jnp.max(jnp.abs(signal))
-
-
 def command_noise(command: Float[Array, " n"]) -> Scalar:
     """RMS of the sample-to-sample change over sqrt 2: the standard deviation of a white command noise, N."""
     return rms(jnp.diff(command)) / jnp.sqrt(2.0)

@@ -104,13 +104,14 @@ class KalmanObserver(FrictionObserver):
         after = estimated_friction(self.friction, updated, state.load)
         load = self.load_estimator.step(state.load, velocity, before, after)
         state = lax.optimization_barrier(ObserverState(updated, omega, load))
-        return state, Estimate(after, load, updated[1], innovation)
+        assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
+        return state, Estimate(after, None if assumed else load, updated[1], innovation)
 
 
 class LoadStateTuning(eqx.Module):
     """Q and R of the four-state filter; the load is a random walk of variance `load` per control step.
 
-    The defaults settle within 0.2 s at every speed from 1 to 100 mm/s (docs/load-estimation.md).
+    The defaults, for 10 kHz, settle within a second at every speed from 1 to 100 mm/s (docs/load-estimation.md).
     """
 
     position: Scalar = quantity("m^2", "process noise of the position", at_least=0.0, default=1e-16)
@@ -129,7 +130,7 @@ class LoadStateObserver(FrictionObserver):
     """The load as a fourth state of the filter, so that its correction has the right sign at every speed.
 
     The paper's eq. (20) corrects the load by the change of the friction estimate, whose sign depends on speed, Q and R
-    (`load_estimator.convergence_gain`). Here the filter's own covariance between load and position gives the
+    (`convergence.convergence_gain`). Here the filter's own covariance between load and position gives the
     correction: sliding at v, one newton of load bends the bristle by dz/dt = (r z / g) mu_LC, a direction that keeps
     its sign from creep to traverse and fades by itself in stick, where the load cannot be seen.
     """

@@ -46,7 +46,7 @@ def directional(value: Any) -> Directional:
     """One value for both directions, or a pair (positive, negative)."""
     if isinstance(value, Directional):
         return value
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1):
         if len(value) != 2:
             raise ParameterError(
                 f"a value per direction needs exactly two entries [positive, negative], got {len(value)}: {value!r}"

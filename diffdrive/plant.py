@@ -67,6 +67,3 @@ def at_rest(position: Scalar) -> PlantState:
     """Standing still at `position`, bristle relaxed."""
     zero = jnp.zeros_like(jnp.asarray(position))
     return PlantState(jnp.asarray(position), zero, zero)
-
-
-__all__ = ["PlantState", "advance", "at_rest"]

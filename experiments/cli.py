@@ -42,7 +42,8 @@ LoadText = Annotated[
     ),
 ]
 
-DEFAULT_MOTION = "triangular:speed=10mm/s,stroke=10mm,rounding=0.2s,duration=3s"
+# not 10 mm/s: ten quanta of 0.1 um a period, on which a quantised loop locks and looks unlike its neighbours
+DEFAULT_MOTION = "triangular:speed=10.137mm/s,stroke=10mm,rounding=0.2s,duration=3s"
 
 
 @app.command()
@@ -69,6 +70,7 @@ def simulate(
         Path | None,
         typer.Option(help="Drive file of the machine itself, where it differs from what the controller believes."),
     ] = None,
+    settle: Annotated[float, typer.Option(min=0.0, help="Seconds at the start that do not count.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
     out: Out = None,
 ) -> None:
@@ -81,7 +83,7 @@ def simulate(
     """
     from experiments.single import simulate_drive
 
-    if not simulate_drive(drive, motion, load, machine, seed, out):
+    if not simulate_drive(drive, motion, load, machine, settle, seed, out):
         raise typer.Exit(3)
 
 
@@ -166,19 +168,31 @@ def benchmark(out: Out = None) -> None:
 
 
 @app.command()
-def template() -> None:
-    """Print a complete drive file, the paper's testbed, to start from."""
+def template(out: Out = None) -> None:
+    """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml."""
     from experiments.demo import PAPER_DRIVE
 
-    sys.stdout.write(PAPER_DRIVE.read_text(encoding="utf-8"))
+    _text(PAPER_DRIVE.read_text(encoding="utf-8"), out, "drive.toml")
 
 
 @app.command()
-def keys() -> None:
+def keys(out: Out = None) -> None:
     """Print every key that a drive file may hold, with unit, range, default and meaning (a Markdown table)."""
     from experiments.drive_reference import markdown
 
-    sys.stdout.write(markdown())
+    _text(markdown(), out, "keys.md")
+
+
+def _text(text: str, out: Path | None, name: str) -> None:
+    """Print a text; with a folder, write it there instead, beside a result.json that says so."""
+    if out is None:
+        sys.stdout.write(text)
+        return
+    from experiments.report import Report
+
+    with Report(name, out) as report:
+        (out / name).write_text(text, encoding="utf-8")
+        report.values("written", file=name)
 
 
 def _plain_warning(error: Console) -> Callable[..., None]:

@@ -10,6 +10,7 @@ import numpy as np
 from diffdrive import metrics
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.drive_file import DriveDescription, read_drive
+from diffdrive.errors import ParameterError
 from diffdrive.parameters import as_arrays, quantities
 from diffdrive.simulate import inputs_of, rollout
 from diffdrive.smooth import smooth
@@ -55,6 +56,8 @@ def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
 
 def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = False) -> Report:
     """The main job; `quick` takes fewer tuning steps. Returns the report, written to `out` if given."""
+    if emps_folder is not None and not (emps_folder / emps.FILES["estimation"]).is_file():
+        raise ParameterError(f"--emps {emps_folder}: no {emps.FILES['estimation']} in it")
     with Report("diffdrive: the paper's drive, and a real axis", out) as report:
         description = read_drive(PAPER_DRIVE)
         _simulate(report, description)

@@ -36,7 +36,7 @@ def _range(declared: Quantity) -> str:
 
 
 def _default(field: Any, declared: Quantity) -> str:
-    if declared.optional:
+    if field.default is None:
         return "absent"
     if field.default is dataclasses.MISSING:
         return "required"

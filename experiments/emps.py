@@ -51,7 +51,7 @@ def read(path: Path) -> Record:
     force_per_volt = float(data["gtau"].item())
     command = force_per_volt * data["vir"].ravel()
     pulses = data["pulses_N"].ravel() if "pulses_N" in data else np.zeros_like(command)
-    time = np.arange(len(command)) / SAMPLING.rate  # its own time stamps drift by 1.6e-8 s a sample
+    time = np.arange(len(command)) / SAMPLING.rate  # its own time stamps are rounded
     return Record(
         motion=from_array(time, data["qg"].ravel(), name=path.name),
         position=data["qm"].ravel(),

@@ -32,13 +32,12 @@ def figure_5(speeds: np.ndarray, stribeck: dict[float, np.ndarray], loops: dict[
     for weight in stribeck:
         label = f"{weight / 1e3:g} kN"
         for side in (speeds < 0, speeds > 0):
-            line = {} if side is None else {"color": f"C{list(stribeck).index(weight)}"}
-            left.plot(1e3 * speeds[side], stribeck[weight][side], label=label if side[-1] else None, **line)
+            left.plot(1e3 * speeds[side], stribeck[weight][side], color=f"C{list(stribeck).index(weight)}")
         position, force = loops[weight]
         right.plot(1e6 * position, force, label=label)
     left.set(xlabel="velocity, mm/s", ylabel="guide friction, N", title="(a) Stribeck curve")
     right.set(xlabel="position, um", ylabel="guide friction, N", title="(b) hysteresis")
-    right.legend(loc="lower right", fontsize=8, title="applied load", title_fontsize=8)
+    right.legend(loc="center", fontsize=8, title="applied load", title_fontsize=8)
     return figure
 
 
@@ -60,7 +59,7 @@ def figure_7(scenario: paper.Scenario, runs: dict[str, Run]) -> Any:
         for name in names:
             axis.plot(time, 1e6 * runs[name].error, lw=0.8, color=f"C{list(runs).index(name)}", label=name)
         axis.set(ylabel="error, um", title=title)
-        axis.legend(fontsize=7, ncols=3, loc="upper right")
+        axis.legend(fontsize=7, ncols=1, loc="center left")
     axes[3].set(xlabel="time, s", ylim=(-3, 3), xlim=(1.5, 4.5))
     return figure
 
@@ -83,8 +82,8 @@ def figure_9(runs: dict[str, Run]) -> Any:
     observed = runs["PD+FC"]
     axes[0].plot(observed.time, 1e3 * observed.reference)
     axes[0].set(ylabel="position, mm", title="(a) reference")
-    axes[1].plot(observed.time, observed.friction, "k", label="true")
     axes[1].plot(observed.time, np.asarray(observed.friction_estimate), "C3", lw=0.8, label="estimated")
+    axes[1].plot(observed.time, observed.friction, "k", lw=1.0, label="true")
     axes[1].set(ylabel="friction, N", title="(b, c) friction, screw and guide together")
     axes[1].legend(fontsize=8)
     for name, run in runs.items():
@@ -105,10 +104,12 @@ def figure_10(experiments: dict[float, dict[str, Run]]) -> Any:
             style = {"color": f"C{k}", "lw": 0.8, "label": name}
             axes[0, column].plot(run.time[part], np.asarray(run.friction_estimate)[part], **style)
             axes[1, column].plot(run.time[part], 1e6 * run.error[part], **style)
-            axes[2, column].plot(run.time[part], 1e-3 * np.asarray(run.load_estimate)[part], **style)
-        axes[2, column].plot(first.time[part], 1e-3 * first.load[part], "k", lw=0.6, label="true, with ripple")
+            if run.load_estimate is not None:
+                axes[2, column].plot(run.time[part], 1e-3 * run.load_estimate[part], **style)
+        axes[2, column].plot(first.time[part], 1e-3 * first.load[part], "k", lw=0.6, label="true: load and ripple")
         axes[0, column].set(ylabel="friction, N", title=f"{kilonewtons} kN")
         axes[1, column].set(ylabel="error, um")
         axes[2, column].set(ylabel="load, kN", xlabel="time, s")
-    axes[0, 1].legend(fontsize=7)
+    axes[0, 1].legend(fontsize=7, loc="center right")
+    axes[2, 1].legend(fontsize=7, loc="lower right")
     return figure

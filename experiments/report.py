@@ -2,8 +2,11 @@
 
 import contextlib
 import csv
+import importlib.metadata
 import json
 import math
+import platform
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -15,6 +18,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from diffdrive.errors import ParameterError
 
 
 def _plain(value: Any) -> Any:
@@ -51,9 +56,19 @@ class Report:
     def __init__(self, title: str, out: Path | None, console: Console | None = None) -> None:
         self.out = out
         self.console = console or _console()
-        self.data: dict[str, Any] = {"title": title}
+        self.data: dict[str, Any] = {
+            "title": title,
+            "made_by": {
+                "arguments": sys.argv[1:],
+                "diffdrive": importlib.metadata.version("diffdrive"),
+                "jax": importlib.metadata.version("jax"),
+                "python": platform.python_version(),
+            },
+        }
         self._started = time.perf_counter()
         if out is not None:
+            if out.exists() and not out.is_dir():
+                raise ParameterError(f"--out {out}: is a file, not a folder; name another")
             out.mkdir(parents=True, exist_ok=True)
         self.console.print(f"[bold]{title}[/bold]")
 

@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,11 @@ def _value(text: str, key: str, unit: str, where: str) -> Any:
     """One number; for plural settings a list a;b;c, for cuts a list of pairs from~to."""
     if key in _PAIRS:
         return [tuple(number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
-    numbers = [number(part, unit, where) for part in text.split(";")]
+    parts = text.split(";")
+    trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^\d\s].*)", parts[-1])
+    if trailing and key in _LISTS:  # 1;3;10 mm/s: the unit is that of all
+        parts = [part if re.search(r"[^\d\s.+eE-]", part) else f"{part} {trailing[1]}" for part in parts]
+    numbers = [number(part, unit, where) for part in parts]
     if key in _LISTS:
         return numbers
     if len(numbers) != 1:
@@ -98,15 +103,17 @@ def parse_motion(text: str, rate: float) -> Motion:
     if not path.is_file():
         raise MotionError(f"'{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True)
-        columns = table.dtype.names or ()
-        if "time" not in columns or "position" not in columns:
-            raise MotionError(
-                f"{path}: needs a header line with the columns time and position, has {', '.join(columns)}"
-            )
+        header = path.read_text(encoding="utf-8-sig").partition("\n")[0]
+        # "Time (s)", "position [m]": the first word counts
+        columns = [
+            name.strip(' "').lower().replace("[", " ").replace("(", " ").split(" ")[0] for name in header.split(",")
+        ]
+        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
-        raise MotionError(f"{path}: not a CSV table: {error}") from None
-    return motion.from_array(table["time"], table["position"], name=path.name)
+        raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {error}") from None
+    if "time" not in columns or "position" not in columns or table.shape[1] != len(columns):
+        raise MotionError(f"{path}: needs a header line with the columns time and position, has {header.strip()!r}")
+    return motion.from_array(table[:, columns.index("time")], table[:, columns.index("position")], name=path.name)
 
 
 def parse_load(text: str, time: np.ndarray) -> np.ndarray:

@@ -35,7 +35,9 @@ def write_run(path: Path, run: Run) -> None:
         writer.writerows(zip(*(getattr(run, name).tolist() for name in names), strict=True))
 
 
-def simulate_drive(drive: Path, motion: str, load: str, machine: Path | None, seed: int, out: Path | None) -> bool:
+def simulate_drive(
+    drive: Path, motion: str, load: str, machine: Path | None, settle: float, seed: int, out: Path | None
+) -> bool:
     """`diffdrive simulate`; False if the loop diverged."""
     description = read_drive(drive)
     truth = description.drive if machine is None else read_drive(machine).drive
@@ -51,8 +53,9 @@ def simulate_drive(drive: Path, motion: str, load: str, machine: Path | None, se
         if run.status.ok:
             report.values(
                 "result",
-                peak_error_um=1e6 * run.peak(),
-                rms_error_um=1e6 * run.rms(),
+                from_s=settle,
+                peak_error_um=1e6 * run.peak(settle),
+                rms_error_um=1e6 * run.rms(settle),
                 peak_command_N=float(np.max(np.abs(run.command))),
                 command_noise_N=float(metrics.command_noise(run.command)),
             )
@@ -97,10 +100,13 @@ def sweep_drive(
                 description.drive, description.controller, planned, sampling=description.sampling, lanes=lanes,
                 load=(0.0, number(max_load, "N", "--max-load")), spread=spread, settle=settle, seed=seed,
             )  # fmt: skip
-        report.values("machines", total=lanes, diverged=int(np.sum(~found.ok)))
+        report.values("machines", total=lanes, diverged=int(np.sum(~found.ok & (found.saturated < 0.5))))
+        if (found.saturated >= 0.5).any():
+            stuck = int(np.sum(found.saturated >= 0.5))
+            report.values("saturated", machines=stuck, meaning="at the force limit more than half of the time")
         good = found.ok
         if not good.any():
-            report.say("Every machine diverged: the loop is unstable with these gains.")
+            report.say("No machine is left to report on: the loop is unstable with these gains, or too weak.")
             return False
         rows = [
             ["RMS error, um", *percentiles(1e6 * found.rms[good])],
@@ -111,7 +117,9 @@ def sweep_drive(
             rows.append(["at the force limit, %", *percentiles(100 * found.saturated[good])])
         if found.load_error is not None:
             rows.append(["load error, kN", *percentiles(1e-3 * found.load_error[good])])
-        report.table("sweep", ("", "median", "95 %", "worst"), rows, "Over all machines that did not diverge")
+        report.table(
+            "sweep", ("", "median", "95 %", "worst"), rows, "Over all machines that neither diverged nor saturated"
+        )
         columns = {
             "load_N": found.load,
             "rms_m": found.rms,
@@ -150,6 +158,8 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
             f'{drive}: [controller] kind must be "pd+fc+le", whose eq. (20) estimator this is about; '
             '"pd+fc+ls" estimates the load at every speed'
         )
+    if not speeds.strip():
+        raise LoadEstimatorError("--speeds is empty: give one or more, such as '1;10;100 mm/s'")
     unit = speeds.split()[-1] if " " in speeds.strip() else ""
     parts = [part.split()[0] for part in speeds.split(";") if part.strip()]
     asked = np.array([abs(number(f"{part} {unit}".strip(), "m/s", "--speeds")) for part in parts])

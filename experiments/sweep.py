@@ -22,7 +22,7 @@ BLOCK = 64  # lanes at a time: they stay in cache (docs/numerics.md)
 
 @dataclass(frozen=True)
 class Sweep:
-    """Loads (N) and costs of every lane, [lanes]; `ok` is False where a lane diverged."""
+    """Loads (N) and costs of every lane, [lanes]; `ok` is False where a lane diverged or sat at its limit."""
 
     load: np.ndarray
     rms: np.ndarray  # m
@@ -122,7 +122,7 @@ def sweep(
         sampling,
     )
     rms, peak, noise, missed, saturated, steps = (None if c is None else np.asarray(c)[:lanes] for c in costs)
-    return Sweep(loads[:lanes], rms, peak, noise, missed, saturated, steps == len(motion.time))
+    return Sweep(loads[:lanes], rms, peak, noise, missed, saturated, (steps == len(motion.time)) & (saturated < 0.5))
 
 
 def percentiles(values: Float[np.ndarray, " n"]) -> tuple[float, float, float]:

@@ -219,3 +219,39 @@ def test_the_drive_file_reference_in_the_docs_is_current():
     from experiments.drive_reference import markdown
 
     assert markdown() in (Path(__file__).parent.parent / "docs" / "drive-file.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_the_main_job_writes_all_that_it_promises(tmp_path):
+    from experiments.demo import demo
+
+    demo(tmp_path, quick=True)
+    written = json.loads((tmp_path / "result.json").read_text())
+    wanted = {"table_1", "sensitivities", "gains", "verification"} | ({"emps", "emps_parameters"} if FOLDER else set())
+    assert wanted <= set(written["tables"])
+    assert written["verdict"] == {"accepted": True}
+    assert written["mean_rms_um_held_out"]["after"] < written["mean_rms_um_held_out"]["before"]
+    assert (tmp_path / "tuned.toml").is_file()
+    assert "stopped_by" not in written
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_reproduce_writes_every_table_and_figure(tmp_path):
+    from experiments.reproduce import reproduce
+
+    reproduce(tmp_path)
+    written = json.loads((tmp_path / "result.json").read_text())
+    assert set(written["figures"]) == {f"figure_{n}.png" for n in (4, 5, 7, 8, 9, 10)}
+    assert all((tmp_path / name).is_file() for name in written["figures"])
+    tables = written["tables"]
+    assert {"static", "table_1", "load_estimates", "convergence", "load_steps", "figure_4", "table_4"} <= set(tables)
+    for name, _, _, difference in tables["static"]["rows"][:-1]:
+        assert abs(difference) < 1e-4, name
+    ours = {row[0]: row[2:] for row in tables["load_steps"]["rows"] if row[1] == "exact"}["load as a state"]
+    assert max(ours) < 300.0
+
+
+def test_reference_keys_show_the_default_that_applies():
+    from experiments.drive_reference import reference
+
+    assert {row[5] for row in reference() if row[2] == "floor"} == {"0"}

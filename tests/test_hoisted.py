@@ -60,7 +60,7 @@ def is_hoisted(function, *args):
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("machine", DRIVES)
-def test_one_lane_is_is_hoisted(name, machine):
+def test_one_lane_is_one_kernel(name, machine):
     drive, controller = as_arrays((DRIVES[machine], CONTROLLERS[name]))
     key = key_for(DRIVES[machine])
     assert is_hoisted(lambda d, c, i: rollout(d, c, i, Sampling(), key), drive, controller, inputs())
@@ -86,7 +86,7 @@ def test_many_imperfect_lanes_are_is_hoisted():
     assert is_hoisted(jax.vmap(roll, in_axes=(None, 0, 0, None)), drive, lanes, keys, inputs())
 
 
-def test_decimated_recording_is_is_hoisted():
+def test_decimated_recording_is_one_kernel():
     drive, controller = as_arrays((PAPER, CONTROLLERS["PD+FC+LS"]))
     assert is_hoisted(lambda d, c, i: rollout(d, c, i, Sampling(), every=10), drive, controller, inputs())
 

@@ -110,7 +110,7 @@ def setuptools_is_new_enough():
 
 
 def test_wheel_carries_every_module_and_data_file(wheel):
-    data = [*(ROOT / "experiments" / "drives").glob("*.toml"), ROOT / "diffdrive" / "py.typed"]
+    data = [*(ROOT / "experiments" / "drives").glob("*.toml")]
     wanted = {path.relative_to(ROOT).as_posix() for path in [*SOURCES, *data]}
     assert wanted <= set(wheel)
 

@@ -28,7 +28,11 @@ class DisturbanceState(NamedTuple):
 
 
 class DisturbanceObserver(eqx.Module):
-    """Q(s) = 1 / (tau s + 1)^2 at `cutoff`; the estimate is the force that resists the motion, N."""
+    """Q(s) = 1 / (tau s + 1)^2 at `cutoff`; the estimate is the force that resists the motion, N.
+
+    The position's lags are exact for a position linear between samples; the force, constant between samples, enters its
+    second lag half a sample early.
+    """
 
     cutoff: Scalar = quantity("Hz", "cut-off frequency of each of the two lags of Q(s)", above=0.0)
     mass: Scalar = quantity("kg", "nominal mass", above=0.0)
