@@ -193,7 +193,7 @@ def test_an_exact_friction_observer_cancels_friction():
     assert with_it.peak() < 0.03 * without.peak()
     assert abs(with_it.error[SETTLED]) < 1e-6 * abs(without.error[SETTLED])
     assert with_it.friction_estimate[SETTLED] == pytest.approx(with_it.friction[SETTLED], rel=1e-6)
-    assert run.load_estimate is None  # an assumed load is not an estimate
+    assert with_it.load_estimate is None  # an assumed load is not an estimate
 
 
 def test_friction_compensation_adds_its_estimate_to_pd():
