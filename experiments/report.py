@@ -50,6 +50,13 @@ def _console() -> Console:
     return console
 
 
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:  # run from a checkout
+        return "not installed"
+
+
 class Report:
     """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one."""
 
@@ -60,8 +67,8 @@ class Report:
             "title": title,
             "made_by": {
                 "arguments": sys.argv[1:],
-                "diffdrive": importlib.metadata.version("diffdrive"),
-                "jax": importlib.metadata.version("jax"),
+                "diffdrive": _version("diffdrive"),
+                "jax": _version("jax"),
                 "python": platform.python_version(),
             },
         }
