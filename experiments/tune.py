@@ -202,8 +202,8 @@ def _verify(
 
 def _figure(history: list[float], runs: list[tuple[Case, Run, Run]]) -> Any:
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
-    left.semilogy(history, "o-", ms=3)
-    left.set(xlabel="step", ylabel="cost", title="search")
+    left.plot(history, "o-", ms=3)
+    left.set(xlabel="step", ylabel="cost, in units of the scales", title="search", ylim=(0, None))
     case, old, new = runs[-3]
     right.plot(old.time, 1e6 * old.error, lw=0.8, label="before")
     right.plot(new.time, 1e6 * new.error, lw=0.8, label="tuned")

@@ -74,14 +74,20 @@ def test_a_parameter_that_is_zero_stays_zero():
     assert around(Gains(1e6, 0.0), {"kp": 2.0, "kd": 2.0}).names == ["kp"]
 
 
-def test_least_squares_finds_the_minimum_of_rosenbrock():
-    seen = []
-    found = levenberg_marquardt(
+def search_rosenbrock(**settings):
+    return levenberg_marquardt(
         lambda y, a: jnp.stack([a * (y[1] - y[0] ** 2), 1.0 - y[0]]),
         np.array([-1.2, 1.0]),
         jnp.asarray(10.0),
-        max_steps=100,
         tolerance=1e-8,
+        **settings,
+    )
+
+
+def test_least_squares_finds_the_minimum_of_rosenbrock():
+    seen = []
+    found = search_rosenbrock(
+        max_steps=100,
         progress=lambda step, most, cost: seen.append((step, cost)),
     )
     np.testing.assert_allclose(found.y, [1.0, 1.0], atol=1e-6)
@@ -91,12 +97,8 @@ def test_least_squares_finds_the_minimum_of_rosenbrock():
 
 
 def test_a_search_that_runs_out_of_steps_says_so_and_returns_its_best():
-    found = levenberg_marquardt(
-        lambda y, a: jnp.stack([a * (y[1] - y[0] ** 2), 1.0 - y[0]]),
-        np.array([-1.2, 1.0]),
-        jnp.asarray(10.0),
+    found = search_rosenbrock(
         max_steps=3,
-        tolerance=1e-8,
     )
     assert found.status == "stopped after 3 steps, still falling"
     assert found.cost == min(found.history) <= found.cost_before
@@ -107,12 +109,8 @@ def test_an_interrupted_search_returns_the_best_it_has_seen():
         if step == 3:
             raise KeyboardInterrupt
 
-    found = levenberg_marquardt(
-        lambda y, a: jnp.stack([a * (y[1] - y[0] ** 2), 1.0 - y[0]]),
-        np.array([-1.2, 1.0]),
-        jnp.asarray(10.0),
+    found = search_rosenbrock(
         max_steps=100,
-        tolerance=1e-8,
         progress=progress,
     )
     assert found.status == "interrupted after 2 steps"
