@@ -1,0 +1,74 @@
+"""What a motion left behind, simulated or measured, in SI units on a uniform clock."""
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+Signal = Float[np.ndarray, " n"]
+
+
+class Channel(NamedTuple):
+    """One signal that a log may hold: its SI unit and what it is."""
+
+    unit: str
+    meaning: str
+    required: bool = False
+
+
+CHANNELS = {
+    "time": Channel("s", "time of the sample", required=True),
+    "reference": Channel("m", "where the table should be"),
+    "position": Channel("m", "measured position of the table (or of the motor, through the lead)", required=True),
+    "command": Channel("N", "force command before the actuator, given at this sample", required=True),
+    "motor_position": Channel("m", "second encoder before the screw, through the lead"),
+    "load": Channel("N", "applied load on the guides"),
+    "disturbance": Channel("N", "known force on the table beside the actuator's, such as test pulses"),
+    "velocity": Channel("m/s", "velocity as the machine reports it"),
+    "current": Channel("A", "measured motor current"),
+    "temperature": Channel("degC", "temperature"),
+}
+
+
+@dataclass(frozen=True)
+class Log:
+    """Signals of one motion; arrays of shape [n], None where the log has no such signal.
+
+    `gaps` are the indices k at which samples are missing between k - 1 and k; `notes` say what a reader repaired.
+    """
+
+    name: str
+    time: Signal
+    position: Signal
+    command: Signal
+    reference: Signal | None = None
+    motor_position: Signal | None = None
+    load: Signal | None = None
+    disturbance: Signal | None = None
+    velocity: Signal | None = None
+    current: Signal | None = None
+    temperature: Signal | None = None
+    gaps: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, the median over the log."""
+        return float(1.0 / np.median(np.diff(self.time)))
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last sample."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def channels(self) -> dict[str, Signal]:
+        """The signals that the log holds, by name, in the order of `CHANNELS`."""
+        held = {field.name for field in fields(self)}
+        return {name: getattr(self, name) for name in CHANNELS if name in held and getattr(self, name) is not None}
+
+    def pieces(self) -> list[slice]:
+        """The stretches without a gap, in order."""
+        edges = [0, *self.gaps, len(self.time)]
+        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
