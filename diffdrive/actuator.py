@@ -1,4 +1,8 @@
-"""Command to force: limit, then whole samples of delay."""
+"""Command to force: limit, then delay.
+
+A delay of a fraction f of the period lets the last force act for the first f of it: the mean force over the period,
+f F[k-1] + (1 - f) F[k], is what acts here throughout, so that the momentum is exact and the result smooth in f.
+"""
 
 from typing import NamedTuple
 
@@ -9,16 +13,17 @@ from diffdrive.parameters import Actuator, Scalar
 
 
 class ActuatorState(NamedTuple):
-    """Forces still under way, next first, and the one that acted over the last period."""
+    """Forces still under way, next first, the last one that arrived, and the one that acted over the last period."""
 
     pending: tuple[Scalar, ...]
+    arrived: Scalar
     applied: Scalar
 
 
 def init(actuator: Actuator) -> ActuatorState:
     """No force now, none under way."""
     zero = jnp.zeros(())
-    return ActuatorState((zero,) * actuator.delay_samples, zero)
+    return ActuatorState((zero,) * actuator.delay_samples, zero, zero)
 
 
 def limited(actuator: Actuator, command: Scalar) -> Scalar:
@@ -34,7 +39,7 @@ def limited(actuator: Actuator, command: Scalar) -> Scalar:
 
 def step(actuator: Actuator, state: ActuatorState, command: Scalar) -> ActuatorState:
     """The force for the coming period is `applied` of the state returned."""
-    *ready, newest = (*state.pending, limited(actuator, command))
-    if not ready:
-        return ActuatorState((), newest)
-    return ActuatorState((*ready[1:], newest), ready[0])
+    now, *pending = (*state.pending, limited(actuator, command))
+    share = actuator.delay_fraction
+    applied = now if share is None else share * state.arrived + (1.0 - share) * now
+    return ActuatorState(tuple(pending), now, applied)

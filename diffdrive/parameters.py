@@ -96,7 +96,9 @@ class Friction(eqx.Module):
     )
     initial_load: Scalar = quantity("N", "load on the guides from preload and table, W_LI", at_least=0.0)
     breakaway_gap: Directional = quantity(
-        "N", "breakaway minus Coulomb friction, F_S - F_C", at_least=0.0, per_direction=True
+        "N",
+        "breakaway minus Coulomb friction, F_S - F_C; negative where friction rises from standstill",
+        per_direction=True,
     )
     stribeck_velocity: Directional = quantity("m/s", "Stribeck velocity, v_s", above=0.0, per_direction=True)
     viscous: Directional = quantity("N*s/m", "viscous friction, mu_v", at_least=0.0, per_direction=True)
@@ -105,7 +107,10 @@ class Friction(eqx.Module):
 
 
 class Actuator(eqx.Module):
-    """Force limit and whole-sample delay between the command and the force on the table."""
+    """Force limit and delay between the command and the force on the table.
+
+    The delay is `delay_samples` control periods (static: it sets the length of the pipeline) plus `delay_fraction` of one.
+    """
 
     force_limit: Scalar | None = quantity(
         "N", "largest force in either direction; absent: unlimited", above=0.0, default=None
@@ -117,6 +122,9 @@ class Actuator(eqx.Module):
         default=None,
     )
     delay_samples: int = eqx.field(static=True, default=0)
+    delay_fraction: Scalar | None = quantity(
+        "1", "further delay as a share of the control period, 0 to 1", at_least=0.0, default=None
+    )
 
 
 class Sensor(eqx.Module):
@@ -217,13 +225,24 @@ def check_drive(drive: Drive) -> None:
     delay = drive.actuator.delay_samples
     if not isinstance(delay, int) or delay < 0:
         raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {delay!r}")
+    fraction = drive.actuator.delay_fraction
+    if fraction is not None and not isinstance(fraction, jax.core.Tracer) and not np.all(np.asarray(fraction) <= 1):
+        raise ParameterError(
+            f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
+        )
     friction = drive.friction
     for side in ("positive", "negative"):
         level = getattr(friction.coulomb_screw, side) + getattr(friction.load_coefficient, side) * friction.initial_load
+        breakaway = level + getattr(friction.breakaway_gap, side)
         if not isinstance(level, jax.core.Tracer) and not np.all(np.asarray(level) > 0):
             raise ParameterError(
                 f"friction: the Coulomb friction in the {side} direction is zero (coulomb_screw + load_coefficient * "
                 "initial_load); LuGre friction needs a positive one: give at least a small coulomb_screw"
+            )
+        if not isinstance(breakaway, jax.core.Tracer) and not np.all(np.asarray(breakaway) > 0):
+            raise ParameterError(
+                f"friction.breakaway_gap in the {side} direction makes the breakaway friction {float(np.min(breakaway)):g} N "
+                "(coulomb_screw + load_coefficient * initial_load + breakaway_gap): it must stay positive"
             )
 
 

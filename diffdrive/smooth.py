@@ -5,6 +5,7 @@ the gains that steps and kinks at every scale, and has no useful derivative. The
 replaces these three by neighbours that can be differentiated. Tune on it, verify on the exact one.
 """
 
+import dataclasses
 from typing import TypeVar
 
 import equinox as eqx
@@ -34,7 +35,7 @@ def smooth(part: Part) -> Part:
             if module.force_limit is None:
                 return module
             rounded = LIMIT_ROUNDING * module.force_limit
-            return Actuator(module.force_limit, rounded, module.delay_samples)
+            return dataclasses.replace(module, limit_rounding=rounded)
         if isinstance(module, InnovationLoad):
             rounding = GATE_ROUNDING * module.min_speed + 1e-9  # m/s, so that it is a width also without a gate
             return InnovationLoad(module.gain, module.min_speed, None, rounding, module.initial_load)

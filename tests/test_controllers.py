@@ -231,6 +231,16 @@ def test_a_delay_shifts_the_force_by_whole_samples(delay):
     )
 
 
+@pytest.mark.parametrize("delay", [0, 3])
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 1.0])
+def test_a_delay_of_a_fraction_passes_the_momentum_of_the_force_that_switches_within_the_period(delay, fraction):
+    commands = np.random.default_rng(1).normal(size=50)
+    fine = np.repeat(np.r_[np.zeros(delay + 1), commands], 10)  # ten parts of a period
+    switched = fine[10 - round(10 * fraction) :][: 10 * 50].reshape(50, 10).mean(axis=1)
+    forces = acting(Actuator(delay_samples=delay, delay_fraction=fraction), commands)
+    np.testing.assert_allclose(forces, switched, rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize("delay", [0, 2])
 def test_a_run_s_force_is_its_command_clipped_and_delayed(delay):
     drive = dataclasses.replace(ROUGH, actuator=Actuator(force_limit=100.0, delay_samples=delay))

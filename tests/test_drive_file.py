@@ -41,7 +41,7 @@ TEMPLATES = sorted((ROOT / "experiments/drives").glob("*.toml"))
 DRIVE = Drive(
     plant=paper_drive().plant,
     friction=paper_drive().friction,
-    actuator=Actuator(force_limit=2000.0, limit_rounding=5.0, delay_samples=2),
+    actuator=Actuator(force_limit=2000.0, limit_rounding=5.0, delay_samples=2, delay_fraction=0.25),
     sensor=Sensor(resolution=1e-7, noise=2e-8),
 )
 PLANT, FRICTION = DRIVE.plant, DRIVE.friction
