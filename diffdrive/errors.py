@@ -31,3 +31,11 @@ class LoadEstimatorError(DiffdriveError, ValueError):
 
 class LoadEstimatorWarning(UserWarning):
     """An eq. (20) load estimator does not converge at a speed where it is about to be used."""
+
+
+class LogError(DiffdriveError):
+    """A log cannot be read, or not be used: names the file, the place and the mend."""
+
+
+class LogError(DiffdriveError, ValueError):
+    """A log cannot be read or written: it names the file, the row or column, and the mend."""

@@ -1,0 +1,100 @@
+"""The identification problem: stretches of logs, what is free, and residuals in units of the measuring noise."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.errors import LogError
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive, Sampling
+from tuning.prediction import Lanes, Observer, predict
+from tuning.space import Space
+from tuning.unknowns import Unknowns
+
+SHORTEST = 200  # samples of a stretch that is worth a lane
+COARSEST_SUBSTEP = 50e-6  # s; leaves 1e-4 of the bristle's frequency, below what any log resolves
+
+
+def lanes_of(logs: list[Log]) -> Lanes:
+    """The gap-free stretches of the logs side by side."""
+    stretches = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= SHORTEST]
+    if not stretches:
+        raise LogError(f"no stretch of {SHORTEST} samples without a gap in {', '.join(log.name for log in logs)}")
+    longest = max(piece.stop - piece.start for _, piece in stretches)
+
+    def padded(signal: np.ndarray | None, log: Log, piece: slice) -> np.ndarray:
+        values = np.zeros(len(log.time)) if signal is None else signal
+        return np.pad(values[piece], (0, longest - (piece.stop - piece.start)), mode="edge")
+
+    def rows(name: str) -> np.ndarray:
+        return np.stack([padded(getattr(log, name), log, piece) for log, piece in stretches])
+
+    counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
+    begins = [_velocity(log.position[piece], log.rate) for log, piece in stretches]
+    arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
+    return Lanes(*(jnp.asarray(one) for one in arrays))
+
+
+def _velocity(position: np.ndarray, rate: float) -> float:
+    """Velocity (m/s) at the first sample: slope of a line through the first 5 ms, at least 5 samples."""
+    first = position[: max(5, round(5e-3 * rate))]
+    return float(np.polyfit(np.arange(len(first)) / rate, first, 1)[0])
+
+
+def noise_floor(drive: Drive, lanes: Lanes) -> float:
+    """Standard deviation (m) of the measured position about the true one.
+
+    From the drive's sensor where it states one, and at least what the log itself shows: the scatter of its third
+    differences, which smooth motion leaves alone.
+    """
+    resolution = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution)
+    stated = np.hypot(resolution / np.sqrt(12), float(drive.sensor.noise))
+    third = np.diff(np.asarray(lanes.position), 3, axis=1)[np.asarray(lanes.counts)[:, 3:] > 0]
+    shown = 1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0)  # 1 + 9 + 9 + 1
+    return float(max(stated, shown, 1e-12))
+
+
+class Problem(NamedTuple):
+    """What is fitted to what. The vector y holds the free parameters, then the bristle of each lane at its start."""
+
+    believed: Drive
+    unknowns: Unknowns
+    lanes: Lanes
+    noise: float  # m
+
+
+def unpack(y: Float[Array, " k"], space: Space, problem: Problem) -> tuple[Drive, Observer, Unknowns]:
+    """The drive and the observer at y."""
+    free = len(space.free)
+    unknowns = space.insert(problem.unknowns, y[:free])
+    share = jnp.tanh(y[free:])
+    level = jnp.where(share >= 0, unknowns.coulomb.positive, unknowns.coulomb.negative)
+    observer = Observer(unknowns.bandwidth, unknowns.delay, share * level)
+    return unknowns.drive(problem.believed), observer, unknowns
+
+
+def residuals(
+    y: Float[Array, " k"], space: Space, problem: Problem, sampling: Sampling, every: int = 1
+) -> Float[Array, " m"]:
+    """Innovations over the noise, each `every`-th, then the distance of y from its start.
+
+    The latter is a prior of a factor of four (one unit in y): next to nothing where the log says something about a
+    parameter, and what keeps it at its start where the log says nothing.
+    """
+    drive, observer, _ = unpack(y, space, problem)
+    innovation = predict(drive, observer, problem.lanes, sampling).innovation
+    weighed = (innovation * problem.lanes.counts / problem.noise)[:, ::every] * np.sqrt(every)
+    return jnp.concatenate([weighed.ravel(), y])
+
+
+def fit_sampling(rate: float) -> Sampling:
+    """The sampling of a fit: its substeps are coarser than a simulation's."""
+    return Sampling(rate, int(np.ceil(round(1.0 / (rate * COARSEST_SUBSTEP), 6))))
+
+
+def at_start(lanes: Lanes, space: Space) -> Any:
+    """y at the start: the parameters as they are, each bristle bent the way the lane moves."""
+    moving = np.sign(np.asarray(lanes.velocity)) * (np.abs(np.asarray(lanes.velocity)) > 1e-4)
+    return np.concatenate([np.zeros(len(space.free)), 2.0 * moving])

@@ -1,0 +1,119 @@
+"""What identification looks for, in coordinates in which every value is possible and the data speak plainly.
+
+Friction at no applied load is told by its levels, Coulomb F_C and breakaway F_S, which the force shows directly; a drive
+file tells the screw's share and the gap F_S - F_C, which follow from them. Of damping and viscous friction only the sum
+acts. So a drive becomes `Unknowns`, these are fitted, and they become a drive again.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.parameters import Directional, Drive, Friction, Plant, Scalar, quantity
+from tuning.prediction import EARLIEST_DELAY, LONGEST_DELAY
+from tuning.space import Free
+
+
+class Unknowns(eqx.Module):
+    """Parameters of the machine, shared by all logs, and the prediction's bandwidth."""
+
+    mass: Scalar = quantity("kg", "moving mass", above=0.0)
+    constant_force: Scalar = quantity("N", "constant force on the table")
+    coulomb: Directional = quantity("N", "Coulomb friction at no applied load, F_C", above=0.0, per_direction=True)
+    load_coefficient: Directional = quantity("1", "Coulomb friction per load, mu_LC", above=0.0, per_direction=True)
+    breakaway: Directional = quantity("1", "breakaway over Coulomb friction, F_S / F_C", above=0.0, per_direction=True)
+    stribeck_velocity: Directional = quantity("m/s", "Stribeck velocity, v_s", above=0.0, per_direction=True)
+    viscous: Directional = quantity("N*s/m", "damping and viscous friction, B_S + mu_v", above=0.0, per_direction=True)
+    bristle_stiffness: Directional = quantity("N/m", "bristle stiffness, sigma_0", above=0.0, per_direction=True)
+    bristle_damping: Directional = quantity("N*s/m", "bristle damping, sigma_1", above=0.0, per_direction=True)
+    delay: Scalar = quantity("1", "delay from command to force, in control periods")
+    bandwidth: Scalar = quantity("rad/s", "bandwidth of the prediction", above=0.0)
+
+    def drive(self, believed: Drive) -> Drive:
+        """`believed` with these parameters in place of its own; its delay excepted (see `with_delay`)."""
+        friction, damping = believed.friction, believed.plant.damping
+
+        def each(function: Callable[..., Scalar], *pairs: Directional) -> Directional:
+            positive = function(*(pair.positive for pair in pairs))
+            return Directional(positive, function(*(pair.negative for pair in pairs)))
+
+        return dataclasses.replace(
+            believed,
+            plant=Plant(
+                mass=self.mass,
+                damping=each(jnp.minimum, damping, self.viscous),
+                constant_force=self.constant_force,
+            ),
+            friction=Friction(
+                coulomb_screw=each(
+                    lambda level, slope: level - slope * friction.initial_load, self.coulomb, self.load_coefficient
+                ),
+                load_coefficient=self.load_coefficient,
+                initial_load=friction.initial_load,
+                breakaway_gap=each(lambda level, ratio: level * (ratio - 1.0), self.coulomb, self.breakaway),
+                stribeck_velocity=self.stribeck_velocity,
+                viscous=each(lambda both, known: jnp.maximum(both - known, 0.0), self.viscous, damping),
+                bristle_stiffness=self.bristle_stiffness,
+                bristle_damping=self.bristle_damping,
+            ),
+        )
+
+
+START_BANDWIDTH = 60.0  # rad/s: forgiving enough for a rough start, and the fit moves it
+WIDTH = 30.0  # factor by which a parameter may move from its start, either way
+
+
+def unknowns_of(drive: Drive, delay: float) -> Unknowns:
+    """The unknowns at the values of `drive`, none of them zero, and a delay (control periods)."""
+    plant, friction = drive.plant, drive.friction
+
+    def each(function: Callable[..., float], *pairs: Directional) -> Directional:
+        positive = function(*(float(pair.positive) for pair in pairs))
+        return Directional(positive, function(*(float(pair.negative) for pair in pairs)))
+
+    level = each(
+        lambda screw, slope: screw + slope * float(friction.initial_load), friction.coulomb_screw, friction.load_coefficient
+    )
+    # a bristle without damping would have nothing to move in a logarithm; this much is a thousandth of critical
+    least = 1e-3 * float(np.sqrt(float(friction.bristle_stiffness.positive) * float(plant.mass)))
+    return Unknowns(
+        mass=float(plant.mass),
+        constant_force=float(plant.constant_force),
+        coulomb=level,
+        load_coefficient=each(lambda slope: max(slope, 1e-6), friction.load_coefficient),
+        breakaway=each(lambda screw, gap: (screw + gap) / screw, level, friction.breakaway_gap),
+        stribeck_velocity=friction.stribeck_velocity,
+        viscous=each(lambda b, mu: max(b + mu, 1e-3), plant.damping, friction.viscous),
+        bristle_stiffness=friction.bristle_stiffness,
+        bristle_damping=each(lambda damping: max(damping, least), friction.bristle_damping),
+        delay=float(delay),
+        bandwidth=START_BANDWIDTH,
+    )
+
+
+def paths(unknowns: Unknowns) -> list[str]:
+    """Every path that can be free: both directions of friction each, but for a bristle that is the same in both."""
+    found = []
+    for field in dataclasses.fields(unknowns):
+        value = getattr(unknowns, field.name)
+        together = field.name.startswith("bristle") and float(value.positive) == float(value.negative)
+        if isinstance(value, Directional) and not together:
+            found += [f"{field.name}.positive", f"{field.name}.negative"]
+        else:
+            found.append(field.name)
+    return found
+
+
+def bounds(path: str, start: float, friction: float, rate: float) -> Free:
+    """How far a parameter may move by default; `friction` is the Coulomb level (N), `rate` the control rate (Hz)."""
+    if path == "constant_force":
+        reach = 10.0 * friction + 2.0 * abs(start)
+        return Free(path, -reach, reach)
+    if path == "delay":
+        return Free(path, float(EARLIEST_DELAY), float(LONGEST_DELAY))
+    if path == "bandwidth":
+        return Free(path, 0.5, 0.5 * rate)
+    return Free(path, start / WIDTH, start * WIDTH)
