@@ -6,8 +6,8 @@ Write the force as it follows from the measured motion, with unknown parameters 
 
 It is linear in them. Velocity and acceleration come from the position, low-passed without phase at five times the
 highest frequency of interest (`dynamics`) and differenced; all signals are then decimated to the band of the dynamics
-(Gautier 1997; Janot, Vandanjon and Gautier 2014). On the EMPS data (docs/emps.md) the defaults give the benchmark's own
-figures.
+(Gautier 1997; Janot, Vandanjon and Gautier 2014). On the EMPS data (docs/emps.md) `BENCHMARK_BORDERS` gives the
+benchmark's own figures.
 
 What it cannot know: a force that acts late. With a delay T between the command and the force, mass comes out heavier by
 Fv T; the zero-order hold alone is half a control period. It is a start for a fit through the closed loop.
@@ -26,11 +26,14 @@ from diffdrive.logs import Log
 from diffdrive.parameters import Directional
 from tuning.determined import solve
 from tuning.regressors import SYMMETRIC, Kinematics, Regressors
-from tuning.zero_phase import decimate, difference, kept, lowpass
+from tuning.stretches import Stretch, stretches
+from tuning.zero_phase import decimate, differentiate, kept
 
 Signal = Float[np.ndarray, " n"]
 
 DYNAMICS = 20.0  # Hz
+BOTH_ENDS = (1.0, 1.0)
+BENCHMARK_BORDERS = (1.0, 0.0)
 LOAD_SPREAD = 0.05  # of the largest load: smaller differences say nothing about the slope
 
 
@@ -82,6 +85,7 @@ class InverseDynamics:
     load: float
     dynamics: float  # Hz
     min_speed: float  # m/s
+    borders: tuple[float, float]
     fit: Evaluation
     notes: tuple[str, ...]
 
@@ -122,21 +126,23 @@ def identify(
     *,
     dynamics: float = DYNAMICS,
     min_speed: float = 0.0,
+    borders: tuple[float, float] = BOTH_ENDS,
 ) -> InverseDynamics:
     """Identify mass, friction and offset from one or several logs, each under any applied load.
 
     `dynamics` (Hz): the highest frequency of the motion and of the control loop that is of interest. `min_speed`
     (m/s): samples at which the table, within the decimation filter's reach, moves slower than this are left out, since
     the sign of a resting table's velocity is noise and its friction anything up to the breakaway force; 0 leaves out
-    none.
+    none. `borders`: how much of the 0.98 / `dynamics` seconds that the filters spoil is cut from the beginning and the
+    end of each piece. The benchmark's script keeps the end, which does no harm where the table rests there.
 
     Raises `DiffdriveError` where no piece of the logs is long enough, or the table nowhere faster than `min_speed`.
     """
-    sources, notes = _sources(logs, dynamics)
+    sources, notes = stretches(logs, dynamics)
     loads = np.concatenate([source.load for source in sources])
     if np.ptp(loads) > LOAD_SPREAD * np.max(np.abs(loads)):
         regressors = regressors.with_load()
-    tables = [_table(source, regressors, dynamics, min_speed) for source in sources]
+    tables = [_table(source, regressors, dynamics, min_speed, borders) for source in sources]
     used = np.concatenate([table.used for table in tables])
     speed = max(float(np.max(np.abs(table.at.velocity))) for table in tables)
     if not used.any() or speed <= 0:
@@ -167,6 +173,7 @@ def identify(
         load=float(load.mean()),
         dynamics=dynamics,
         min_speed=min_speed,
+        borders=borders,
         fit=_evaluation(tables, found.coefficients, notes),
         notes=notes,
     )
@@ -174,64 +181,11 @@ def identify(
 
 def evaluate(result: InverseDynamics, logs: Log | Sequence[Log]) -> Evaluation:
     """How well the parameters of `result` foretell the force of other logs, in the same band and speeds."""
-    sources, notes = _sources(logs, result.dynamics)
-    tables = [_table(source, result.regressors, result.dynamics, result.min_speed) for source in sources]
+    sources, notes = stretches(logs, result.dynamics)
+    tables = [
+        _table(source, result.regressors, result.dynamics, result.min_speed, result.borders) for source in sources
+    ]
     return _evaluation(tables, result.coefficients, notes)
-
-
-class _Source(NamedTuple):
-    """One piece of a log, as sampled."""
-
-    log: str
-    rate: float
-    time: Signal
-    position: Signal
-    force: Signal
-    load: Signal
-
-
-def _sources(logs: Log | Sequence[Log], dynamics: float) -> tuple[list[_Source], tuple[str, ...]]:
-    """The pieces that are long enough, and a note on each that is not."""
-    logs = [logs] if isinstance(logs, Log) else list(logs)
-    if not logs:
-        raise DiffdriveError("no log to identify from: give at least one")
-    if not (np.isfinite(dynamics) and dynamics > 0):
-        raise DiffdriveError(f"dynamics must be a frequency above 0 Hz, got {dynamics!r}")
-    shortest = 4.0 / dynamics  # twice what the filters and the border take, and as much again to identify from
-    sources, notes = [], []
-    loaded = [log for log in logs if log.load is not None]
-    for log in logs:
-        if log.load is None and loaded:
-            notes.append(f"{log.name}: has no load signal, though others have: taken as no applied load")
-        if len(log.time) < 3 or log.rate * 0.9 < 10 * dynamics:
-            rate = f"sampled at {log.rate:g} Hz" if len(log.time) >= 3 else f"{len(log.time)} samples long"
-            raise DiffdriveError(
-                f"{log.name}: {rate}, too little for dynamics of {dynamics:g} Hz: it needs {11.2 * dynamics:.4g} Hz "
-                "and more; give lower dynamics"
-            )
-        for piece in log.pieces():
-            seconds = len(log.time[piece]) / log.rate
-            if seconds < shortest:
-                notes.append(
-                    f"{log.name}: the piece from {log.time[piece][0]:.4g} s is {seconds:.3g} s long, too short: the "
-                    f"filters need {shortest:.3g} s at dynamics of {dynamics:g} Hz"
-                )
-                continue
-            sources.append(_source(log, piece))
-    if not sources:
-        raise DiffdriveError("; ".join(notes))
-    return sources, tuple(notes)
-
-
-def _source(log: Log, piece: slice) -> _Source:
-    force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
-    load = np.zeros_like(force) if log.load is None else np.asarray(log.load[piece], dtype=float)
-    position = np.asarray(log.position[piece], dtype=float)
-    for name, signal in (("position", position), ("command + disturbance", force), ("load", load)):
-        if not np.all(np.isfinite(signal)):
-            at = log.time[piece][np.flatnonzero(~np.isfinite(signal))[0]]
-            raise DiffdriveError(f"{log.name}: {name} is not finite at {at:.6g} s: mark a gap there")
-    return _Source(log.name, log.rate, log.time[piece], position, force, load)
 
 
 class _Table(NamedTuple):
@@ -246,11 +200,13 @@ class _Table(NamedTuple):
     used: Bool[np.ndarray, " n"]
 
 
-def _table(source: _Source, regressors: Regressors, dynamics: float, min_speed: float) -> _Table:
+def _table(
+    source: Stretch, regressors: Regressors, dynamics: float, min_speed: float, borders: tuple[float, float]
+) -> _Table:
     """Differentiate, drop the border, form the columns at the full rate, and decimate them and the force alike."""
-    velocity = difference(lowpass(source.position, source.rate, 5 * dynamics), source.rate)
-    acceleration = difference(velocity, source.rate)
-    border = slice(round(0.98 * source.rate / dynamics), None)  # 49 samples at 1 kHz, as in the benchmark
+    velocity, acceleration = differentiate(source.position, source.rate, 5 * dynamics)
+    begin, end = (round(share * source.border) for share in borders)
+    border = slice(begin, len(velocity) - end)
     at = Kinematics(velocity[border], acceleration[border], source.load[border])
     ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
     columns = regressors.columns(at)

@@ -31,6 +31,12 @@ def difference(signal: Signal, rate: float) -> Signal:
     return np.gradient(signal, 1.0 / rate)
 
 
+def differentiate(position: Signal, rate: float, cutoff: float) -> tuple[Signal, Signal]:
+    """Velocity and acceleration of `position`, low-passed at `cutoff` (Hz)."""
+    velocity = difference(lowpass(position, rate, cutoff), rate)
+    return velocity, difference(velocity, rate)
+
+
 def decimate(signal: Signal, ratio: int) -> Signal:
     """Each `ratio`-th sample of the low-passed `signal`, the last one included, without delay."""
     if ratio == 1:
