@@ -1,0 +1,97 @@
+"""Channels that were computed from others: they look like measurements and hold nothing new."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit
+from diffdrive.logs.log import Log, Signal
+
+# Relative difference up to which two channels are one computation: rounding of text with seven digits, no noise.
+COMPUTED = 1e-6
+
+
+def _same(mine: Signal, theirs: Signal) -> bool:
+    size = float(np.std(theirs))
+    return size > 0 and float(np.max(np.abs(mine - theirs))) <= COMPUTED * size
+
+
+def copies(log: Log) -> Iterator[Finding]:
+    """Position that is the reference, motor position that is the position."""
+    if log.reference is not None and _same(log.position, log.reference):
+        yield Finding(
+            "fatal",
+            "position",
+            "the follow-up error is zero throughout: position and reference are one signal",
+            "one of them is a copy: log the measured position and the set-point",
+        )
+    if log.motor_position is not None and _same(log.motor_position, log.position):
+        yield Finding(
+            "warning",
+            "motor_position",
+            "the motor position is a copy of the position",
+            "leave it out: it would prove that there is neither backlash nor wind-up",
+        )
+
+
+def velocity(log: Log) -> Iterator[Finding]:
+    """Velocity that is a difference quotient of the position."""
+    if log.velocity is None:
+        return
+    piece, step = longest_piece(log), mean_step(log)
+    position, given = log.position[piece], log.velocity[piece]
+    backward = np.diff(position, prepend=position[0]) / step
+    quotients = {
+        "backward difference": backward,
+        "forward difference": np.append(backward[1:], 0.0),
+        "central difference": np.gradient(position, step),
+    }
+    for name, quotient in quotients.items():
+        # the time step may be that of rounded stamps: compare up to a factor near 1
+        if np.std(quotient) > 0 and np.std(given) > 0:
+            ratio = float(np.dot(given, quotient) / np.dot(quotient, quotient))
+            if abs(ratio - 1) < 1e-3 and _same(given[2:-2], ratio * quotient[2:-2]):
+                yield Finding(
+                    "note",
+                    "velocity",
+                    f"the velocity is the {name} of the position",
+                    "it holds nothing that the position does not: do not count it as a second sensor",
+                )
+                return
+
+
+def load(log: Log) -> Iterator[Finding]:
+    """Load that is computed from the command."""
+    if log.load is None or np.std(log.load) == 0 or np.std(log.command) == 0:
+        return
+    fit = robust_fit([log.command], log.load)
+    if fit.error < 1e-4:
+        gain, offset = (float(c) for c in fit.coefficients)
+        yield Finding(
+            "warning",
+            "load",
+            f"the load is {gain:.4g} times the command plus {offset:.4g} N: it was computed, not measured",
+            "leave it out: friction fitted against it would explain the command by itself",
+        )
+
+
+def feedforward(log: Log) -> Iterator[Finding]:
+    """Command that is a function of the reference alone, without any feedback in it."""
+    if log.reference is None or np.std(log.command) == 0 or np.std(log.reference) == 0:
+        return
+    piece, step = longest_piece(log), mean_step(log)
+    reference = log.reference[piece]
+    speed = np.gradient(reference, step)
+    acceleration = np.gradient(speed, step)
+    columns = [reference, speed, acceleration, np.sign(np.where(np.abs(speed) > 1e-9, speed, 0.0))]
+    fit = robust_fit([c for c in columns if np.std(c) > 0], log.command[piece])
+    # what a noisy, sticking axis makes its controller ask for is never a function of the reference to 0.01 %
+    if fit.error < 1e-4:
+        yield Finding(
+            "warning",
+            "command",
+            f"the command follows from the reference alone to {100 * fit.error:.2g} %: it is a feed-forward, without "
+            "the feedback",
+            "log the whole command, feedback included",
+        )

@@ -1,0 +1,135 @@
+"""The count grid of a signal: an encoder's counts, a converter's steps, and whether the signal still lies on it."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.log import Log, Signal
+
+# Residuals to a grid, in steps: uniform ones have an RMS of 1/sqrt(12) = 0.289; single-precision storage of 0.25 m on
+# a 5e-8 m grid, the worst that we met, makes 0.09.
+ON_GRID = 0.15
+# A grid finer than this share of the travel is that of the numbers' storage, not of a sensor.
+STORAGE = 1e-10
+# A sensor that is this much coarser than its data sheet is another sensor, or another setting.
+COARSER = 1.5
+# Distinct values below which a command is a staircase: its steps are above 2 % of its range.
+COARSE_LEVELS = 50
+
+
+class Grid(NamedTuple):
+    """A grid that the signal lies on: its step, and the RMS distance of the small gaps from it, in steps."""
+
+    step: float
+    misfit: float
+
+
+def grid_of(signal: Signal) -> Grid | None:
+    """The grid on which the values lie, or None: the step of which all gaps between values are multiples.
+
+    At constant speed the gaps are all large, such as 49, 50 and 51 counts; the gaps between these gaps tell the count.
+    """
+    values = np.unique(signal)
+    if len(values) < 3:
+        return None
+    storage = STORAGE * max(float(np.max(np.abs(values))), float(np.ptp(values)))
+    gaps = np.sort(np.diff(values))
+    gaps = gaps[gaps > storage]
+    second = np.diff(gaps)
+    gaps = np.sort(np.concatenate([gaps, second[second > storage]]))
+    if len(gaps) < 20:
+        return None
+    # the smallest gaps are single steps (or, of a smooth signal, arbitrary numbers, which the misfit shows)
+    step = float(np.median(gaps[gaps < 1.5 * gaps[0]]))
+    small = gaps[gaps < 200.5 * step]
+    if len(small) < 20:
+        return None
+    for _ in range(3):
+        counts = np.maximum(np.round(small / step), 1.0)
+        step = float(np.sum(small * counts) / np.sum(counts**2))
+    misfit = float(np.sqrt(np.mean((small / step - np.round(small / step)) ** 2)))
+    return Grid(step, misfit) if misfit < ON_GRID else None
+
+
+def off_grid_share(signal: Signal, step: float) -> float | None:
+    """Share of the moving stretches whose samples do not lie on a grid of `step`; None if nothing moves.
+
+    Stretches of 50 samples are short enough that a home offset or a scale error of 1e-5 does not smear the grid. Only
+    stretches whose increments vary count: at a speed of whole steps per sample any signal repeats its phase.
+    """
+    length = 50
+    count = len(signal) // length
+    if count == 0:
+        return None
+    blocks = signal[: count * length].reshape(count, length) / step
+    moving = np.std(np.diff(blocks, axis=1), axis=1) > 0.3
+    if np.sum(moving) < 3:
+        return None
+    phase = blocks[moving] - blocks[moving][:, :1]
+    centre = np.angle(np.mean(np.exp(2j * np.pi * phase), axis=1, keepdims=True)) / (2 * np.pi)
+    residual = phase - centre - np.round(phase - centre)
+    return float(np.mean(np.sqrt(np.mean(residual**2, axis=1)) > ON_GRID))
+
+
+def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+    """The position's counts against the drive file's resolution, or whether there are counts at all."""
+    found = grid_of(log.position)
+    stated = None if description is None else description.drive.sensor.resolution
+    if stated is None:
+        if found is None:
+            yield Finding(
+                "note",
+                "position",
+                "no count grid: interpolated, filtered or floating point",
+                "if the encoder has counts, log them; a filter before the log delays the position",
+            )
+        return
+    stated = float(stated)
+    if found is not None and found.step > COARSER * stated:
+        ratio = found.step / stated
+        yield Finding(
+            "fatal" if ratio > 100 else "warning",
+            "position",
+            f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
+            f"{stated:g} m{told(ratio)}",
+            "correct the unit of the position" if ratio > 100 else "correct sensor.resolution, or log all digits",
+        )
+        return
+    if found is not None and found.step < stated / 100:
+        ratio = found.step / stated
+        yield Finding(
+            "fatal",
+            "position",
+            f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
+            f"{stated:g} m{told(ratio)}",
+            "correct the unit of the position, or sensor.resolution",
+        )
+        return
+    share = off_grid_share(log.position, stated)
+    if share is not None and share > 0.5:
+        where = f", but on one of {found.step:.4g} m" if found is not None else ""
+        yield Finding(
+            "warning",
+            "position",
+            f"{100 * share:.0f} % of the moving stretches are off the count grid of {stated:g} m{where}: the position "
+            "was resampled or filtered",
+            "log the raw counts; until then do not trust this position at high frequency, nor its delay",
+        )
+
+
+def command_grid(log: Log) -> Iterator[Finding]:
+    """A command in coarse steps."""
+    levels = len(np.unique(log.command))
+    span = float(np.ptp(log.command))
+    if 2 < levels < COARSE_LEVELS and levels < len(log.command) / 20:
+        step = float(np.median(np.diff(np.unique(log.command))))
+        yield Finding(
+            "warning",
+            "command",
+            f"the command takes only {levels} values, {step:.4g} apart over a range of {span:.4g}",
+            "log it with more digits, or before the converter",
+        )

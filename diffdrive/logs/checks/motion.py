@@ -1,0 +1,80 @@
+"""What this motion can teach: notes for an identification, not faults of the log."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.grid import grid_of
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, scale, smoothed
+from diffdrive.logs.log import Log
+
+SHORT = 1.0  # s of motion: fewer strokes than that hold no more than a handful of reversals
+STROKES = 20  # counts: a travel below is noise
+
+
+def _noise(log: Log) -> float:
+    """Standard deviation of the position's noise (m), from its third differences, which no motion survives."""
+    piece = longest_piece(log)
+    grid = grid_of(log.position)
+    counts = grid.step / np.sqrt(12) if grid else 0.0
+    return max(scale(np.diff(log.position[piece], 3)) / np.sqrt(20), counts)
+
+
+def variety(log: Log) -> Iterator[Finding]:
+    """Motion at all, long enough, both ways, at several speeds."""
+    piece, step, noise = longest_piece(log), mean_step(log), _noise(log)
+    position = log.position[piece]
+    speed = smoothed(position, step).rate
+    top = float(np.quantile(np.abs(speed), 0.999))
+    if np.ptp(position) < max(STROKES * noise, 1e-9) or np.ptp(position) == 0:
+        yield Finding(
+            "note",
+            "position",
+            f"the table rests throughout: it travels {np.ptp(position):.3g} m, its noise is {noise:.2g} m",
+            "friction at speed, mass and damping cannot be learnt from it: log a motion",
+        )
+        return
+    moving = np.abs(speed) > 0.05 * top
+    time = float(np.sum(moving)) * step
+    if time < SHORT:
+        yield Finding(
+            "note", "position", f"the table moves for {time:.3g} s only", "log several strokes, some seconds in all"
+        )
+    positive = float(np.mean(speed[moving] > 0))
+    if not 0.02 < positive < 0.98:
+        way = "positive" if positive > 0.5 else "negative"
+        yield Finding(
+            "note",
+            "position",
+            f"the table moves in the {way} direction only ({100 * max(positive, 1 - positive):.0f} % of its motion)",
+            "a constant force and the friction of the other direction cannot be told from it: log both",
+        )
+    levels = np.quantile(np.abs(speed[np.abs(speed) > 0.2 * top]), [0.1, 0.9])
+    if levels[1] < 1.5 * levels[0]:
+        yield Finding(
+            "note",
+            "position",
+            f"the table moves at one speed ({levels[0]:.4g} to {levels[1]:.4g} m/s most of the time)",
+            "Coulomb and viscous friction cannot be told apart at one speed: log several",
+        )
+
+
+def begins_in_motion(log: Log) -> Iterator[Finding]:
+    """A log whose first sample is not at rest."""
+    step, noise = mean_step(log), _noise(log)
+    position = log.position
+    top = float(np.quantile(np.abs(smoothed(position[longest_piece(log)], step).rate), 0.999))
+    count = max(2, min(len(position) - 1, int(2e-3 / step)))  # 2 ms: an axis gains 10 mm/s in it at 5 m/s^2
+    speed = float(position[count] - position[0]) / (count * step)
+    doubt = np.sqrt(2) * noise / (count * step)
+    if abs(speed) > max(0.01 * top, 5 * doubt):
+        behind = ""
+        if log.reference is not None:
+            behind = f" and {1e3 * (log.reference[0] - position[0]):.3g} mm behind its reference"
+        yield Finding(
+            "note",
+            "position",
+            f"the log begins in motion, at {1e3 * speed:.3g} mm/s{behind}",
+            "begin a simulation in that state (position, speed, controller's past), not at rest on the reference",
+        )

@@ -1,0 +1,134 @@
+"""Samples that no motion makes: not a number, single-sample spikes, rows lost or repeated."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.ndimage import percentile_filter
+
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.grid import grid_of
+from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, robust_fit
+from diffdrive.logs.log import CHANNELS, Log, Signal
+
+# Robust standard deviations: heavy tails of real noise reach 8, a reversal's jerk 10.
+SPIKE = 20.0
+NINETY = 1.645  # standard deviations within which 90 % of normal values lie
+
+
+def finite(log: Log) -> Iterator[Finding]:
+    """Every sample must be a number."""
+    for name, signal in log.channels.items():
+        bad = ~np.isfinite(signal)
+        if bad.any():
+            k = int(np.argmax(bad))
+            yield Finding(
+                "fatal",
+                name,
+                f"{bad.sum()} of {len(bad)} samples are not finite numbers, first sample {k}",
+                "cut the stretch out and list it as a gap, or leave the channel out",
+            )
+
+
+def lengths(log: Log) -> Iterator[Finding]:
+    """All channels must be equally long, and long enough to look at."""
+    sizes = {name: len(signal) for name, signal in log.channels.items()}
+    if len(set(sizes.values())) > 1:
+        told = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        yield Finding("fatal", "time", f"the channels differ in length: {told}", "read them from the same rows")
+    elif sizes["time"] < 100:
+        yield Finding("fatal", "time", f"only {sizes['time']} samples", "log at least some hundred samples of a motion")
+
+
+def _bend(signal: Signal) -> Signal:
+    """How far each inner sample lies off the line between its neighbours."""
+    return signal[1:-1] - (signal[:-2] + signal[2:]) / 2
+
+
+def spike_indices(bend: Signal, floor: float) -> np.ndarray:
+    """Samples that leave the line between their neighbours by more than `SPIKE` deviations and return at once.
+
+    A spike's bends read -1/2, 1, -1/2: that shape tells it from a step or a kink, which are physics. The deviation is
+    that of the hundred samples around, or of the whole log, or the floor, whichever is largest. Around, it is taken from
+    the 90 % quantile: a controller at standstill chatters in bursts, a logger's spikes stand alone.
+    """
+    around = percentile_filter(np.abs(bend), 90.0, size=min(101, len(bend))) / NINETY
+    whole = SIGMA_PER_MAD * float(np.median(np.abs(bend)))
+    large = np.abs(bend) > SPIKE * np.maximum(around, max(floor, whole, np.finfo(float).tiny))
+    large[[0, -1]] = False
+    k = np.flatnonzero(large)
+    returns = (np.abs(bend[k - 1] / bend[k] + 0.5) < 0.2) & (np.abs(bend[k + 1] / bend[k] + 0.5) < 0.2)
+    return k[returns]
+
+
+def _floor(signal: Signal, share: float) -> float:
+    grid = grid_of(signal)
+    return max(share * float(np.ptp(np.quantile(signal, [0.01, 0.99]))), grid.step if grid else 0.0)
+
+
+def spikes(log: Log) -> Iterator[Finding]:
+    """Single-sample spikes; in the command only what the controller did not make from position and reference."""
+    for name in ("reference", "position", "motor_position", "velocity", "load", "command"):
+        signal = log.channels.get(name)
+        if signal is None or np.ptp(signal) == 0:
+            continue
+        bend = _bend(signal)
+        floor = _floor(signal, 1e-6)
+        if name == "command":
+            bend, floor = _unexplained(log, bend), _floor(signal, 1e-3)
+        k = spike_indices(bend, floor)
+        if len(k):
+            worst = k[int(np.argmax(np.abs(bend[k])))]
+            yield Finding(
+                "warning",
+                name,
+                f"{len(k)} single-sample spikes, the largest {bend[worst]:.4g} {CHANNELS[name].unit} at "
+                f"t = {log.time[worst + 1]:.6g} s",
+                "mask these samples or replace them by the mean of their neighbours",
+            )
+
+
+def _unexplained(log: Log, bend: Signal) -> Signal:
+    """The command's bends less what is linear in the bends of reference and position, now and one sample either side.
+
+    A controller turns one flickering count into a spike of its own: kp and kd times the count.
+    """
+    causes = [_bend(log.position)] + ([] if log.reference is None else [_bend(log.reference)])
+    columns = [np.roll(cause, s) for cause in causes for s in (-1, 0, 1) if np.ptp(cause) > 0]
+    return robust_fit(columns, bend).residual if np.ptp(bend) > 0 else bend
+
+
+def _relative_jumps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
+    """Each increment over the median of its six neighbours, less one; and how far those neighbours scatter."""
+    increment = np.diff(signal)
+    around = np.stack([np.roll(increment, s) for s in (-3, -2, -1, 1, 2, 3)])
+    usual = np.median(around, axis=0)
+    size = np.maximum(np.abs(usual), np.finfo(float).tiny)
+    jumps, scatter = (increment - usual) / size * np.sign(usual), np.ptp(around, axis=0) / size
+    scatter[:3], scatter[-3:] = np.inf, np.inf
+    return jumps, scatter
+
+
+def lost_rows(log: Log) -> Iterator[Finding]:
+    """Rows lost or repeated although the stamps are uniform: reference and position jump by the same whole steps."""
+    if log.reference is None:
+        return
+    jump, scatter = _relative_jumps(log.reference)
+    echo, roughness = _relative_jumps(log.position)
+    count = np.round(jump)
+    # the reference must be smooth here, and the position must make the same jump, both clear of their own noise
+    both = (np.abs(jump - count) < 0.1) & (scatter < 0.1) & (np.abs(echo - jump) < 0.3) & (roughness < 0.3)
+    listed = np.zeros(len(jump), bool)
+    listed[[k - 1 for k in log.gaps]] = True
+    listed |= np.diff(log.time) > 1.5 * np.median(np.diff(log.time))  # the stamps show it already
+    lost = np.flatnonzero(both & (count >= 1) & ~listed)
+    again = np.flatnonzero(both & (count == -1) & (np.diff(log.command) == 0))
+    for which, what in ((lost, "lost"), (again, "repeated")):
+        if len(which):
+            yield Finding(
+                "fatal",
+                "time",
+                f"{int(np.sum(np.abs(count[which])))} rows were {what} at {len(which)} places although the time stamps "
+                f"are uniform, first at t = {log.time[which[0]]:.6g} s: reference and position jump there by whole "
+                "steps",
+                "list these places as gaps (repeated rows: drop them), and find out what the logger does",
+            )

@@ -1,0 +1,103 @@
+"""Travel, speed, load and temperature against what an axis can be, and against the limits of this one."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, top_speed
+from diffdrive.logs.log import Log
+
+FASTEST = 10.0  # m/s: linear motors reach 5
+LONGEST = 50.0  # m: the longest gantries
+SMALLEST = 1e-7  # m: less travel than the finest common scale's counts
+
+
+def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+    """Travel and speed of reference and position."""
+    low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
+    most = np.inf if description is None else description.limits.speed
+    piece, step = longest_piece(log), mean_step(log)
+    for name in ("position", "reference"):
+        signal = log.channels.get(name)
+        if signal is None:
+            continue
+        reach, speed = float(np.ptp(signal)), top_speed(signal[piece], step)
+        problems = []
+        # a twentieth beyond is overshoot, soft limits, or a stroke given roughly
+        if np.isfinite(high - low) and reach > 1.05 * (high - low):
+            ratio = reach / (high - low)
+            problems.append(f"travels {reach:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{told(ratio)}")
+        elif reach > LONGEST:
+            problems.append(f"travels {reach:.4g} m, more than any axis")
+        if speed > FASTEST:
+            problems.append(f"moves at {speed:.4g} m/s, faster than any feed drive")
+        elif speed > 1.5 * most:
+            problems.append(f"moves at {speed:.4g} m/s, {speed / most:.4g} times the limit of {most:g} m/s")
+        if problems:
+            yield Finding(
+                "fatal",
+                name,
+                f"the {name} " + " and ".join(problems) + ": millimetres, counts or degrees taken as metres?",
+                f"correct the unit of the {name}, or the drive file's limits",
+            )
+        elif 0 < reach < SMALLEST:
+            yield Finding(
+                "warning",
+                name,
+                f"the {name} travels only {reach:.3g} m in all",
+                "metres are expected: correct its unit, or log a motion",
+            )
+        elif np.isfinite(high - low) and (np.max(signal) > high + 1e-3 or np.min(signal) < low - 1e-3):
+            yield Finding(
+                "note",
+                name,
+                f"the {name} runs from {np.min(signal):.4g} to {np.max(signal):.4g} m, outside the stroke "
+                f"[{low:g}, {high:g}] m, though not longer than it",
+                "its zero is not that of the drive file: shift one of them if position-dependent effects matter",
+            )
+
+
+def load(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+    """A load that would lift the table, or that has the wrong sign."""
+    if log.load is None:
+        return
+    least = float(np.min(log.load))
+    if least < 0 and np.max(log.load) <= 0:
+        yield Finding(
+            "fatal",
+            "load",
+            f"the load is negative throughout ({least:.4g} to {np.max(log.load):.4g} N): its sign is reversed",
+            "a load on the guides counts positive: reverse it",
+        )
+    elif description is not None and least < -float(description.drive.friction.initial_load):
+        yield Finding(
+            "fatal",
+            "load",
+            f"the load falls to {least:.4g} N, below minus the initial load of "
+            f"{float(description.drive.friction.initial_load):g} N: the table would lift off",
+            "correct the sign, the unit or the zero of the load",
+        )
+    elif least < -0.01 * float(np.max(log.load)):
+        yield Finding(
+            "warning",
+            "load",
+            f"the load is negative at times, down to {least:.4g} N",
+            "check the zero of the load cell",
+        )
+
+
+def temperature(log: Log) -> Iterator[Finding]:
+    """Kelvin or Fahrenheit given as degrees Celsius."""
+    if log.temperature is None:
+        return
+    middle = float(np.median(log.temperature))
+    if not -40.0 <= middle <= 150.0:
+        yield Finding(
+            "warning",
+            "temperature",
+            f"the temperature is {middle:.4g} degC in the middle, which no axis survives",
+            "kelvin, or a raw sensor value? give degrees Celsius",
+        )

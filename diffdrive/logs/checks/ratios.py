@@ -1,0 +1,79 @@
+"""Channels that must agree: position with reference, motor with table, velocity with the position's derivative."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit, smoothed
+from diffdrive.logs.log import Log, Signal
+
+# Correlation at which two signals are the same motion: a loop that lags by 8 degrees still reaches it.
+SAME_MOTION = 0.99
+# A loop at its bandwidth follows with 0.7 to 1.4 times the amplitude: beyond that a ratio is a unit, not a loop.
+UNIT_ERROR = 1.5
+# Kinematics (pitch error, growth of the screw) stay within 1e-3; a ratio off by this is a wrong lead or gear.
+SCALE_ERROR = 0.03
+
+
+def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bool) -> Iterator[Finding]:
+    if np.std(mine) == 0 or np.std(theirs) == 0:
+        return
+    fit = robust_fit([theirs], mine)
+    ratio, alike = float(fit.coefficients[0]), fit.error < np.sqrt(1 - SAME_MOTION**2)
+    if not alike:
+        plain = float(np.corrcoef(mine, theirs)[0, 1])
+        if plain < -0.7:
+            yield Finding(
+                "fatal",
+                channel,
+                f"the {channel} runs against the {other} (correlation {plain:.2f}): its sign is reversed",
+                f"reverse the {channel}, or the {other}",
+            )
+        return
+    if ratio < 0:
+        yield Finding(
+            "fatal",
+            channel,
+            f"the {channel} is {ratio:.4g} times the {other}: its sign is reversed"
+            + (told(ratio) if abs(ratio) > UNIT_ERROR or abs(ratio) < 1 / UNIT_ERROR else ""),
+            f"reverse the {channel}, or the {other}",
+        )
+    elif not 1 / UNIT_ERROR < ratio < UNIT_ERROR:
+        yield Finding(
+            "fatal",
+            channel,
+            f"the {channel} is {ratio:.6g} times the {other}{told(ratio)}",
+            f"correct the unit of the {channel}, or of the {other}",
+        )
+    elif abs(ratio - 1) > SCALE_ERROR and (trusted or fit.error < 0.03):
+        yield Finding(
+            "warning",
+            channel,
+            f"the {channel} is {ratio:.4g} times the {other}, which no loop and no kinematic error explains",
+            "check the lead, the gear or the counts per turn behind either",
+        )
+
+
+def position_follows_reference(log: Log) -> Iterator[Finding]:
+    """Position against reference: unit and sign."""
+    if log.reference is not None:
+        piece = longest_piece(log)
+        yield from _compare("position", "reference", log.position[piece], log.reference[piece], False)
+
+
+def motor_follows_position(log: Log) -> Iterator[Finding]:
+    """Motor encoder against table scale: unit and sign."""
+    if log.motor_position is not None:
+        piece = longest_piece(log)
+        yield from _compare("motor_position", "position", log.motor_position[piece], log.position[piece], True)
+
+
+def velocity_is_derivative(log: Log) -> Iterator[Finding]:
+    """Velocity against the slope of the position, both smoothed: unit and sign."""
+    if log.velocity is not None:
+        piece, step = longest_piece(log), mean_step(log)
+        slope = smoothed(log.position[piece], step).rate
+        mine = smoothed(log.velocity[piece], step).value
+        yield from _compare("velocity", "position's derivative", mine, slope, False)

@@ -1,0 +1,103 @@
+"""Estimates that a few wild samples cannot move: scale, straight-line fits, speed; and runs of equal samples."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from diffdrive.logs.log import Log, Signal
+
+SIGMA_PER_MAD = 1.4826  # of a normal distribution
+
+
+def scale(values: Signal) -> float:
+    """Standard deviation of the bulk of the values, from their median absolute deviation."""
+    return SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
+
+
+class Fit(NamedTuple):
+    """Coefficients, and the RMS of the residual without its largest hundredth, over the RMS of y about its mean."""
+
+    coefficients: np.ndarray
+    error: float
+    residual: np.ndarray
+
+
+def robust_fit(columns: list[Signal], y: Signal) -> Fit:
+    """y as a combination of the columns (Huber's weights); a constant column is appended, its coefficient is last.
+
+    The error is measured without the worst hundredth of the samples, so that spikes, clipped peaks and reversals do
+    not decide whether two signals belong together.
+    """
+    stack = np.column_stack([*columns, np.ones_like(y)])
+    norms = np.maximum(np.sqrt(np.mean(stack**2, axis=0)), np.finfo(float).tiny)
+    size = float(np.std(y))
+    weights = np.ones_like(y)
+    for _ in range(12):
+        root = np.sqrt(weights)[:, None]
+        solution = np.linalg.lstsq(stack / norms * root, y * root[:, 0], rcond=None)[0] / norms
+        residual = y - stack @ solution
+        width = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-9 * size, np.finfo(float).tiny)
+        weights = 1.0 / np.maximum(np.abs(residual) / width, 1.0)
+    kept = np.sort(np.abs(residual))[: max(1, int(0.99 * len(residual)))]
+    return Fit(solution, float(np.sqrt(np.mean(kept**2))) / max(size, np.finfo(float).tiny), residual)
+
+
+class Run(NamedTuple):
+    """A stretch of equal samples, [start, stop)."""
+
+    start: int
+    stop: int
+
+    @property
+    def length(self) -> int:
+        """Samples in the stretch."""
+        return self.stop - self.start
+
+
+def runs_of_equal(values: Signal, at_least: int) -> list[Run]:
+    """Stretches of at least so many samples that are equal to the last bit."""
+    edges = np.flatnonzero(np.diff(values) != 0) + 1
+    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(values)]])
+    long = stops - starts >= at_least
+    return [Run(int(a), int(b)) for a, b in zip(starts[long], stops[long], strict=True)]
+
+
+def longest_piece(log: Log) -> slice:
+    """The longest stretch without a gap."""
+    return max(log.pieces(), key=lambda piece: piece.stop - piece.start)
+
+
+def mean_step(log: Log) -> float:
+    """Seconds from sample to sample, the mean over all stretches without a gap: rounding of the stamps averages out."""
+    pieces = [log.time[piece] for piece in log.pieces() if piece.stop - piece.start > 1]
+    steps = np.concatenate([np.diff(piece) for piece in pieces])
+    regular = steps[steps < 1.5 * np.median(steps)]  # gaps that nobody listed are no steps
+    return float(np.mean(regular))
+
+
+def window(rate: float, seconds: float) -> int:
+    """An odd number of samples, at least 5, that spans about so many seconds."""
+    return max(5, 2 * int(seconds * rate / 2) + 1)
+
+
+class Smooth(NamedTuple):
+    """A signal without its noise, and its first two derivatives."""
+
+    value: Signal
+    rate: Signal  # per s
+    curvature: Signal  # per s^2
+
+
+def smoothed(signal: Signal, step: float, seconds: float = 0.02) -> Smooth:
+    """Local cubics over `seconds`: 20 ms resolve the motion of a feed axis and average out its scale's counts."""
+    length = window(1.0 / step, seconds)
+    if len(signal) <= length:
+        length = max(5, 2 * ((len(signal) - 1) // 2) - 1)
+    return Smooth(*(savgol_filter(signal, length, 3, deriv=d, delta=step) for d in range(3)))
+
+
+def top_speed(position: Signal, step: float) -> float:
+    """Largest speed (m/s) that is held for some milliseconds, so that no single sample makes it."""
+    speed = np.abs(smoothed(position, step).rate)
+    return float(np.quantile(speed, 0.999))

@@ -1,0 +1,150 @@
+"""Signals that stand still while others move: clipped, frozen, constant."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.grid import grid_of
+from diffdrive.logs.checks.statistics import Run, mean_step, runs_of_equal, top_speed
+from diffdrive.logs.log import Log, Signal
+
+# Equal samples from which a stretch is looked at; noise on the counts makes a few by chance.
+LONG = 5
+# Samples at the extreme level, beside those at the next levels: a sine's crest in counts holds 2.4 times its neighbour.
+ATOM = 5.0
+# A follow-up error within a standing stretch that the rest of the log nowhere reaches.
+BEYOND = 5.0
+
+
+def constant(log: Log) -> Iterator[Finding]:
+    """Channels that never change; a load, a temperature or an absent disturbance may."""
+    moving = {name for name, signal in log.channels.items() if np.ptp(signal) > 0} - {"time"}
+    for name in ("reference", "position", "command", "motor_position", "velocity", "current"):
+        signal = log.channels.get(name)
+        if signal is not None and name not in moving and moving & {"reference", "position", "command"}:
+            yield Finding(
+                "fatal" if name in ("position", "command") else "warning",
+                name,
+                f"the {name} is {signal[0]:.6g} throughout, while {' and '.join(sorted(moving))} change",
+                "the channel is dead or the wrong column was taken",
+            )
+
+
+def atom(signal: Signal, at: float) -> np.ndarray | None:
+    """Samples that sit exactly at an extreme value far more often than at those next to it, or None."""
+    values, counts = np.unique(signal, return_counts=True)
+    if len(values) < 20:  # a staircase sits at its extremes by design
+        return None
+    top = counts[-1] if at == values[-1] else counts[0]
+    beside = counts[-6:-1] if at == values[-1] else counts[1:6]
+    return signal == at if top >= 20 and top > ATOM * beside.max() else None
+
+
+def clipped_command(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+    """A command that sits at a limit while the axis moves."""
+    limit = None if description is None else description.drive.actuator.force_limit
+    moves = log.position if log.reference is None else log.reference
+    for at in (float(np.max(log.command)), float(np.min(log.command))):
+        there = atom(log.command, at)
+        # at rest a command may well stand still at its extreme: the weight of a vertical axis
+        if there is None or np.ptp(moves[there]) < 0.01 * np.ptp(moves):
+            continue
+        known = limit is not None and abs(abs(at) / float(limit) - 1) < 1e-3
+        yield Finding(
+            "note" if known else "warning",
+            "command",
+            f"the command sits at {at:.6g} for {100 * np.mean(there):.2g} % of the samples: it is clipped there",
+            "that is the drive file's force_limit" if known else f"set actuator.force_limit = {abs(at):.6g} N",
+        )
+
+
+def _standing(log: Log, name: str) -> list[Run]:
+    """Stretches in which a position stands although the reference goes where it should have followed."""
+    signal, reference = log.channels[name], log.reference
+    runs = runs_of_equal(signal, LONG)
+    if reference is None or name == "reference" or not runs:
+        return []
+    standing = np.zeros(len(signal), bool)
+    for run in runs:
+        if np.ptp(reference[run.start : run.stop]) > 0.01 * np.ptp(reference):
+            standing[run.start : run.stop] = True
+    if not standing.any():
+        return []
+    rest = (reference - signal)[~standing]
+    usual = float(np.quantile(np.abs(rest - np.median(rest)), 0.999)) if len(rest) > 100 else 0.0
+    return [
+        run
+        for run in runs
+        if np.ptp(reference[run.start : run.stop]) > max(BEYOND * usual, 0.01 * float(np.ptp(reference)))
+    ]
+
+
+def _jumping(signal: Signal) -> list[Run]:
+    """Stretches at whose end the signal jumps to make up for them, farther than it ever moves in one sample."""
+    steps = np.abs(np.diff(signal))
+    usual = float(np.quantile(steps, 0.999)) if len(steps) else 0.0
+    grid = grid_of(signal)
+    least = 3 * max(usual, 3 * grid.step if grid else 0.0)
+    return [
+        run
+        for run in runs_of_equal(signal, LONG)
+        if run.stop < len(signal) and run.start > 0 and steps[run.stop - 1] > max(least, 1e-9)
+    ]
+
+
+def frozen_position(log: Log) -> Iterator[Finding]:
+    """Reference, position or motor position that stands while it should move."""
+    for name in ("reference", "position", "motor_position"):
+        signal = log.channels.get(name)
+        if signal is None or np.ptp(signal) == 0:
+            continue
+        frozen = _standing(log, name) or _jumping(signal)
+        if not frozen:
+            continue
+        longest = max(frozen, key=lambda run: run.length)
+        level = float(signal[longest.start])
+        share = sum(run.length for run in frozen) / len(signal)
+        span = f"t = {log.time[longest.start]:.6g} to {log.time[longest.stop - 1]:.6g} s"
+        if level in (float(np.max(signal)), float(np.min(signal))) and longest.start > 0:
+            what = (
+                f"the {name} sits at its extreme of {level:.6g} m while the axis moves on, {100 * share:.2g} % of the "
+            )
+            yield Finding(
+                "fatal",
+                name,
+                what + f"samples, longest {span}: clipped or frozen",
+                "widen the logger's range, or cut these stretches out and list the gaps",
+            )
+        else:
+            yield Finding(
+                "fatal",
+                name,
+                f"the {name} is frozen at {level:.6g} m, longest {span}, {100 * share:.2g} % of the samples in all",
+                "encoder dead or logger stuck: cut the stretch out and list the gap",
+            )
+
+
+def frozen_command(log: Log) -> Iterator[Finding]:
+    """A command that stands within its range while the table moves."""
+    steps = np.diff(log.command)
+    if np.ptp(log.command) == 0 or np.mean(steps == 0) > 0.5:  # a coarse command stands often
+        return
+    fast = top_speed(log.position, mean_step(log))
+    at_extreme = (float(np.max(log.command)), float(np.min(log.command)))
+    runs = [run for run in runs_of_equal(log.command, LONG) if log.command[run.start] not in at_extreme]
+    lengths = sorted(run.length for run in runs)
+    for run in sorted(runs, key=lambda run: -run.length)[:1]:
+        travel = float(np.ptp(log.position[run.start : run.stop]))
+        # it must outlast the other standing stretches tenfold, and the table must be on the move meanwhile
+        ordinary = lengths[-2] if len(lengths) > 1 else 1
+        if run.length < max(20, 3 * ordinary) or travel < 0.1 * fast * run.length * mean_step(log):
+            continue
+        span = f"t = {log.time[run.start]:.6g} to {log.time[run.stop - 1]:.6g} s"
+        yield Finding(
+            "fatal",
+            "command",
+            f"the command is frozen at {log.command[run.start]:.6g} from {span} while the table moves {travel:.3g} m",
+            "the logger was stuck: cut the stretch out and list the gap",
+        )
