@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 from scipy.signal import butter, cheby1, filtfilt, lfilter
 
-from diffdrive.errors import DiffdriveError
+from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.presets import paper_drive
 from experiments.emps import FILES, find_folder
@@ -228,7 +228,7 @@ def test_one_speed_does_not_tell_viscous_from_coulomb():
 
 def test_a_table_at_rest_identifies_nothing():
     time = np.arange(3_000) / 1e3
-    with pytest.raises(DiffdriveError, match="does not move"):
+    with pytest.raises(LogError, match="does not move"):
         identify(Log("rest", time, np.full(3_000, 0.1), np.ones(3_000)))
 
 
@@ -243,7 +243,7 @@ def test_rests_are_left_out_by_the_slowest_speed():
     assert found.constant_force == pytest.approx(CONSTANT, rel=0.02)
     assert found.coulomb.positive == pytest.approx(COULOMB, rel=0.01)
     assert [piece.used.any() for piece in found.fit.pieces] == [True, False]
-    with pytest.raises(DiffdriveError, match=r"not move faster than 9 m/s.*its peak is 0\.\d+ m/s"):
+    with pytest.raises(LogError, match=r"not move faster than 9 m/s.*its peak is 0\.\d+ m/s"):
         identify(dwelling, min_speed=9.0)
 
 
@@ -263,22 +263,22 @@ def test_gaps_split_a_log_and_short_pieces_are_named():
 def test_a_log_shorter_than_the_filters_says_how_long_it_must_be(samples):
     log = axis()
     short = Log("short", log.time[:samples], log.position[:samples], log.command[:samples])
-    with pytest.raises(DiffdriveError, match=r"short: the piece.* is too short: .*need 0\.2 s"):
+    with pytest.raises(LogError, match=r"short: the piece.* is too short: .*need 0\.2 s"):
         identify(short)
 
 
 def test_bad_logs_are_refused():
     log = axis()
-    with pytest.raises(DiffdriveError, match=r"sampled at 100 Hz, too slowly.*at most 9.074 Hz"):
+    with pytest.raises(LogError, match=r"sampled at 100 Hz, too slowly.*at most 9.074 Hz"):
         identify(axis(100.0))
     assert identify(axis(100.0), dynamics=9.0).mass == pytest.approx(MASS, rel=0.02)
-    with pytest.raises(DiffdriveError, match="at least one"):
+    with pytest.raises(LogError, match="at least one"):
         identify([])
-    with pytest.raises(DiffdriveError, match="dynamics must be"):
+    with pytest.raises(LogError, match="dynamics must be"):
         identify(log, dynamics=0.0)
     holed = log.command.copy()
     holed[1_234] = np.nan
-    with pytest.raises(DiffdriveError, match=r"command \+ disturbance is not finite at 1\.234 s"):
+    with pytest.raises(LogError, match=r"command \+ disturbance is not finite at 1\.234 s"):
         identify(replace(log, command=holed))
 
 

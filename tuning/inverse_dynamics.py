@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import minimum_filter1d
 
-from diffdrive.errors import DiffdriveError
+from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.parameters import Directional
 from tuning.determined import solve
@@ -136,7 +136,7 @@ def identify(
     none. `borders`: how much of the 0.98 / `dynamics` seconds that the filters spoil is cut from the beginning and the
     end of each piece. The benchmark's script keeps the end, which does no harm where the table rests there.
 
-    Raises `DiffdriveError` where no piece of the logs is long enough, or the table nowhere faster than `min_speed`.
+    Raises `LogError` where no piece of the logs is long enough, or the table nowhere faster than `min_speed`.
     """
     sources, notes = stretches(logs, dynamics)
     loads = np.concatenate([source.load for source in sources])
@@ -147,7 +147,7 @@ def identify(
     speed = max(float(np.max(np.abs(table.at.velocity))) for table in tables)
     if not used.any() or speed <= 0:
         names = ", ".join(dict.fromkeys(source.log for source in sources))
-        raise DiffdriveError(
+        raise LogError(
             f"{names}: the table does not move faster than {min_speed:g} m/s for long enough (its peak is {speed:.3g} "
             "m/s): nothing to identify; use a log of a motion, or a lower min_speed"
         )

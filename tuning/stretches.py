@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from diffdrive.errors import DiffdriveError
+from diffdrive.errors import LogError
 from diffdrive.logs import Log
 
 Signal = Float[np.ndarray, " n"]
@@ -27,13 +27,13 @@ class Stretch(NamedTuple):
 def stretches(logs: Log | Sequence[Log], dynamics: float) -> tuple[list[Stretch], tuple[str, ...]]:
     """The stretches that allow filters for motion up to `dynamics` (Hz), and a note on each piece that does not.
 
-    Raises `DiffdriveError` where a log is sampled too slowly or is not finite, and where no piece is long enough.
+    Raises `LogError` where a log is sampled too slowly or is not finite, and where no piece is long enough.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     if not logs:
-        raise DiffdriveError("no log is given: give at least one")
+        raise LogError("no log is given: give at least one")
     if not (np.isfinite(dynamics) and dynamics > 0):
-        raise DiffdriveError(f"dynamics must be a frequency above 0 Hz, got {dynamics!r}")
+        raise LogError(f"dynamics must be a frequency above 0 Hz, got {dynamics!r}")
     loaded = any(log.load is not None for log in logs)
     found, notes = [], []
     for log in logs:
@@ -41,7 +41,7 @@ def stretches(logs: Log | Sequence[Log], dynamics: float) -> tuple[list[Stretch]
             notes.append(f"{log.name}: has no load signal, though others have: taken as no applied load")
         rate = log.rate if len(log.time) > 1 else np.inf
         if rate < 11 * dynamics:  # the position's filter, at 5 x dynamics, must lie well within the band
-            raise DiffdriveError(
+            raise LogError(
                 f"{log.name}: sampled at {rate:.6g} Hz, too slowly for dynamics of {dynamics:g} Hz, which needs "
                 f"{11 * dynamics:.4g} Hz: give dynamics of at most {rate / 11.02:.4g} Hz"
             )
@@ -57,7 +57,7 @@ def stretches(logs: Log | Sequence[Log], dynamics: float) -> tuple[list[Stretch]
                 f"dynamics of {dynamics:g} Hz"
             )
     if not found:
-        raise DiffdriveError("; ".join(notes))
+        raise LogError("; ".join(notes))
     return found, tuple(notes)
 
 
@@ -68,5 +68,5 @@ def _stretch(log: Log, piece: slice, border: int) -> Stretch:
     for name, signal in (("position", position), ("command + disturbance", force), ("load", load)):
         if not np.all(np.isfinite(signal)):
             at = log.time[piece][np.flatnonzero(~np.isfinite(signal))[0]]
-            raise DiffdriveError(f"{log.name}: {name} is not finite at {at:.6g} s: mark a gap there")
+            raise LogError(f"{log.name}: {name} is not finite at {at:.6g} s: mark a gap there")
     return Stretch(log.name, log.rate, log.time[piece], position, force, load, border)
