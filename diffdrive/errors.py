@@ -33,9 +33,5 @@ class LoadEstimatorWarning(UserWarning):
     """An eq. (20) load estimator does not converge at a speed where it is about to be used."""
 
 
-class LogError(DiffdriveError):
-    """A log cannot be read, or not be used: names the file, the place and the mend."""
-
-
 class LogError(DiffdriveError, ValueError):
-    """A log cannot be read or written: it names the file, the row or column, and the mend."""
+    """A log cannot be read, written or used: it names the file, the row or column, and the mend."""

@@ -6,7 +6,7 @@
     python3 experiments/bootstrap.py which             only shows which Pythons were found, the best first
 
 What follows is passed on: `demo --quick`, `test -k plant`. On Windows write `py` for `python3`. The first call picks
-the newest working Python, makes the folder .venv and installs into it (some 180 MB to fetch); later calls start at
+the newest working Python, makes the folder .venv and installs into it (some 240 MB to fetch); later calls start at
 once. Nothing outside this folder changes but pip's cache; to start over delete .venv. Exit code: the job's, or 3.
 """
 

@@ -1,5 +1,6 @@
 """What a motion left behind, simulated or measured, in SI units on a uniform clock."""
 
+import itertools
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -71,4 +72,4 @@ class Log:
     def pieces(self) -> list[slice]:
         """The stretches without a gap, in order."""
         edges = [0, *self.gaps, len(self.time)]
-        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [slice(a, b) for a, b in itertools.pairwise(edges)]

@@ -1,0 +1,87 @@
+"""Units of a log's columns: what one unit of a column is in SI, and where a header says so."""
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.logs.log import CHANNELS
+from diffdrive.units import to_si
+
+FORCE_PER = {"force_per_volt": "V", "force_per_ampere": "A"}
+FORCES = ("command", "disturbance")  # what a drive may log in volts or amperes
+
+_SCALES_OF_TEMPERATURE = {
+    "degc": (1.0, 0.0), "°c": (1.0, 0.0), "celsius": (1.0, 0.0), "c": (1.0, 0.0), "k": (1.0, -273.15),
+    "kelvin": (1.0, -273.15), "degf": (5 / 9, -160 / 9), "°f": (5 / 9, -160 / 9), "f": (5 / 9, -160 / 9),
+}  # fmt: skip
+_BRACKETS = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
+_PARENTHESES = re.compile(r"(?P<name>.*\S)\s*\((?P<unit>[^()]*[^\W\d_][^()]*)\)")
+# a closed list: 'position_in' is no inch, 'position_act' no attocarat
+_SUFFIX = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|ns|m|mm|um|µm|nm|N|kN|V|mV|A|mA|degC|K)")
+_NO_UNIT = ("", "-", "1", "none")
+
+
+class Conversion(NamedTuple):
+    """A column in SI is `factor` times the column plus `offset`."""
+
+    factor: float
+    offset: float = 0.0
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """The column in SI; untouched where it is in SI already."""
+        return values if self == (1.0, 0.0) else self.factor * values + self.offset
+
+
+def conversion(channel: str, text: str, force_per: dict[str, float]) -> Conversion:
+    """How a column in the unit `text` becomes the SI unit of `channel`; `force_per` holds N per "V" and per "A".
+
+    `text` is a unit (mm, V), one with a factor (50 nm, -0.1 N) or only a sign (-V). Raises `ValueError` with the mend.
+    """
+    unit = CHANNELS[channel].unit
+    if unit == "degC":
+        if text.strip().casefold() not in _SCALES_OF_TEMPERATURE:
+            raise ValueError(f"cannot read '{text}' as a unit of temperature; write degC, K or degF")
+        return Conversion(*_SCALES_OF_TEMPERATURE[text.strip().casefold()])
+    number = re.sub(r"^\s*([-+]?)\s*(?=[^\d\s.+-])", r"\g<1>1 ", text)
+    for source in (unit, "V", "A") if channel in FORCES else (unit,):
+        try:
+            factor = to_si(number, source)
+        except ValueError:
+            continue
+        if not factor:
+            raise ValueError(f"'{text}' is zero; write what one unit of the column is, such as '50 nm'")
+        if source == unit:
+            return Conversion(factor)
+        if source not in force_per:
+            key = next(key for key, electric in FORCE_PER.items() if electric == source)
+            raise ValueError(f"a {channel} in {text.strip()} needs {key} in [units], such as {key} = 35.2 (N/{source})")
+        return Conversion(factor * force_per[source])
+    raise ValueError(
+        f"'{text}' is no unit of the {channel}: write one that converts to {unit}, or what one count of the column is, "
+        f"such as '0.05 {unit}'"
+    )
+
+
+def fits(channel: str, text: str) -> bool:
+    """Whether `text` is a unit of `channel`."""
+    try:
+        conversion(channel, text, {"V": 1.0, "A": 1.0})
+    except ValueError:
+        return False
+    return True
+
+
+def split(header: str, channel: str) -> tuple[str, str | None]:
+    """Name and unit of a header such as 'position [mm]', 'position (mm)' or 'position_mm'; None without a unit.
+
+    Brackets always hold a unit; parentheses and suffixes may be part of a name, and count where they fit the channel.
+    """
+    if found := _BRACKETS.fullmatch(header.strip()):
+        unit = found["unit"].strip()
+        return found["name"], None if unit.casefold() in _NO_UNIT else unit
+    for pattern in (_PARENTHESES, _SUFFIX):
+        found = pattern.fullmatch(header.strip())
+        if found and fits(channel, found["unit"]):
+            return found["name"], found["unit"].strip()
+    return header.strip(), None

@@ -1,0 +1,71 @@
+"""Names and units of a text table's columns, from the lines above its numbers."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+from diffdrive.logs.column_unit import fits
+from diffdrive.logs.csv_dialect import Dialect, header_cells
+from diffdrive.logs.log import CHANNELS
+
+
+@dataclass(frozen=True)
+class Header:
+    """The columns' names, each once, and the units of those that have one."""
+
+    names: list[str]
+    units: dict[str, str]
+
+
+def header_of(preamble: list[str], dialect: Dialect) -> Header:
+    """The header among the lines before the first row; columns without one are called '1', '2', ..."""
+    rows = [cells for line in preamble if (cells := header_cells(line, dialect)) is not None]
+    scope = next((cells for cells in reversed(rows) if cells[0] == "Name"), None)
+    if scope is not None:
+        return _twincat(rows, scope)
+    unit_row = None
+    if len(rows) > 1 and _are_units(rows[-1]):
+        unit_row = rows.pop()
+    named = [name or str(k + 1) for k, name in enumerate(rows[-1])] if rows else None
+    names = _once(named or [str(k + 1) for k in range(dialect.width)])
+    units = {name: unit for name, unit in zip(names, map(_bare, unit_row or ()), strict=False) if unit}
+    return Header(names, units)
+
+
+def _twincat(rows: list[list[str]], names: list[str]) -> Header:
+    """TwinCAT Scope: lines of pairs 'Name, X, Name, Y' and 'Unit, mm, Unit, N'; the first of a pair is its time, in ms.
+
+    One time column may serve several signals, so a column is a time if it repeats the line's own key.
+    """
+    units_row = next((cells for cells in rows if cells[0] == "Unit"), [""] * len(names))
+    times = [name == "Name" for name in names]
+    called, following = [], [*names[1:], ""]
+    for k, (name, is_time) in enumerate(zip(names, times, strict=True)):
+        called.append(("time" if k == 0 else f"{following[k]}.clock") if is_time else name or str(k + 1))
+    named = _once(called)
+    units = {
+        name: "ms" if is_time else _bare(unit)
+        for name, unit, is_time in zip(named, units_row, times, strict=True)
+        if is_time or _bare(unit)
+    }
+    return Header(named, units)
+
+
+def _bare(cell: str) -> str:
+    """A cell of a unit row without brackets; empty where it says that there is no unit."""
+    bare = cell.strip("[]() ")
+    return "" if bare in ("-", "1") or bare.casefold() == "none" else bare
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Whether every cell is empty or a unit of some channel, and at least one is a unit."""
+    bare = [_bare(cell) for cell in cells]
+    return any(bare) and all(not cell or any(fits(channel, cell) for channel in CHANNELS) for cell in bare)
+
+
+def _once(names: list[str]) -> list[str]:
+    """Names that occur several times are numbered: nobody can say which of them is meant."""
+    total, seen, numbered = Counter(names), Counter(), []
+    for name in names:
+        seen[name] += 1
+        numbered.append(name if total[name] == 1 else f"{name}#{seen[name]}")
+    return numbered

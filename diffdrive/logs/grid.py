@@ -1,0 +1,88 @@
+"""The uniform clock behind a log's time stamps: its period from the whole log, and where samples are missing."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive.logs.log import Signal
+
+EXACT = 1e-6  # of a period: what writing and reading a number may do to a stamp
+ROUNDED = 0.05  # of a period: what a clock of coarse resolution does
+_LONG = 1.75  # steps beyond this many medians are no single steps
+_BREAK = 2.5  # periods without a sample are a gap, even if late samples follow: to fill them would be to invent
+_WINDOW = 10  # samples on either side that tell a late stamp from a missing sample
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Stamps are `times` but for `deviation` (periods, largest and RMS); samples are missing before each of `gaps`."""
+
+    period: float  # s
+    times: Signal
+    gaps: tuple[int, ...]
+    deviation: float
+    rms: float
+
+
+def fit_grid(stamps: Signal, nominal: float | None) -> Grid:
+    """The grid of strictly increasing stamps (s). The `nominal` period (s) is taken where the stamps allow it."""
+    steps = np.diff(stamps)
+    period = float(steps[steps <= _LONG * np.median(steps)].mean())
+    missing = _missing(stamps, period)
+    index = np.arange(len(stamps)) + np.concatenate(([0], np.cumsum(missing)))
+    gaps = tuple((np.flatnonzero(missing) + 1).tolist())
+    one_clock = _fitted(stamps, index, np.zeros(len(stamps), dtype=int), gaps, nominal)
+    if one_clock.deviation <= ROUNDED or not gaps:
+        return one_clock
+    # recordings that were stopped and started again: each piece has its own phase
+    piece = np.concatenate(([0], np.cumsum(missing > 0)))
+    return _fitted(stamps, index, piece, gaps, nominal)
+
+
+def _missing(stamps: Signal, period: float) -> np.ndarray:
+    """How many samples are missing between each stamp and the next."""
+    steps = np.diff(stamps) / period
+    whole = np.rint(steps)
+    if np.all((whole >= 1) & (np.abs(steps - whole) < 0.25)):
+        return whole.astype(int) - 1
+    # a stamp that is only late leaves the later ones where they were; missing samples shift them for good
+    lag = (stamps - stamps[0]) / period - np.arange(len(stamps))
+    missing = np.zeros(len(steps), dtype=int)
+    breaks = np.flatnonzero(steps > _BREAK)
+    for k in np.flatnonzero(steps > 1.5):
+        before, after = np.searchsorted(breaks, [k, k + 1])
+        low = max(k + 1 - _WINDOW, breaks[before - 1] + 1 if before else 0)
+        high = min(k + 1 + _WINDOW, breaks[after] + 1 if after < len(breaks) else len(stamps))
+        shift = math.floor(np.median(lag[k + 1 : high]) - np.median(lag[low : k + 1]) + 0.5)
+        missing[k] = max(shift, 0 if steps[k] <= _BREAK else round(steps[k]) - 1)
+    return missing
+
+
+def _fitted(stamps: Signal, index: np.ndarray, piece: np.ndarray, gaps: tuple[int, ...], nominal: float | None) -> Grid:
+    """Least squares of one period and a phase per piece; a round period is preferred where it explains them as well."""
+    size = np.bincount(piece)
+
+    def centred(values: np.ndarray) -> np.ndarray:
+        values = values - values[0]
+        return values - (np.bincount(piece, values) / size)[piece]
+
+    i, t = centred(index), centred(stamps)
+    period = float(i @ t / (i @ i)) if i.any() else float(np.median(np.diff(stamps)))
+
+    def worst(trial: float) -> float:
+        return float(np.max(np.abs(t - trial * i))) / trial
+
+    for simple in filter(None, (nominal, 1.0 / float(f"{1.0 / period:.6g}"))):
+        if worst(simple) <= 1.2 * worst(period) + EXACT:
+            period = simple
+            break
+    start = np.concatenate(([0], np.flatnonzero(np.diff(piece)) + 1))
+    lead = period * (index - index[start][piece])
+    times = stamps[start][piece] + lead
+    if np.max(np.abs(stamps - times)) > ROUNDED * period:  # the first stamp is itself a bad one
+        ends = [*start, len(stamps)]
+        times = times + np.array([np.median((stamps - times)[a:b]) for a, b in itertools.pairwise(ends)])[piece]
+    off = (stamps - times) / period
+    return Grid(period, times, gaps, float(np.max(np.abs(off))), float(np.sqrt(np.mean(off**2))))

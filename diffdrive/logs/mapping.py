@@ -1,0 +1,122 @@
+"""Which column of a log's file is which channel, in which unit: the tables [columns] and [units] of a drive file."""
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from diffdrive.errors import LogError
+from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
+from diffdrive.logs.log import CHANNELS
+from diffdrive.units import to_si
+
+
+@dataclasses.dataclass(frozen=True)
+class Mapping:
+    """Columns and units by channel; what is absent is found by name and taken in the unit that the file says, else SI.
+
+    `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
+    column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
+    in V or A into newtons. Raises `LogError` for a channel or unit that does not exist.
+    """
+
+    columns: dict[str, str] = dataclasses.field(default_factory=dict)
+    units: dict[str, str] = dataclasses.field(default_factory=dict)
+    force_per_volt: float | None = None
+    force_per_ampere: float | None = None
+
+    def __post_init__(self) -> None:
+        for table in ("columns", "units"):
+            for channel, text in getattr(self, table).items():
+                known = [*CHANNELS, *(FORCE_PER if table == "units" else ())]
+                if channel not in CHANNELS:
+                    raise LogError(f"[{table}] {channel}: no such channel; {_near(channel, known)}")
+                if not isinstance(text, str) or not text.strip():
+                    raise LogError(f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {text!r}")
+        for key, electric in FORCE_PER.items():
+            gain = getattr(self, key)
+            if gain is not None and not (math.isfinite(gain) and gain != 0):
+                raise LogError(f"[units] {key}: must be a finite number of N/{electric} other than 0, got {gain!r}")
+        for channel in self.units:
+            self.conversion(channel, self.units[channel], f"[units] {channel}")
+        held: dict[str, str] = {}
+        for channel, column in self.columns.items():
+            if column in held:
+                raise LogError(f"[columns] {channel}: '{column}' is the {held[column]} already; each needs its own")
+            held[column] = channel
+
+    @property
+    def force_per(self) -> dict[str, float]:
+        """N per "V" and per "A", as far as they are known."""
+        gains = {electric: getattr(self, key) for key, electric in FORCE_PER.items()}
+        return {electric: gain for electric, gain in gains.items() if gain is not None}
+
+    def conversion(self, channel: str, unit: str, where: str) -> Conversion:
+        """How a column of `channel` in `unit` becomes SI; `where` begins the `LogError` if it cannot."""
+        try:
+            return conversion(channel, unit, self.force_per)
+        except ValueError as problem:
+            raise LogError(f"{where}: {problem}") from None
+
+    def overridden(self, columns: Iterable[str] = (), units: Iterable[str] = ()) -> "Mapping":
+        """With a command line's `--column reference=qg` and `--unit command=V` put over it."""
+        more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
+        gains = {key: _gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
+        changed = {table: getattr(self, table) | more[table] for table in more}
+        return dataclasses.replace(self, **changed, **gains)
+
+
+_EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
+
+
+def parse_mapping(columns: dict[str, Any], units: dict[str, Any]) -> Mapping:
+    """From the tables [columns] and [units] of a drive file; raises `LogError` naming the key and the mend."""
+    for name, table in (("columns", columns), ("units", units)):
+        if not isinstance(table, dict):
+            raise LogError(f"[{name}] must be a table, got {table!r}")
+    gains = {key: _gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
+    return Mapping(dict(columns), {key: unit for key, unit in units.items() if key not in FORCE_PER}, **gains)
+
+
+def mapping_tables(mapping: Mapping) -> dict[str, dict[str, Any]]:
+    """The tables of a drive file that `parse_mapping` reads back to the same mapping; none where it is empty."""
+    gains = {key: getattr(mapping, key) for key in FORCE_PER if getattr(mapping, key) is not None}
+    tables = {"columns": dict(mapping.columns), "units": dict(mapping.units) | gains}
+    return {name: table for name, table in tables.items() if table}
+
+
+def _near(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+
+
+def _gain(key: str, value: Any, where: str) -> float:
+    unit = f"N/{FORCE_PER[key]}"
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            pass
+        try:
+            return to_si(value, unit)
+        except ValueError as problem:
+            raise LogError(f"{where} {key}: {problem}") from None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise LogError(f"{where} {key}: must be a number in {unit}, got {value!r}")
+    return float(value)
+
+
+def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
+    given: dict[str, str] = {}
+    for text in texts:
+        channel, equals, value = (part.strip() for part in text.partition("="))
+        if not (channel and equals and value):
+            raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
+        if channel in given:
+            raise LogError(f"{option} {text}: {channel} is given twice")
+        given[channel] = value
+    return given
+
+
+_EXAMPLE_OF = {"--column": "reference=qg", "--unit": "command=V"}

@@ -1,0 +1,49 @@
+"""Reads and writes Parquet; a column's unit is the metadata "unit" of its field."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from diffdrive.errors import LogError
+from diffdrive.logs.table import Table
+
+
+def read_parquet(path: Path) -> Table:
+    """The columns of a Parquet file, nulls as NaN; raises `LogError` if it is none or cut off."""
+    try:
+        table = pq.ParquetFile(path).read()
+    except (pa.ArrowException, OSError) as problem:
+        raise LogError(
+            f"{path}: cannot be read as Parquet, it is another format or cut off ({_first_line(problem)}); "
+            "export or copy it again"
+        ) from None
+    columns, units = {}, {}
+    for field, column in zip(table.schema, table.columns, strict=True):
+        if pa.types.is_nested(field.type):
+            continue
+        if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
+            column = column.cast(pa.int64())
+            units[field.name] = {"s": "s", "ms": "ms", "us": "us", "ns": "ns"}[field.type.unit]
+        elif pa.types.is_decimal(field.type):
+            column = column.cast(pa.float64())
+        columns[field.name] = _array(column)
+        if field.metadata and b"unit" in field.metadata:
+            units[field.name] = field.metadata[b"unit"].decode()
+    return Table(str(path), columns, units)
+
+
+def write_parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    """Write columns as float64 with their units."""
+    schema = pa.schema([pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns])
+    pq.write_table(pa.table([pa.array(values) for values in columns.values()], schema=schema), path)
+
+
+def _array(column: pa.ChunkedArray) -> np.ndarray:
+    values = column.to_numpy()
+    return values if values.dtype.kind in "fiub" else np.array(["" if v is None else v for v in values], dtype=object)
+
+
+def _first_line(problem: Exception) -> str:
+    return (str(problem) or type(problem).__name__).splitlines()[0]

@@ -1,0 +1,45 @@
+"""The rate of a log beside that of the drive file: the same, a clock apart, decimated, or wrong."""
+
+from diffdrive.errors import LogError
+from diffdrive.logs.grid import Grid
+
+RATE_TOLERANCE = 1e-3  # relative: crystals agree far better, wrong settings far worse
+_TOLD = 0.01  # periods of drift over the log
+LARGEST_FACTOR = 50  # of decimation or oversampling
+_UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns", 60.0: "min"}
+
+
+def compared(source: str, grid: Grid, rate: float | None) -> list[str]:
+    """Notes on how the log's rate compares with the drive file's `rate` (Hz), if that is known.
+
+    Raises `LogError` where they differ by more than two clocks do, and not by a whole factor.
+    """
+    if rate is None:
+        return []
+    found = 1.0 / grid.period
+    off = found / rate - 1.0
+    span = float(grid.times[-1] - grid.times[0])
+    if abs(off) <= RATE_TOLERANCE:
+        drift = abs(off) * span
+        if drift <= _TOLD * grid.period:
+            return []
+        return [
+            f"the log's rate is {abs(off):.2g} {'below' if off < 0 else 'above'} the drive file's {rate:g} Hz by its "
+            f"own stamps, {1e3 * drift:.3g} ms over the log: its own period was kept"
+        ]
+    ratio = max(found / rate, rate / found)
+    for factor, unit in _UNITS.items():
+        if abs(ratio / factor - 1) < 0.01:
+            text = unit if (found < rate) != (unit == "min") else "s"
+            raise LogError(
+                f"{source}: the time stamps, read as seconds, make {found:.6g} Hz, the drive file says {rate:g} Hz; is "
+                f'the time in another unit? Write [units] time = "{text}", or correct [sampling] rate'
+            )
+    whole = round(ratio)
+    if 2 <= whole <= LARGEST_FACTOR and abs(ratio / whole - 1) <= RATE_TOLERANCE:
+        what = f"every {whole}th sample of" if found < rate else f"{whole} samples in each period of"
+        return [f"the log has {found:.6g} Hz: {what} the drive file's {rate:g} Hz"]
+    raise LogError(
+        f"{source}: the log has {found:.6g} Hz, the drive file says {rate:g} Hz; correct [sampling] rate, or the unit "
+        "of the time in [units]"
+    )

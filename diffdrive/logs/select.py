@@ -1,0 +1,143 @@
+"""From a table's columns to channels in SI, by the mapping and by the columns' own names and units."""
+
+import difflib
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from diffdrive.errors import LogError
+from diffdrive.logs.column_unit import FORCES, Conversion, split
+from diffdrive.logs.log import CHANNELS
+from diffdrive.logs.mapping import Mapping
+from diffdrive.logs.stamps import integer_seconds, text_seconds
+from diffdrive.logs.table import Table
+
+_LISTED = 30  # columns named in an error
+
+
+def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conversion, list[str]]:
+    """The channels in SI, how the time became seconds, and notes; raises `LogError` for what is missing or ambiguous.
+
+    The time may be absent: whether that is an error depends on whether the rate is known.
+    """
+    chosen = _chosen(table, mapping)
+    lengths = {channel: len(table.columns[column]) for channel, column in chosen.items()}
+    reference = "time" if "time" in chosen else "position"
+    for channel, length in lengths.items():
+        if length != lengths[reference]:
+            raise LogError(
+                f"{table.source}: column '{chosen[channel]}' has {length} values, '{chosen[reference]}' has "
+                f"{lengths[reference]}; record both at one rate, or name another column for the {channel}"
+            )
+    signals, notes, clock = {}, [], Conversion(1.0)
+    for channel, column in chosen.items():
+        to_si, said = _conversion(table, mapping, channel, column)
+        notes += said
+        if channel == "time":
+            signals[channel], clock, said = _seconds(table, column, to_si)
+            notes += said
+        else:
+            signals[channel] = to_si(table.numbers(column))
+    return signals, clock, notes
+
+
+def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
+    chosen = {channel: _mapped(table, channel, column) for channel, column in mapping.columns.items()}
+    for channel, meant in CHANNELS.items():
+        if channel in chosen:
+            continue
+        free = [column for column in table.columns if column not in chosen.values()]
+        found = _find(free, channel, channel, exact=False)
+        if len(found) > 1:
+            raise LogError(
+                f"{table.source}: the columns {_listed(found)} may each be the {channel}; say which: [columns] "
+                f'{channel} = "{found[0]}", or --column {channel}={found[0]}'
+            )
+        if found:
+            chosen[channel] = found[0]
+        elif meant.required and channel != "time":
+            raise missing(table, channel)
+    return {channel: chosen[channel] for channel in CHANNELS if channel in chosen}
+
+
+def missing(table: Table, channel: str) -> LogError:
+    """The error for a required channel that no column is called after."""
+    names = list(table.columns)
+    near = difflib.get_close_matches(channel, names, n=1)
+    guess = near[0] if near else "COLUMN"
+    return LogError(
+        f'{table.source}: no column is called "{channel}"; say which is the {CHANNELS[channel].meaning}, such as '
+        f'[columns] {channel} = "{guess}" or --column {channel}={guess}; the file has {_listed(names)}'
+    )
+
+
+def _mapped(table: Table, channel: str, column: str) -> str:
+    found = _find(list(table.columns), column, channel, exact=True)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise LogError(
+            f"{table.source}: [columns] {channel} = '{column}' fits {_listed(found)}; write one of them in full"
+        )
+    near = difflib.get_close_matches(column, list(table.columns), n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    raise LogError(
+        f"{table.source}: [columns] {channel} = '{column}': no such column; {hint}the file has "
+        f"{_listed(list(table.columns))}"
+    )
+
+
+def _find(columns: list[str], name: str, channel: str, *, exact: bool) -> list[str]:
+    """The columns that the name fits best: as written, then but for case and unit, then as the end of a path."""
+    wanted = name.strip().casefold()
+
+    def names(column: str) -> set[str]:
+        return {column.strip().casefold(), split(column, channel)[0].casefold()}
+
+    rules: list[Callable[[str], bool]] = [
+        lambda column: exact and column == name,
+        lambda column: wanted in names(column),
+        lambda column: any(wanted == re.split(r"[./]", one)[-1].strip('" ') for one in names(column)),
+    ]
+    for rule in rules:
+        if found := [column for column in columns if rule(column)]:
+            return found
+    return []
+
+
+def _conversion(table: Table, mapping: Mapping, channel: str, column: str) -> tuple[Conversion, list[str]]:
+    said = table.units.get(column) or split(column, channel)[1]
+    ordered = mapping.units.get(channel)
+    where = f"{table.source}: column '{column}'"
+    if ordered is None and said is None:
+        if channel in FORCES and mapping.force_per:
+            raise LogError(
+                f"{where}: [units] has a force per volt or ampere, and nothing says whether the {channel} is in V, A "
+                f'or N; write [units] {channel} = "V", "A" or "N"'
+            )
+        return Conversion(1.0), []
+    if ordered is None:
+        return mapping.conversion(channel, said, where), []
+    chosen = mapping.conversion(channel, ordered, where)
+    if said is None:
+        return chosen, []
+    try:
+        agrees = np.allclose(mapping.conversion(channel, said, where), chosen, rtol=1e-12, atol=0.0)
+    except LogError:
+        agrees = False
+    return chosen, [] if agrees else [f"{channel}: the file says {said}, [units] says {ordered}, which was taken"]
+
+
+def _seconds(table: Table, column: str, to_si: Conversion) -> tuple[np.ndarray, Conversion, list[str]]:
+    values = table.columns[column]
+    if values.dtype.kind == "O" and (parsed := text_seconds(values)) is not None:
+        return parsed[0], Conversion(1.0), [parsed[1]]
+    if values.dtype.kind in "iu" and (counted := integer_seconds(values)) is not None:
+        return to_si(counted[0]), to_si, [counted[1]]
+    return to_si(table.numbers(column)), to_si, []
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
+    return shown + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")

@@ -1,0 +1,51 @@
+"""Writes a log so that `read_log` reads the same back: to the last bit, gaps as missing time stamps."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive.errors import LogError
+from diffdrive.logs.log import CHANNELS, Log
+
+Write = Callable[[Path, dict[str, np.ndarray], dict[str, str]], None]
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray], units: dict[str, str] | None = None) -> None:
+    """Write columns as CSV with the shortest digits that read back the same; the header says the units given."""
+    units = units or {}
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{name} [{units[name]}]" if name in units else name for name in columns])
+        writer.writerows(zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True))
+
+
+def _parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    from diffdrive.logs.parquet_file import write_parquet
+
+    write_parquet(path, columns, units)
+
+
+def _mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    from diffdrive.logs.mat_file import write_mat
+
+    write_mat(path, columns, units)
+
+
+WRITERS: dict[str, Write] = {".csv": write_csv, ".parquet": _parquet, ".mat": _mat}
+
+
+def write_log(path: str | Path, log: Log) -> None:
+    """Write a log by the path's extension, in SI units; `name` and `notes` are not kept.
+
+    Raises `LogError` for an unknown extension or a folder that cannot be written to.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise LogError(f"{path}: cannot write '{path.suffix}'; known: {', '.join(WRITERS)}")
+    columns = {name: np.asarray(values, dtype=np.float64) for name, values in log.channels.items()}
+    try:
+        WRITERS[path.suffix.lower()](path, columns, {name: CHANNELS[name].unit for name in columns})
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None
