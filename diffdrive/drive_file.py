@@ -19,7 +19,8 @@ import tomli_w
 
 from diffdrive.controller_file import build_controller, controller_table
 from diffdrive.controllers import Controller
-from diffdrive.errors import DriveFileError, ParameterError
+from diffdrive.errors import DriveFileError, LogError, ParameterError
+from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
 from diffdrive.motion import Limits
 from diffdrive.parameters import (
     Actuator,
@@ -39,12 +40,13 @@ from diffdrive.units import to_si
 
 @dataclasses.dataclass(frozen=True)
 class DriveDescription:
-    """A drive file's content: the drive, its controller, the sampling and the limits of the axis."""
+    """A drive file's content: the drive, its controller, sampling, the limits of the axis, and how its logs read."""
 
     drive: Drive
     controller: Controller
     sampling: Sampling
     limits: Limits
+    mapping: Mapping = dataclasses.field(default_factory=Mapping)
 
 
 # pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
@@ -153,6 +155,10 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
         name: Section(source, name, root.take(name, {}))
         for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
     }
+    try:
+        mapping = parse_mapping(root.take("columns", {}), root.take("units", {}))
+    except LogError as error:
+        raise DriveFileError(f"{source}: {error}") from None
     root.done()
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
@@ -182,7 +188,7 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     controller = build_controller(sections["controller"], drive)
     for section in sections.values():
         section.done()
-    return DriveDescription(drive, controller, sampling, limits)
+    return DriveDescription(drive, controller, sampling, limits, mapping)
 
 
 def read_drive(path: str | Path) -> DriveDescription:
@@ -223,7 +229,7 @@ def drive_tables(description: DriveDescription) -> dict[str, Any]:
     for name in ("speed", "acceleration"):
         if np.isfinite(getattr(limits, name)):
             tables["limits"][name] = getattr(limits, name)
-    return tables
+    return tables | mapping_tables(description.mapping)
 
 
 def write_drive(path: str | Path, description: DriveDescription) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive.errors import DivergenceError
+from diffdrive.logs.log import Log
 from diffdrive.motion import Limits, Motion
 
 
@@ -79,6 +80,11 @@ class Run:
     def rms(self, start: float = -np.inf, end: float = np.inf) -> float:
         """Root mean square tracking error between `start` and `end` (m)."""
         return float(np.sqrt(np.mean(self.error[self.between(start, end)] ** 2)))
+
+    def log(self, name: str = "run") -> Log:
+        """What the machine itself would have logged of this run, without what only a simulation knows."""
+        signals = {channel: getattr(self, channel) for channel in ("time", "position", "command", "reference", "load")}
+        return Log(name, **{channel: np.asarray(values, dtype=np.float64) for channel, values in signals.items()})
 
     def require_ok(self) -> "Run":
         """The run itself, or a `DivergenceError` with its status."""

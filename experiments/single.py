@@ -12,6 +12,7 @@ from diffdrive.convergence import convergence_gains, time_constants
 from diffdrive.drive_file import read_drive
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.load_estimator import InnovationLoad
+from diffdrive.logs.write import write_csv
 from diffdrive.motion import require_within
 from diffdrive.observer import KalmanObserver
 from diffdrive.run import Run
@@ -20,19 +21,21 @@ from experiments.report import Report, new_figure
 from experiments.scenario import number, parse_load, parse_motion
 from experiments.sweep import percentiles, sweep
 
-_COLUMNS = (
-    "time", "reference", "position", "table_position", "velocity", "command", "force", "load", "friction",
-    "friction_estimate", "load_estimate",
-)  # fmt: skip
+# what a machine could not log; the velocity gets another name there, as a log's is that which the machine reports
+_SIMULATED = {
+    "table_position": "table_position",
+    "table_velocity": "velocity",
+    "force": "force",
+    "friction": "friction",
+    "friction_estimate": "friction_estimate",
+    "load_estimate": "load_estimate",
+}
 
 
 def write_run(path: Path, run: Run) -> None:
-    """A run as CSV, SI units, columns without a value left out."""
-    names = [name for name in _COLUMNS if getattr(run, name) is not None]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows(zip(*(getattr(run, name).tolist() for name in names), strict=True))
+    """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows."""
+    signals = {column: getattr(run, name) for column, name in _SIMULATED.items()}
+    write_csv(path, run.log().channels | {column: values for column, values in signals.items() if values is not None})
 
 
 def simulate_drive(
