@@ -13,8 +13,9 @@ from diffdrive.logs.table import Table
 def read_parquet(path: Path) -> Table:
     """The columns of a Parquet file, nulls as NaN; raises `LogError` if it is none or cut off."""
     try:
-        table = pq.ParquetFile(path).read()
-    except (pa.ArrowException, OSError) as problem:
+        with pq.ParquetFile(path) as file:
+            table = file.read()
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as problem:
         raise LogError(
             f"{path}: cannot be read as Parquet, it is another format or cut off ({_first_line(problem)}); "
             "export or copy it again"
