@@ -1,6 +1,7 @@
 """The identification problem: stretches of logs, what is free, and residuals in units of the measuring noise."""
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +10,12 @@ from jaxtyping import Array, Float
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling
-from tuning.prediction import Lanes, Observer, predict
-from tuning.space import Space
+from tuning.prediction import Gains, Lanes, Predicted, predict
+from tuning.space import Free, Space
 from tuning.unknowns import Unknowns
 
 SHORTEST = 200  # samples of a stretch that is worth a lane
-COARSEST_SUBSTEP = 50e-6  # s; leaves 1e-4 of the bristle's frequency, below what any log resolves
+COARSEST_SUBSTEP = 25e-6  # s; leaves 1e-4 of the bristle's frequency, below what any log resolves
 
 
 def lanes_of(logs: list[Log]) -> Lanes:
@@ -57,44 +58,45 @@ def noise_floor(drive: Drive, lanes: Lanes) -> float:
 
 
 class Problem(NamedTuple):
-    """What is fitted to what. The vector y holds the free parameters, then the bristle of each lane at its start."""
+    """What is fitted to what."""
 
     believed: Drive
-    unknowns: Unknowns
+    believed_unknowns: Unknowns
+    unknowns: Unknowns  # where the search starts
     lanes: Lanes
-    noise: float  # m
+    gains: Gains
+    origin: Float[np.ndarray, " free"]  # of the search space
 
 
-def unpack(y: Float[Array, " k"], space: Space, problem: Problem) -> tuple[Drive, Observer, Unknowns]:
-    """The drive and the observer at y."""
-    free = len(space.free)
-    unknowns = space.insert(problem.unknowns, y[:free])
-    share = jnp.tanh(y[free:])
-    level = jnp.where(share >= 0, unknowns.coulomb.positive, unknowns.coulomb.negative)
-    observer = Observer(unknowns.bandwidth, unknowns.delay, share * level)
-    return unknowns.drive(problem.believed), observer, unknowns
+@dataclass(frozen=True)
+class Innovations:
+    """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
 
-
-def residuals(
-    y: Float[Array, " k"], space: Space, problem: Problem, sampling: Sampling, every: int = 1
-) -> Float[Array, " m"]:
-    """Innovations over the noise, each `every`-th, then the distance of y from its start.
-
-    The latter is a prior of a factor of four (one unit in y): next to nothing where the log says something about a
-    parameter, and what keeps it at its start where the log says nothing.
+    Innovations over their expected scatter, each `every`-th, then the distance of y from its start. The latter is a prior
+    of a factor of five (one unit in y): next to nothing where the log says something about a parameter, and what keeps
+    it at its start where the log says nothing.
     """
-    drive, observer, _ = unpack(y, space, problem)
-    innovation = predict(drive, observer, problem.lanes, sampling).innovation
-    weighed = (innovation * problem.lanes.counts / problem.noise)[:, ::every] * np.sqrt(every)
-    return jnp.concatenate([weighed.ravel(), y])
+
+    free: tuple[Free, ...]
+    sampling: Sampling
+    every: int = 1
+
+    def unpack(self, y: Float[Array, " k"], problem: Problem) -> tuple[Drive, Unknowns]:
+        """The drive and the unknowns at y."""
+        unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
+        return unknowns.drive(problem.believed), unknowns
+
+    def predict(self, y: Float[Array, " k"], problem: Problem) -> Predicted:
+        """What the drive at y predicts."""
+        drive, unknowns = self.unpack(y, problem)
+        return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
+
+    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
+        innovation = self.predict(y, problem).innovation
+        weighed = (innovation * problem.lanes.counts / problem.gains.scatter)[:, :: self.every] * np.sqrt(self.every)
+        return jnp.concatenate([weighed.ravel(), y])
 
 
 def fit_sampling(rate: float) -> Sampling:
     """The sampling of a fit: its substeps are coarser than a simulation's."""
     return Sampling(rate, int(np.ceil(round(1.0 / (rate * COARSEST_SUBSTEP), 6))))
-
-
-def at_start(lanes: Lanes, space: Space) -> Any:
-    """y at the start: the parameters as they are, each bristle bent the way the lane moves."""
-    moving = np.sign(np.asarray(lanes.velocity)) * (np.abs(np.asarray(lanes.velocity)) > 1e-4)
-    return np.concatenate([np.zeros(len(space.free)), 2.0 * moving])

@@ -56,6 +56,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     verbose: Callable[..., None] = eqx.field(static=True, default=lambda **_: None)
 
 
+STALLED_STEPS, STALLED_SHARE = 8, 1e-9  # a search that gains no more than this in so many steps has arrived
 START_NORM = 10.0  # the residuals are scaled to it at the start, so that the first damping of 1 is a light one
 
 
@@ -83,6 +84,42 @@ def with_jacobian(residuals: Residuals) -> Residuals:
     return value
 
 
+OPTIONS: dict[str, Any] = {"jac": "fwd"}
+NO_TAGS: frozenset[object] = frozenset()
+
+
+def _scaled(residuals: Residuals) -> Any:
+    linearised = with_jacobian(residuals)
+
+    def fn(y: Any, args: Any) -> tuple[Any, None]:
+        unit, given = args
+        return linearised(y, given) / unit, None
+
+    return fn
+
+
+# These are compiled once for each `residuals`: where that is hashed by value, a second search costs no compilation.
+
+
+@eqx.filter_jit
+def _norm(residuals: Residuals, y: Any, args: Any) -> Any:
+    return jnp.linalg.norm(residuals(y, args))
+
+
+@eqx.filter_jit
+def _begin(residuals: Residuals, solver: Any, y: Any, args: Any) -> Any:
+    fn = _scaled(residuals)
+    return solver.init(fn, y, args, OPTIONS, *eqx.filter_eval_shape(fn, y, args), NO_TAGS)
+
+
+@eqx.filter_jit
+def _step(residuals: Residuals, solver: Any, y: Any, args: Any, state: Any) -> Any:
+    fn = _scaled(residuals)
+    y, state, _ = solver.step(fn, y, args, OPTIONS, state, NO_TAGS)
+    finished, result = solver.terminate(fn, y, args, OPTIONS, state, NO_TAGS)
+    return y, state, args[0] * jnp.sqrt(2.0 * state.f_info.as_min()), finished, result
+
+
 def levenberg_marquardt(
     residuals: Residuals,
     y: Float[np.ndarray, " k"],
@@ -95,45 +132,65 @@ def levenberg_marquardt(
     """Minimise the sum of squares of `residuals(y, args)` from `y`.
 
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
-    `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is forward-mode: it costs about twice a
-    simulation with a handful of parameters, and no memory. Raises `DivergenceError` if the start itself has no finite
-    cost.
+    `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is forward-mode:
+    it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start itself has no
+    finite cost.
     """
+    began = time.perf_counter()
     point = jnp.asarray(y)
-    first = float(jnp.linalg.norm(eqx.filter_jit(residuals)(point, args)))
+    first = float(_norm(residuals, point, args))
     if not np.isfinite(first):
         raise DivergenceError(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
         )
-    unit, linearised = first / START_NORM, with_jacobian(residuals)
-
-    def fn(y: Any, args: Any) -> tuple[Any, None]:
-        return linearised(y, args) / unit, None
-
-    began = time.perf_counter()
     solver = _LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    options: dict[str, Any] = {"jac": "fwd"}
-    tags: frozenset[object] = frozenset()
-    state = solver.init(fn, point, args, options, *eqx.filter_eval_shape(fn, point, args), tags)
-    step = eqx.filter_jit(lambda y, args, state: solver.step(fn, y, args, options, state, tags))
-    done = eqx.filter_jit(lambda y, args, state: solver.terminate(fn, y, args, options, state, tags))
+    given = (jnp.asarray(first / START_NORM), args)
     best, cost, history = point, first, [first]
     status, count = f"stopped after {max_steps} steps, still falling", 0
     try:
+        state = _begin(residuals, solver, point, given)
         for count in range(1, max_steps + 1):
-            point, state, _ = step(point, args, state)
-            now = unit * float(jnp.sqrt(2.0 * state.f_info.as_min()))
+            point, state, value, finished, result = _step(residuals, solver, point, given, state)
+            now = float(value)
             history.append(now)
             if np.isfinite(now) and now < cost:
                 best, cost = point, now
             progress(count, max_steps, cost)
-            finished, result = done(point, args, state)
+            if len(history) > STALLED_STEPS and history[-1 - STALLED_STEPS] - cost < STALLED_SHARE * cost:
+                status = "converged"
+                break
             if bool(finished):
                 status = "converged" if bool(result == optx.RESULTS.successful) else f"stopped: {result}"
                 break
     except KeyboardInterrupt:
         status = f"interrupted after {count - 1} steps"
     return Search(np.asarray(best), status, first, cost, count, time.perf_counter() - began, history)
+
+
+_LANES = eqx.if_array(0)
+
+
+@eqx.filter_jit
+def _begin_lanes(residuals: Residuals, solver: Any, points: Any, args: Any) -> Any:
+    units = jax.vmap(lambda y: jnp.linalg.norm(residuals(y, args)))(points) / START_NORM
+    fn = _scaled(residuals)
+    shapes = eqx.filter_eval_shape(fn, points[0], (units[0], args))
+
+    def one(y: Any, unit: Any) -> Any:
+        return solver.init(fn, y, (unit, args), OPTIONS, *shapes, NO_TAGS)
+
+    return units, eqx.filter_vmap(one, out_axes=_LANES)(points, units)
+
+
+@eqx.filter_jit
+def _step_lanes(residuals: Residuals, solver: Any, points: Any, units: Any, args: Any, state: Any) -> Any:
+    fn = _scaled(residuals)
+
+    def one(y: Any, unit: Any, state: Any) -> Any:
+        y, state, _ = solver.step(fn, y, (unit, args), OPTIONS, state, NO_TAGS)
+        return y, state, unit * jnp.sqrt(2.0 * state.f_info.as_min())
+
+    return eqx.filter_vmap(one, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
 
 
 def many_starts(
@@ -149,38 +206,13 @@ def many_starts(
     The cost is the root of the sum of squares; infinite where a start never had a finite one. Interrupted (Ctrl-C), it
     returns the best so far.
     """
-    linearised = with_jacobian(residuals)
-
-    def fn(y: Any, args: Any) -> tuple[Any, None]:
-        unit, given = args
-        return linearised(y, given) / unit, None
-
-    solver = _LevenbergMarquardt(rtol=1e-9, atol=1e-9)
-    options: dict[str, Any] = {"jac": "fwd"}
-    tags: frozenset[object] = frozenset()
-    lanes = eqx.if_array(0)
-
-    @eqx.filter_jit
-    def begin(points: Any, args: Any) -> Any:
-        units = jax.vmap(lambda y: jnp.linalg.norm(residuals(y, args)))(points) / START_NORM
-        shapes = eqx.filter_eval_shape(fn, points[0], (units[0], args))
-        state = eqx.filter_vmap(lambda y, u: solver.init(fn, y, (u, args), options, *shapes, tags), out_axes=lanes)
-        return units, state(points, units)
-
-    @eqx.filter_jit
-    def step(points: Any, state: Any, units: Any, args: Any) -> Any:
-        def one(y: Any, state: Any, unit: Any) -> Any:
-            y, state, _ = solver.step(fn, y, (unit, args), options, state, tags)
-            return y, state, unit * jnp.sqrt(2.0 * state.f_info.as_min())
-
-        return eqx.filter_vmap(one, in_axes=(0, lanes, 0), out_axes=lanes)(points, state, units)
-
+    solver = _LevenbergMarquardt(rtol=0.0, atol=0.0)
     points = jnp.asarray(starts)
-    units, state = begin(points, args)
-    best, costs = np.asarray(points), np.where(np.isfinite(units), START_NORM * np.asarray(units), np.inf)
+    units, state = _begin_lanes(residuals, solver, points, args)
+    best, costs = np.asarray(points), START_NORM * np.nan_to_num(np.asarray(units), nan=np.inf)
     with contextlib.suppress(KeyboardInterrupt):
         for count in range(1, steps + 1):
-            points, state, cost = step(points, state, units, args)
+            points, state, cost = _step_lanes(residuals, solver, points, units, args, state)
             now = np.asarray(cost)
             better = np.isfinite(now) & (now < costs)
             best, costs = np.where(better[:, None], points, best), np.where(better, now, costs)

@@ -1,19 +1,18 @@
 """One-step prediction of a log by a drive: what the model did not foresee, sample by sample.
 
-The drive is given the command that the log holds, so that the noise in the machine's loop reaches it too, and is pulled
-towards the measured position by an observer of bandwidth w (rad/s):
+The drive is given the command that the log holds, so that the noise in the machine's loop reaches it too, and at each sample
+is corrected by the innovation, e = measured minus predicted position:
 
-    e = y - x ,   x <- x + (1 - q^2) e ,   v <- v + (1 - q)^2 / T e ,   q = exp(-w T)
+    x <- x + Kx e ,   v <- v + Kv e ,   z <- z + Kz e
 
-which puts both poles of a free mass at q. e is the innovation. With w -> 0 it is the open-loop simulation of the logged
-command, best for an exact model and lost for any other; a larger w forgives what the model lacks. Where w is fitted with the
-parameters, it finds how far the model can be trusted (the innovation form of the prediction-error method: Ljung,
-System Identification, ch. 7).
+An open-loop replay of the command (K = 0) is of no use for a drive with a falling Stribeck curve: there the motion is
+unstable, and a micrometre becomes a millimetre. `constant_gains` pulls with one bandwidth throughout; the gains of
+`tuning.filtering` pull as hard as the model is trusted and the measurement is good. Both give consistent estimates
+(the innovation form of the prediction-error method: Ljung, System Identification, ch. 7); the latter the sharpest.
 """
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,9 @@ from jaxtyping import Array, Float
 from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.parameters import Drive, Sampling, Scalar, require_double_precision
+
+LONGEST_DELAY = 4  # control periods
+EARLIEST_DELAY = -1  # a command that is logged one sample late
 
 
 class Lanes(NamedTuple):
@@ -36,21 +38,25 @@ class Lanes(NamedTuple):
     velocity: Float[Array, " lanes"]  # m/s, at the first sample
 
     @property
-    def samples(self) -> int:
-        """How many samples count."""
-        return int(np.sum(np.asarray(self.counts)))
+    def lanes(self) -> int:
+        """How many."""
+        return self.position.shape[0]
 
 
-class Observer(eqx.Module):
-    """What the prediction needs beside the drive: its bandwidth, the loop's delay, and where each stretch began."""
+class Gains(NamedTuple):
+    """Corrections per metre of innovation, and how far the innovation is expected to scatter; [lanes, n] each."""
 
-    bandwidth: Scalar  # rad/s
-    delay: Scalar  # control periods between command and force
-    bristle_force: Float[Array, " lanes"]  # N, that the bent bristle exerted at the first sample
+    position: Float[Array, "lanes n"]  # 1
+    velocity: Float[Array, "lanes n"]  # 1/s
+    bristle: Float[Array, "lanes n"]  # 1
+    scatter: Float[Array, "lanes n"]  # m
 
 
-LONGEST_DELAY = 4  # control periods
-EARLIEST_DELAY = -1  # a command that is logged one sample late
+def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) -> Gains:
+    """Gains that put both poles of a free mass at exp(-bandwidth T), bandwidth in rad/s; the bristle is left alone."""
+    fade = float(np.exp(-bandwidth * period))
+    values = (1.0 - fade**2, (1.0 - fade) ** 2 / period, 0.0, noise)
+    return Gains(*(jnp.full(lanes.position.shape, value) for value in values))
 
 
 def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
@@ -66,39 +72,48 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     return shifted
 
 
+def acting_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]:
+    """The force (N) on the table of one lane: the command limited and delayed, and the known disturbance."""
+    return delayed(limited(drive.actuator, lane.command), delay) + lane.disturbance
+
+
+def moving(drive: Drive, lane: Lanes) -> plant.PlantState:
+    """Where one lane begins: where it is measured, at its velocity, the bristle in the steady state of that velocity."""
+    friction = drive.friction
+    level = friction.coulomb_screw.towards(lane.velocity) + friction.load_coefficient.towards(lane.velocity) * (
+        friction.initial_load + lane.load[0]
+    )
+    bent = level / friction.bristle_stiffness.towards(lane.velocity)
+    return plant.PlantState(lane.position[0], lane.velocity, bent * jnp.tanh(lane.velocity / SLIDING))
+
+
+SLIDING = 1e-3  # m/s; well above it the bristle is taken as bent, well below as relaxed
+
+
 class Predicted(NamedTuple):
-    """What was predicted, [n] each."""
+    """What was predicted, [lanes, n] each."""
 
-    innovation: Scalar  # m, measured minus predicted position
-    velocity: Scalar  # m/s, after the correction
-    bristle: Scalar  # m
+    innovation: Float[Array, "lanes n"]  # m
+    velocity: Float[Array, "lanes n"]  # m/s, after the correction
 
 
-def predict(drive: Drive, observer: Observer, lanes: Lanes, sampling: Sampling) -> Predicted:
-    """Predict each lane; arrays of shape [lanes, n]. Pure: for use under `jit`, `vmap` and `jacfwd`.
+def predict(drive: Drive, delay: Scalar, gains: Gains, lanes: Lanes, sampling: Sampling) -> Predicted:
+    """Predict each lane. Pure: for use under `jit`, `vmap` and `jacfwd`.
 
-    The drive's own delay is not used: the observer's is.
+    `delay` (control periods) stands for the drive's own.
     """
     require_double_precision()
-    period = sampling.period
-    fade = jnp.exp(-observer.bandwidth * period)
-    to_position, to_velocity = 1.0 - fade**2, (1.0 - fade) ** 2 / period
 
-    def lane(stretch: Lanes, bristle_force: Scalar) -> Predicted:
-        force = delayed(limited(drive.actuator, stretch.command), observer.delay) + stretch.disturbance
-        stiffness = drive.friction.bristle_stiffness.towards(bristle_force)
+    def body(state: plant.PlantState, at: tuple[Scalar, ...]) -> tuple[plant.PlantState, Predicted]:
+        measured, force, load, *pull = at
+        innovation = measured - state.position
+        state = plant.PlantState(*(value + gain * innovation for value, gain in zip(state, pull, strict=True)))
+        state = lax.optimization_barrier(state)
+        ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
+        return ahead, Predicted(innovation, state.velocity)
 
-        def body(state: plant.PlantState, at: tuple[Scalar, Scalar, Scalar]) -> tuple[plant.PlantState, Predicted]:
-            measured, acting, load = at
-            innovation = measured - state.position
-            state = plant.PlantState(
-                state.position + to_position * innovation, state.velocity + to_velocity * innovation, state.bristle
-            )
-            state = lax.optimization_barrier(state)
-            ahead = plant.advance(drive, state, acting, load, period, sampling.plant_steps)
-            return ahead, Predicted(innovation, state.velocity, state.bristle)
+    def one(lane: Lanes, gains: Gains) -> Predicted:
+        force = acting_force(drive, lane, delay)
+        return lax.scan(body, moving(drive, lane), (lane.position, force, lane.load, *gains[:3]))[1]
 
-        begin = plant.PlantState(stretch.position[0], stretch.velocity, bristle_force / stiffness)
-        return lax.scan(body, begin, (stretch.position, force, stretch.load))[1]
-
-    return jax.vmap(lane)(lanes, observer.bristle_force)
+    return jax.vmap(one)(lanes, gains)

@@ -63,10 +63,14 @@ class Space(NamedTuple):
         ]
         return eqx.tree_at(lambda m: [attrgetter(one.path)(m) for one in self.free], model, new)
 
-    def at_bound(self, y: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
-        """Names of the parameters that ended within 1 % of their range from a bound."""
+    def near_bound(self, y: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
+        """Paths of the parameters that ended within 1 % of their range from a bound."""
         share = np.asarray(jax.nn.sigmoid(jnp.asarray(y) + self.origin))
-        return [name for name, s in zip(self.names, share, strict=True) if s < within or s > 1 - within]
+        return [free.path for free, s in zip(self.free, share, strict=True) if s < within or s > 1 - within]
+
+    def at_bound(self, y: Float[np.ndarray, " k"]) -> list[str]:
+        """The last part of each path in `near_bound`."""
+        return [path.split(".")[-1] for path in self.near_bound(y)]
 
 
 def _value(model: object, path: str) -> float:

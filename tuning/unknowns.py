@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from diffdrive.parameters import Directional, Drive, Friction, Plant, Scalar, quantity
 from tuning.prediction import EARLIEST_DELAY, LONGEST_DELAY
@@ -18,19 +17,20 @@ from tuning.space import Free
 
 
 class Unknowns(eqx.Module):
-    """Parameters of the machine, shared by all logs, and the prediction's bandwidth."""
+    """Parameters of the machine, shared by all logs."""
 
     mass: Scalar = quantity("kg", "moving mass", above=0.0)
     constant_force: Scalar = quantity("N", "constant force on the table")
     coulomb: Directional = quantity("N", "Coulomb friction at no applied load, F_C", above=0.0, per_direction=True)
     load_coefficient: Directional = quantity("1", "Coulomb friction per load, mu_LC", above=0.0, per_direction=True)
-    breakaway: Directional = quantity("1", "breakaway over Coulomb friction, F_S / F_C", above=0.0, per_direction=True)
+    breakaway: Directional | None = quantity(
+        "1", "breakaway over Coulomb friction, F_S / F_C; None: the gap as believed", per_direction=True, optional=True
+    )
     stribeck_velocity: Directional = quantity("m/s", "Stribeck velocity, v_s", above=0.0, per_direction=True)
     viscous: Directional = quantity("N*s/m", "damping and viscous friction, B_S + mu_v", above=0.0, per_direction=True)
     bristle_stiffness: Directional = quantity("N/m", "bristle stiffness, sigma_0", above=0.0, per_direction=True)
     bristle_damping: Directional = quantity("N*s/m", "bristle damping, sigma_1", above=0.0, per_direction=True)
     delay: Scalar = quantity("1", "delay from command to force, in control periods")
-    bandwidth: Scalar = quantity("rad/s", "bandwidth of the prediction", above=0.0)
 
     def drive(self, believed: Drive) -> Drive:
         """`believed` with these parameters in place of its own; its delay excepted (see `with_delay`)."""
@@ -40,6 +40,9 @@ class Unknowns(eqx.Module):
             positive = function(*(pair.positive for pair in pairs))
             return Directional(positive, function(*(pair.negative for pair in pairs)))
 
+        gap = friction.breakaway_gap
+        if self.breakaway is not None:
+            gap = each(lambda level, ratio: level * (ratio - 1.0), self.coulomb, self.breakaway)
         return dataclasses.replace(
             believed,
             plant=Plant(
@@ -53,7 +56,7 @@ class Unknowns(eqx.Module):
                 ),
                 load_coefficient=self.load_coefficient,
                 initial_load=friction.initial_load,
-                breakaway_gap=each(lambda level, ratio: level * (ratio - 1.0), self.coulomb, self.breakaway),
+                breakaway_gap=gap,
                 stribeck_velocity=self.stribeck_velocity,
                 viscous=each(lambda both, known: jnp.maximum(both - known, 0.0), self.viscous, damping),
                 bristle_stiffness=self.bristle_stiffness,
@@ -62,12 +65,16 @@ class Unknowns(eqx.Module):
         )
 
 
-START_BANDWIDTH = 60.0  # rad/s: forgiving enough for a rough start, and the fit moves it
+LEAST = {
+    "load_coefficient": 1e-5,
+    "viscous": 1.0,
+    "bristle_damping": 10.0,
+}  # what moves in a logarithm cannot start at 0
 WIDTH = 30.0  # factor by which a parameter may move from its start, either way
 
 
 def unknowns_of(drive: Drive, delay: float) -> Unknowns:
-    """The unknowns at the values of `drive`, none of them zero, and a delay (control periods)."""
+    """The unknowns at the values of `drive`, and a delay (control periods)."""
     plant, friction = drive.plant, drive.friction
 
     def each(function: Callable[..., float], *pairs: Directional) -> Directional:
@@ -75,22 +82,21 @@ def unknowns_of(drive: Drive, delay: float) -> Unknowns:
         return Directional(positive, function(*(float(pair.negative) for pair in pairs)))
 
     level = each(
-        lambda screw, slope: screw + slope * float(friction.initial_load), friction.coulomb_screw, friction.load_coefficient
+        lambda screw, slope: screw + slope * float(friction.initial_load),
+        friction.coulomb_screw,
+        friction.load_coefficient,
     )
-    # a bristle without damping would have nothing to move in a logarithm; this much is a thousandth of critical
-    least = 1e-3 * float(np.sqrt(float(friction.bristle_stiffness.positive) * float(plant.mass)))
     return Unknowns(
         mass=float(plant.mass),
         constant_force=float(plant.constant_force),
         coulomb=level,
-        load_coefficient=each(lambda slope: max(slope, 1e-6), friction.load_coefficient),
+        load_coefficient=friction.load_coefficient,
         breakaway=each(lambda screw, gap: (screw + gap) / screw, level, friction.breakaway_gap),
         stribeck_velocity=friction.stribeck_velocity,
-        viscous=each(lambda b, mu: max(b + mu, 1e-3), plant.damping, friction.viscous),
+        viscous=each(lambda b, mu: b + mu, plant.damping, friction.viscous),
         bristle_stiffness=friction.bristle_stiffness,
-        bristle_damping=each(lambda damping: max(damping, least), friction.bristle_damping),
+        bristle_damping=friction.bristle_damping,
         delay=float(delay),
-        bandwidth=START_BANDWIDTH,
     )
 
 
@@ -99,6 +105,8 @@ def paths(unknowns: Unknowns) -> list[str]:
     found = []
     for field in dataclasses.fields(unknowns):
         value = getattr(unknowns, field.name)
+        if value is None:
+            continue
         together = field.name.startswith("bristle") and float(value.positive) == float(value.negative)
         if isinstance(value, Directional) and not together:
             found += [f"{field.name}.positive", f"{field.name}.negative"]
@@ -107,13 +115,12 @@ def paths(unknowns: Unknowns) -> list[str]:
     return found
 
 
-def bounds(path: str, start: float, friction: float, rate: float) -> Free:
-    """How far a parameter may move by default; `friction` is the Coulomb level (N), `rate` the control rate (Hz)."""
+def bounds(path: str, start: float, friction: float) -> Free:
+    """How far a parameter may move by default; `friction` is the Coulomb level (N)."""
     if path == "constant_force":
         reach = 10.0 * friction + 2.0 * abs(start)
         return Free(path, -reach, reach)
     if path == "delay":
         return Free(path, float(EARLIEST_DELAY), float(LONGEST_DELAY))
-    if path == "bandwidth":
-        return Free(path, 0.5, 0.5 * rate)
-    return Free(path, start / WIDTH, start * WIDTH)
+    middle = max(start, LEAST.get(path.split(".")[0], 0.0))
+    return Free(path, middle / WIDTH, middle * WIDTH)

@@ -1,0 +1,110 @@
+"""Estimates with intervals, in the names and units of the drive file."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.parameters import Drive, Scalar
+from tuning.fit import Innovations, Problem
+from tuning.space import Space
+from tuning.uncertainty import Covariance
+from tuning.unknowns import Unknowns, paths
+
+
+class Estimate(NamedTuple):
+    """One parameter as found. `low` and `high` bound it with 95 % confidence; equal to `value` where it was not fitted."""
+
+    name: str  # as in the drive file, with .positive or .negative where the directions differ
+    unit: str
+    believed: float
+    value: float
+    low: float
+    high: float
+    status: str  # "fitted", "fixed", "not determined", or "at its bound"
+
+
+class Reported(NamedTuple):
+    """One parameter as it is reported: which unknown it rests on, and its value."""
+
+    key: str
+    side: str  # "positive", "negative", or "" where both directions are one
+    unit: str
+    unknown: str
+    value: Scalar
+
+    @property
+    def name(self) -> str:
+        """Key and side."""
+        return f"{self.key}.{self.side}" if self.side else self.key
+
+    @property
+    def path(self) -> str:
+        """Where the unknown is in the search space."""
+        return f"{self.unknown}.{self.side}" if self.side else self.unknown
+
+
+LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
+
+
+def reported(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list[Reported]:
+    """Every parameter that can be identified; those in `together` have one value for both directions."""
+    friction = drive.friction
+    pairs = (
+        ("coulomb_at_no_load", "N", "coulomb", unknowns.coulomb),
+        ("coulomb_screw", "N", "coulomb", friction.coulomb_screw),
+        ("load_coefficient", "1", "load_coefficient", friction.load_coefficient),
+        ("breakaway_gap", "N", "breakaway", friction.breakaway_gap),
+        ("stribeck_velocity", "m/s", "stribeck_velocity", friction.stribeck_velocity),
+        ("viscous", "N*s/m", "viscous", friction.viscous),
+        ("bristle_stiffness", "N/m", "bristle_stiffness", friction.bristle_stiffness),
+        ("bristle_damping", "N*s/m", "bristle_damping", friction.bristle_damping),
+    )
+    rows = [
+        Reported("mass", "", "kg", "mass", drive.plant.mass),
+        Reported("constant_force", "", "N", "constant_force", drive.plant.constant_force),
+    ]
+    for key, unit, unknown, pair in pairs:
+        if unknown in together:
+            rows.append(Reported(key, "", unit, unknown, pair.positive))
+        else:
+            rows.append(Reported(key, "positive", unit, unknown, pair.positive))
+            rows.append(Reported(key, "negative", unit, unknown, pair.negative))
+    return [*rows, Reported("delay", "", "periods", "delay", unknowns.delay)]
+
+
+def estimates(
+    y: Float[np.ndarray, " k"],
+    innovations: Innovations,
+    problem: Problem,
+    covariance: Covariance,
+    undetermined: set[str],
+) -> list[Estimate]:
+    """The table of estimates at y. Positive parameters get the interval of their logarithm."""
+
+    def values(y: Float[Array, " k"]) -> Float[Array, " q"]:
+        drive, unknowns = innovations.unpack(y, problem)
+        return jnp.stack([jnp.asarray(row.value) for row in reported(drive, unknowns, together)])
+
+    together = frozenset(path for path in paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping"))
+    before = reported(problem.believed, problem.believed_unknowns, together)
+    point = jnp.asarray(y)
+    found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
+    widths = covariance.quantile * np.sqrt(np.einsum("qk,kj,qj->q", slope, covariance.matrix, slope))
+    at_bound = set(Space(innovations.free, problem.origin).near_bound(y))
+    table = []
+    for row, value, width, direction in zip(before, found, widths, slope, strict=True):
+        if row.path in undetermined:
+            status = "not determined"
+        elif not np.any(direction != 0.0):
+            status = "fixed"
+        else:
+            status = "at its bound" if row.path in at_bound else "fitted"
+        if row.key in LINEAR or value <= 0:
+            low, high = value - width, value + width
+        else:
+            low, high = value * np.exp(-width / value), value * np.exp(width / value)
+        table.append(Estimate(row.name, row.unit, float(row.value), float(value), float(low), float(high), status))
+    return table

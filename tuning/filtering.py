@@ -1,0 +1,115 @@
+"""How far to trust the model against the measurement, at every sample: an extended Kalman filter along a log.
+
+It carries the covariance of position, velocity and bristle with the exact derivative of one control period, so that its
+gains rise where the falling Stribeck curve makes the motion unstable and vanish where the table rests. What the model
+lacks is a white force on the table of `process` N (standard deviation per control period); how large it is, the
+likelihood of the innovations tells: nothing for an exact model, newtons for a machine.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive import plant
+from diffdrive.kalman import Matrix, diagonal, gain, predict_covariance, update_covariance
+from diffdrive.parameters import Drive, Sampling, Scalar
+from tuning.prediction import Gains, Lanes, acting_force, moving
+
+PROCESSES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
+UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
+
+
+class Filtered(NamedTuple):
+    """Gains along the log, and how likely its innovations are."""
+
+    gains: Gains
+    innovation: Float[Array, "lanes n"]  # m
+    deviance: Scalar  # -2 log likelihood of the innovations, up to a constant
+
+
+def _period(drive: Drive, sampling: Sampling) -> Any:
+    """One control period and its derivative with respect to the state before it."""
+
+    def ahead(velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar) -> plant.PlantState:
+        state = plant.PlantState(jnp.zeros_like(velocity), velocity, bristle)
+        return plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
+
+    def both(state: plant.PlantState, force: Scalar, load: Scalar) -> tuple[plant.PlantState, Matrix]:
+        _, velocity, bristle = state
+        one, none = jnp.ones_like(velocity), jnp.zeros_like(velocity)
+
+        def along(direction: tuple[Scalar, Scalar]) -> Any:
+            return jax.jvp(lambda v, z: ahead(v, z, force, load), (velocity, bristle), direction)
+
+        moved, by_velocity = along((one, none))
+        _, by_bristle = along((none, one))
+        rows = zip((1.0, 0.0, 0.0), by_velocity, by_bristle, strict=True)  # nothing depends on the position
+        return moved._replace(position=state.position + moved.position), tuple(rows)
+
+    return both
+
+
+def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes: Lanes, sampling: Sampling) -> Filtered:
+    """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's."""
+    period = _period(drive, sampling)
+    jolt = (process * sampling.period / drive.plant.mass) ** 2
+    measured_variance = noise**2
+
+    def body(carry: tuple[plant.PlantState, Matrix], at: tuple[Scalar, Scalar, Scalar]) -> Any:
+        state, covariance = carry
+        measured, force, load = at
+        innovation = measured - state.position
+        scatter = jnp.sqrt(covariance[0][0] + measured_variance)
+        pull = gain(covariance, measured_variance)
+        state = plant.PlantState(*(value + k * innovation for value, k in zip(state, pull, strict=True)))
+        covariance = update_covariance(covariance, pull, measured_variance)
+        state, covariance = lax.optimization_barrier((state, covariance))
+        state, moved = period(state, force, load)
+        covariance = predict_covariance(covariance, moved, (0.0, jolt, 0.0))
+        return (state, covariance), (Gains(*pull, scatter), innovation)
+
+    def one(lane: Lanes) -> Any:
+        begin = moving(drive, lane)
+        level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
+            drive.friction.initial_load + lane.load[0]
+        )
+        bent = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off at the start
+        spread = diagonal((measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, bent**2))
+        force = acting_force(drive, lane, delay)
+        return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
+
+    gains, innovation = jax.vmap(one)(lanes)
+    counts = lanes.counts
+    weighed = jnp.sum(counts * (innovation / gains.scatter) ** 2) / jnp.sum(counts)
+    deviance = jnp.sum(counts) * jnp.log(weighed) + 2.0 * jnp.sum(counts * jnp.log(gains.scatter))
+    return Filtered(gains, innovation, deviance)
+
+
+@eqx.filter_jit
+def _deviances(
+    drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
+) -> Any:
+    return jax.lax.map(
+        lambda one: filtered(drive, delay, one, noise, lanes, sampling).deviance, processes, batch_size=13
+    )
+
+
+@eqx.filter_jit
+def _filtered(*arguments: Any) -> Filtered:
+    return filtered(*arguments)
+
+
+def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> tuple[float, Filtered]:
+    """The process force (N) under which the log is likeliest, and the filter with it.
+
+    The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
+    """
+    given = (drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling)
+    deviances = np.asarray(_deviances(*given))
+    best = float(PROCESSES[int(np.nanargmin(deviances))]) if np.isfinite(deviances).any() else float(PROCESSES[-1])
+    return best, _filtered(drive, jnp.asarray(delay), jnp.asarray(best), jnp.asarray(noise), lanes, sampling)
