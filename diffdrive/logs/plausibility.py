@@ -31,7 +31,10 @@ def examine(log: Log, description: DriveDescription | None = None) -> list[Findi
     """
     findings = _readable(log)
     if not findings:
-        findings = [*_signals(log, description), *_command(log, description)]
+        units = _position_unit(log, description)
+        findings = [*units, *_signals(log, description)]
+        if all(finding.severity == "note" for finding in units):  # with a wrong position any command looks wrong
+            findings += _command(log, description)
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
@@ -39,6 +42,16 @@ def _readable(log: Log) -> list[Finding]:
     """What forbids any further look."""
     findings = [*outliers.lengths(log)] or [*outliers.finite(log)]
     return findings or [*clock.order(log)]
+
+
+def _position_unit(log: Log, description: DriveDescription | None) -> list[Finding]:
+    """Unit and sign of reference and position, from their range, their ratio and their counts."""
+    counts = [*grid.position_grid(log, description)]
+    return [
+        *ranges.travel(log, description),
+        *ratios.position_follows_reference(log),
+        *(finding for finding in counts if finding.severity == "fatal"),
+    ]
 
 
 def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
@@ -49,13 +62,11 @@ def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
         clock.rate(log, description) if description is not None else [],
         outliers.spikes(log),
         outliers.lost_rows(log),
-        ranges.travel(log, description),
         ranges.load(log, description),
         ranges.temperature(log),
-        ratios.position_follows_reference(log),
         ratios.motor_follows_position(log),
         ratios.velocity_is_derivative(log),
-        grid.position_grid(log, description),
+        (finding for finding in grid.position_grid(log, description) if finding.severity != "fatal"),
         grid.command_grid(log),
         stuck.constant(log),
         stuck.clipped_command(log, description),

@@ -1,4 +1,4 @@
-"""Command against what mass and friction ask for: the unit of the command where no controller tells it, and its sign."""
+"""Command against what mass and friction ask for: its unit where no controller tells it, and its sign."""
 
 from collections.abc import Iterator
 from typing import NamedTuple

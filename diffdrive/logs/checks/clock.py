@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.factors import told
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import mean_step
 from diffdrive.logs.log import Log
@@ -93,7 +94,7 @@ def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
     regular = steps[steps < 1.5 * step]
     doubt = 2 * float(np.max(np.abs(regular - step))) / max(log.duration, step)
     skipped = round(step * stated)
-    if skipped >= 2 and abs(step * stated / skipped - 1) < 1e-3:
+    if 2 <= skipped <= 100 and abs(step * stated / skipped - 1) < 1e-3:
         yield Finding(
             "warning",
             "time",
@@ -104,7 +105,8 @@ def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
         yield Finding(
             "fatal",
             "time",
-            f"the log is sampled at {1 / step:.6g} Hz, {1 / (step * stated):.4g} times the drive file's {stated:g} Hz",
+            f"the log is sampled at {1 / step:.6g} Hz, {1 / (step * stated):.4g} times the drive file's {stated:g} Hz"
+            + told(step * stated),
             "correct sampling.rate, or the unit of the time column",
         )
     elif abs(off) > max(CLOCK_ERROR, doubt):

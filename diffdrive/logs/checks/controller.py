@@ -10,13 +10,14 @@ from diffdrive.logs.checks.balance import balance, who_is_wrong
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.replay import SETTLE, outputs, remembers_nothing, shifted
 from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
+from diffdrive.logs.checks.stuck import clipped
 from diffdrive.logs.log import Log, Signal
 
 # Whole-sample shifts of reference and of position that are tried.
 REACH = 2
 # A controller is software: put to its own inputs it gives back its output to the rounding of the log. 3 % is the most
 # that a coarse log or numerical derivatives of the reference cost; beyond half it is another controller.
-EXPLAINED, RELATED = 0.03, 0.5
+EXPLAINED, ROUGH, RELATED = 0.03, 0.1, 0.5
 # A shift is certain if it explains the command five times better, and to 1 %.
 BETTER, EXACT = 0.2, 0.01
 # A force constant is known to some per cent; an error above a tenth is a unit or a wrong gain.
@@ -26,8 +27,8 @@ WRONG_UNIT, OFF = 0.1, 0.005
 class Match(NamedTuple):
     """How well the controller gives the command when reference and position are shifted by whole samples."""
 
-    reference: int  # samples by which the reference is taken later
-    position: int
+    reference: float  # samples by which the reference is taken later
+    position: float
     fit: Fit
     output: Signal
 
@@ -45,12 +46,13 @@ class Comparison(NamedTuple):
         return self.best.fit.error < RELATED
 
 
-def _fit(log: Log, piece: slice, output: Signal) -> Fit:
-    inner = slice(SETTLE, -SETTLE)
-    columns = [output[inner]]
+def _fit(log: Log, piece: slice, *outputs: Signal) -> Fit:
+    inside = slice(piece.start + SETTLE, piece.stop - SETTLE)
+    free = np.flatnonzero(~clipped(log.command)[inside])  # where the command is clipped it is not the controller's
+    columns = [output[SETTLE:-SETTLE][free] for output in outputs]
     if log.disturbance is not None and np.std(log.disturbance[piece]) > 0:
-        columns.append(log.disturbance[piece][inner])
-    return robust_fit(columns, log.command[piece][inner])
+        columns.append(log.disturbance[inside][free])
+    return robust_fit(columns, log.command[inside][free])
 
 
 def compare(log: Log, description: DriveDescription) -> Comparison | None:
@@ -71,9 +73,11 @@ def compare(log: Log, description: DriveDescription) -> Comparison | None:
 
 
 def _around(log: Log, piece: slice, plain: Match) -> tuple[float, float, float]:
-    inner = slice(SETTLE, -SETTLE)
-    command, gain = log.command[piece][inner], plain.fit.coefficients[0]
-    misses = (plain.fit.residual + gain * (plain.output - shifted(plain.output, s))[inner] for s in (-1, 0, 1))
+    inside = slice(piece.start + SETTLE, piece.stop - SETTLE)
+    free = np.flatnonzero(~clipped(log.command)[inside])
+    command, gain = log.command[inside][free], plain.fit.coefficients[0]
+    changes = ((plain.output - shifted(plain.output, s))[SETTLE:-SETTLE][free] for s in (-1, 0, 1))
+    misses = (plain.fit.residual + gain * change for change in changes)
     early, now, late = (float(np.linalg.norm(miss) / np.linalg.norm(command)) for miss in misses)
     return early, now, late
 
@@ -89,7 +93,24 @@ def _best_shift(log: Log, description: DriveDescription, piece: slice, plain: Ma
     )
     matches = [Match(i, j, _fit(log, window, u), u) for (i, j), u in zip(pairs, commands, strict=True)]
     best = min(matches, key=lambda match: (match.fit.error, abs(match.reference) + abs(match.position)))
+    parts = [
+        _part(log, window, u, commands[pairs.index((0, 0))], pair)
+        for pair, u in zip(pairs, commands, strict=True)
+        if pair in ((0, 1), (1, 0), (1, 1))
+    ]
+    part = min(parts, key=lambda match: match.fit.error)
+    # a part of a sample must earn its place against whole ones
+    if max(abs(part.reference), abs(part.position)) < 0.95 and part.fit.error < 0.5 * best.fit.error:
+        best = part
     return best if best.fit.error < 0.5 * plain.fit.error and best.fit.error < 0.2 else plain
+
+
+def _part(log: Log, window: slice, late: Signal, now: Signal, pair: tuple[int, int]) -> Match:
+    """The match at the part of a whole shift that explains the command best, by interpolation."""
+    ratio, change = _fit(log, window, now, late - now).coefficients[:2]
+    share = float(change / ratio) if ratio else 0.0
+    output = now + share * (late - now)
+    return Match(share * pair[0], share * pair[1], _fit(log, window, output), output)
 
 
 def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding]:
@@ -104,29 +125,39 @@ def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding
                 "note",
                 "command",
                 f"the drive file's controller gives the logged command to {100 * now:.2g} % at shift 0, one "
-                f"sample earlier to {100 * early:.2g} %, one later to {100 * late:.2g} %: no unit delay is in the recording{also}",
+                f"sample earlier to {100 * early:.2g} %, one later to {100 * late:.2g} %: no unit delay is in the "
+                f"recording{also}",
                 "simulate the controller without a delay between measurement and command",
             )
         return
-    certain = best.fit.error < max(EXACT, 1e-9) and best.fit.error < BETTER * plain.fit.error
+    whole = best.reference % 1 == 0 and best.position % 1 == 0
+    certain = whole and best.fit.error < EXACT and best.fit.error < BETTER * plain.fit.error
     numbers = f"({100 * best.fit.error:.2g} % instead of {100 * plain.fit.error:.2g} %)"
     yield Finding("fatal" if certain else "warning", *_shift_told(best.reference, best.position, numbers))
 
 
-def _samples(count: int) -> str:
-    return "one sample" if abs(count) == 1 else f"{abs(count)} samples"
+def _samples(count: float) -> str:
+    return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
 
 
-def _shift_told(i: int, j: int, numbers: str) -> tuple[str, str, str]:
+def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str]:
     """Channel, finding and mend for a command that is C(reference[k - i], position[k - j])."""
     if i == j:
         way, back = ("late", -i) if i > 0 else ("early", -i)
         return (
             "command",
-            f"the recorded command is {_samples(i)} {way} (shift {i:+d}) against reference and position: the "
-            f"controller gives it from the values of sample k{-i:+d} {numbers}",
-            f"shift the command by {back:+d} samples"
+            f"the recorded command is {_samples(i)} {way} (shift {i:+.2g}) against reference and position: the "
+            f"controller gives it from the values of sample k{-i:+.2g} {numbers}",
+            f"shift the command by {back:+.2g} samples"
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
+        )
+    if (i - j) % 1 != 0:
+        way = "early" if j > i else "late"
+        return (
+            "position",
+            f"the position is {abs(j - i):.2g} of a sample {way} (shift {i - j:+.2g}) against the reference {numbers}; "
+            "which of the two is out of time cannot be told",
+            "resampled, or logged by another interrupt: log the raw samples of one interrupt",
         )
     if i == 0 or j == 0:
         channel, shift = ("position", j) if i == 0 else ("reference", i)
@@ -134,15 +165,16 @@ def _shift_told(i: int, j: int, numbers: str) -> tuple[str, str, str]:
         real = " or the controller works on an older measurement" if i == 0 and shift > 0 else ""
         return (
             channel,
-            f"the recorded {channel} is {_samples(shift)} {way} (shift {-shift:+d}) against the other channels{real}: "
-            f"the controller gives the command from its value of sample k{-shift:+d} {numbers}",
-            f"shift the {channel} by {shift:+d} samples",
+            f"the recorded {channel} is {_samples(shift)} {way} (shift {-shift:+.2g}) against the other channels{real}:"
+            f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
+            f"shift the {channel} by {shift:+.2g} samples",
         )
     return (
         "command",
-        f"reference and position are shifted against the command by different amounts, {-i:+d} and {-j:+d} samples "
+        f"reference and position are shifted against the command by different amounts, {-i:+.2g} and {-j:+.2g} samples "
         f"{numbers}",
-        f"shift the reference by {i:+d} and the position by {j:+d} samples; which channel is in time cannot be told",
+        f"shift the reference by {i:+.2g} and the position by {j:+.2g} samples (which channel is in time cannot be "
+        "told)",
     )
 
 
@@ -162,10 +194,13 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
             "reverse the command, or position and reference (the controller cannot tell which)",
         )
         return
+    large = not 1 / 3 < ratio < 3
+    # what the controller explains but roughly says nothing about a few per cent
+    if not large and fit.error > ROUGH:
+        return
     off = abs(ratio - 1)
     doubt = 3 * fit.error / np.sqrt(max(1.0, len(fit.residual) / 100))  # some hundred samples are one correlation time
     if off > WRONG_UNIT:
-        large = not 1 / 3 < ratio < 3
         what = "volts, amperes or per mille taken as newtons? " if large else "a force constant or a gain is wrong "
         yield Finding(
             "fatal",

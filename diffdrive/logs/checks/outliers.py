@@ -48,8 +48,8 @@ def spike_indices(bend: Signal, floor: float) -> np.ndarray:
     """Samples that leave the line between their neighbours by more than `SPIKE` deviations and return at once.
 
     A spike's bends read -1/2, 1, -1/2: that shape tells it from a step or a kink, which are physics. The deviation is
-    that of the hundred samples around, or of the whole log, or the floor, whichever is largest. Around, it is taken from
-    the 90 % quantile: a controller at standstill chatters in bursts, a logger's spikes stand alone.
+    that of the hundred samples around, or of the whole log, or the floor, whichever is largest. Around, it is taken
+    from the 90 % quantile: a controller at standstill chatters in bursts, a logger's spikes stand alone.
     """
     around = percentile_filter(np.abs(bend), 90.0, size=min(101, len(bend))) / NINETY
     whole = SIGMA_PER_MAD * float(np.median(np.abs(bend)))
@@ -102,7 +102,7 @@ def _relative_jumps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
     increment = np.diff(signal)
     around = np.stack([np.roll(increment, s) for s in (-3, -2, -1, 1, 2, 3)])
     usual = np.median(around, axis=0)
-    size = np.maximum(np.abs(usual), np.finfo(float).tiny)
+    size = np.maximum(np.abs(usual), max(1e-12 * float(np.ptp(signal)), np.finfo(float).tiny))
     jumps, scatter = (increment - usual) / size * np.sign(usual), np.ptp(around, axis=0) / size
     scatter[:3], scatter[-3:] = np.inf, np.inf
     return jumps, scatter

@@ -44,7 +44,7 @@ def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bo
         yield Finding(
             "fatal",
             channel,
-            f"the {channel} is {ratio:.6g} times the {other}{told(ratio)}",
+            f"the {channel} is {ratio:.4g} times the {other}{told(ratio)}",
             f"correct the unit of the {channel}, or of the {other}",
         )
     elif abs(ratio - 1) > SCALE_ERROR and (trusted or fit.error < 0.03):

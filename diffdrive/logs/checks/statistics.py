@@ -24,7 +24,7 @@ class Fit(NamedTuple):
 
 
 def robust_fit(columns: list[Signal], y: Signal) -> Fit:
-    """y as a combination of the columns (Huber's weights); a constant column is appended, its coefficient is last.
+    """Fit y by a combination of the columns (Huber's weights); a constant column is appended and comes last.
 
     The error is measured without the worst hundredth of the samples, so that spikes, clipped peaks and reversals do
     not decide whether two signals belong together.

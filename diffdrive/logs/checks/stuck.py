@@ -42,6 +42,15 @@ def atom(signal: Signal, at: float) -> np.ndarray | None:
     return signal == at if top >= 20 and top > ATOM * beside.max() else None
 
 
+def clipped(command: Signal) -> np.ndarray:
+    """Samples at which the command sits at an extreme value far more often than next to it."""
+    there = np.zeros(len(command), bool)
+    for at in (float(np.max(command)), float(np.min(command))):
+        at_level = atom(command, at)
+        there |= False if at_level is None else at_level
+    return there
+
+
 def clipped_command(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
     """A command that sits at a limit while the axis moves."""
     limit = None if description is None else description.drive.actuator.force_limit
