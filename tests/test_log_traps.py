@@ -271,6 +271,12 @@ CORRUPTED = {
         "disturbance",
         r"159\.\d+ N per unit",
     ),
+    "pulses without a channel": (
+        but(command=SOUND.command - square(80.0)),
+        "warning",
+        "command",
+        r"a force of -(80|79\.\d+|80\.\d+) N is added .* switched, in \d\d %",
+    ),
     "temperature": (but(temperature=np.full(COUNT, 293.0)), "warning", "temperature", r"293 degC.*"),
     # what the motion cannot teach
     "one direction": (

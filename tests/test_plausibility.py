@@ -251,6 +251,23 @@ def test_emps_volts_are_told_from_mass_and_friction_alone():
 
 
 @without_emps
+@pytest.mark.parametrize("newtons", [True, False])
+def test_emps_pulses_are_seen_although_no_channel_holds_them(newtons):
+    log, drive = emps_log("pulses", newtons=newtons)
+    findings = examine(but(log, disturbance=None), drive)
+    assert matching(findings, "warning", "command", r"a force of 178\.\d N is added .* 49 times switched, in 50 %")
+    assert bool(matching(findings, *VOLTS)) != newtons
+    assert len(complaints(findings)) == (3 if newtons else 4)
+
+
+@without_emps
+def test_single_precision_is_neither_a_filter_nor_a_unit():
+    log, drive = emps_log("estimation", newtons=True)
+    rounded = but(log, position=log.position.astype(np.float32).astype(float))
+    assert [one.channel for one in complaints(examine(rounded, drive))] == ["time"]
+
+
+@without_emps
 def test_emps_counts_are_found_without_being_told():
     assert not matching(examine(emps_log("estimation", newtons=True)[0]), "note", "position", "no count grid")
     assert matching(examine(emps_log("pulses", newtons=True)[0]), "note", "position", "no count grid")

@@ -94,6 +94,7 @@ def _command(log: Log, description: DriveDescription | None) -> list[Finding]:
             *controller.timing(found, description),
             *controller.unit_and_sign(log, found, description),
             *controller.disturbance(log, found),
+            *controller.added(found),
             *controller.explained(found),
         ]
     reversed_command = [*balance.command_opposes_friction(log)]

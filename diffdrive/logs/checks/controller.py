@@ -9,8 +9,9 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.balance import balance, who_is_wrong
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.replay import SETTLE, outputs, remembers_nothing, shifted
-from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
+from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, percent, robust_fit
 from diffdrive.logs.checks.stuck import clipped
+from diffdrive.logs.checks.switching import Switched, switching
 from diffdrive.logs.log import Log, Signal
 
 # Whole-sample shifts of reference and of position that are tried.
@@ -39,6 +40,7 @@ class Comparison(NamedTuple):
     best: Match
     plain: Match
     around: tuple[float, float, float]  # |fit - command| / |command|, output one sample early, in time, one late
+    switched: Switched | None  # a force that is added to the command at times
 
     @property
     def related(self) -> bool:
@@ -46,13 +48,20 @@ class Comparison(NamedTuple):
         return self.best.fit.error < RELATED
 
 
+def _inside(log: Log, piece: slice, signal: Signal) -> Signal:
+    """A signal (of the log or of the piece) without its ends and without the samples at which the command is clipped:
+    there it is not the controller's.
+    """
+    whole = len(signal) == len(log.time)
+    inner = signal[piece] if whole else signal
+    return inner[SETTLE:-SETTLE][~clipped(log.command)[piece][SETTLE:-SETTLE]]
+
+
 def _fit(log: Log, piece: slice, *outputs: Signal) -> Fit:
-    inside = slice(piece.start + SETTLE, piece.stop - SETTLE)
-    free = np.flatnonzero(~clipped(log.command)[inside])  # where the command is clipped it is not the controller's
-    columns = [output[SETTLE:-SETTLE][free] for output in outputs]
+    columns = [_inside(log, piece, output) for output in outputs]
     if log.disturbance is not None and np.std(log.disturbance[piece]) > 0:
-        columns.append(log.disturbance[inside][free])
-    return robust_fit(columns, log.command[inside][free])
+        columns.append(_inside(log, piece, log.disturbance))
+    return robust_fit(columns, _inside(log, piece, log.command))
 
 
 def compare(log: Log, description: DriveDescription) -> Comparison | None:
@@ -69,14 +78,16 @@ def compare(log: Log, description: DriveDescription) -> Comparison | None:
     best = plain
     if plain.fit.error > 1e-3:
         best = _best_shift(log, description, piece, plain)
-    return Comparison(best, plain, _around(log, piece, plain))
+    switched = None
+    if best.fit.error > EXPLAINED and log.disturbance is None:
+        switched = switching(_inside(log, piece, log.command), _inside(log, piece, best.output))
+        best = best if switched is None else best._replace(fit=switched.fit)
+    return Comparison(best, plain, _around(log, piece, plain), switched)
 
 
 def _around(log: Log, piece: slice, plain: Match) -> tuple[float, float, float]:
-    inside = slice(piece.start + SETTLE, piece.stop - SETTLE)
-    free = np.flatnonzero(~clipped(log.command)[inside])
-    command, gain = log.command[inside][free], plain.fit.coefficients[0]
-    changes = ((plain.output - shifted(plain.output, s))[SETTLE:-SETTLE][free] for s in (-1, 0, 1))
+    command, gain = _inside(log, piece, log.command), plain.fit.coefficients[0]
+    changes = (_inside(log, piece, plain.output - shifted(plain.output, s)) for s in (-1, 0, 1))
     misses = (plain.fit.residual + gain * change for change in changes)
     early, now, late = (float(np.linalg.norm(miss) / np.linalg.norm(command)) for miss in misses)
     return early, now, late
@@ -124,15 +135,15 @@ def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding
             yield Finding(
                 "note",
                 "command",
-                f"the drive file's controller gives the logged command to {100 * now:.2g} % at shift 0, one "
-                f"sample earlier to {100 * early:.2g} %, one later to {100 * late:.2g} %: no unit delay is in the "
+                f"the drive file's controller gives the logged command to {percent(now)} % at shift 0, one "
+                f"sample earlier to {percent(early)} %, one later to {percent(late)} %: no unit delay is in the "
                 f"recording{also}",
                 "simulate the controller without a delay between measurement and command",
             )
         return
     whole = best.reference % 1 == 0 and best.position % 1 == 0
     certain = whole and best.fit.error < EXACT and best.fit.error < BETTER * plain.fit.error
-    numbers = f"({100 * best.fit.error:.2g} % instead of {100 * plain.fit.error:.2g} %)"
+    numbers = f"({percent(best.fit.error)} % instead of {percent(plain.fit.error)} %)"
     yield Finding("fatal" if certain else "warning", *_shift_told(best.reference, best.position, numbers))
 
 
@@ -205,7 +216,7 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
         yield Finding(
             "fatal",
             "command",
-            f"the command is {ratio:.5g} times what the drive file's controller gives (to {100 * fit.error:.2g} %): "
+            f"the command is {ratio:.5g} times what the drive file's controller gives (to {percent(fit.error)} %): "
             + what
             + (who_is_wrong(balance(log, description), ratio) if large else ""),
             f"multiply the command by {factor:.4g} N per unit of it, or correct the controller's gains",
@@ -215,7 +226,7 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
             "warning",
             "command",
             f"the command is {ratio:.5g} times what the drive file's controller gives: force constant or gains are off "
-            f"by {100 * (ratio - 1):.2g} %",
+            f"by {percent(ratio - 1)} %",
             f"correct the gains, or multiply the command by {factor:.5g}",
         )
     offset = float(fit.coefficients[-1])
@@ -249,6 +260,20 @@ def disturbance(log: Log, found: Comparison) -> Iterator[Finding]:
     )
 
 
+def added(found: Comparison) -> Iterator[Finding]:
+    """A force that is switched on and off within the command, and that no channel holds."""
+    if found.switched is None:
+        return
+    newtons = found.switched.height / float(found.best.fit.coefficients[0])
+    yield Finding(
+        "warning",
+        "command",
+        f"a force of {newtons:.4g} N is added to what the drive file's controller gives, {found.switched.changes} "
+        f"times switched, in {100 * found.switched.share:.0f} % of the samples: test pulses?",
+        "give it to the log as its disturbance, and subtract it from the command",
+    )
+
+
 def explained(found: Comparison) -> Iterator[Finding]:
     """A controller that is not, or not quite, the one that made this command."""
     error = found.best.fit.error
@@ -256,7 +281,7 @@ def explained(found: Comparison) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "command",
-            f"the drive file's controller gives the logged command only to {100 * min(error, 1.0):.2g} %, whatever the "
+            f"the drive file's controller gives the logged command only to {percent(min(error, 1.0))} %, whatever the "
             "shift and the scale",
             "another kind of controller, other gains, a filter, or something that is added to the command",
         )

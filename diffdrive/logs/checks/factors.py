@@ -8,7 +8,6 @@ FACTORS = {
     1e6: "millionfold: micro for unit, such as um for m",
     1e9: "1e9-fold: nano for unit, such as nm for m",
     100.0: "a hundredfold: centi or per cent",
-    10.0: "tenfold",
     1 / 0.0254: "inches for m",
     1e3 / 25.4: "inches for m",
     25.4: "inches and millimetres",
@@ -18,7 +17,6 @@ FACTORS = {
     60.0: "per minute and per second",
     6e4: "mm/min for m/s",
     9.80665: "kilograms and newtons",
-    2.0: "twofold",
 }
 
 

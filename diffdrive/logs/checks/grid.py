@@ -8,6 +8,7 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.factors import told
 from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.ranges import LONGEST
 from diffdrive.logs.log import Log, Signal
 
 # Residuals to a grid, in steps: uniform ones have an RMS of 1/sqrt(12) = 0.289; single-precision storage of 0.25 m on
@@ -75,6 +76,11 @@ def off_grid_share(signal: Signal, step: float) -> float | None:
     return float(np.mean(np.sqrt(np.mean(residual**2, axis=1)) > ON_GRID))
 
 
+def _longest(description: DriveDescription | None) -> float:
+    low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
+    return min(1.05 * (high - low), LONGEST)
+
+
 def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
     """The position's counts against the drive file's resolution, or whether there are counts at all."""
     found = grid_of(log.position)
@@ -99,8 +105,9 @@ def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Fi
             "correct the unit of the position" if ratio > 100 else "correct sensor.resolution, or log all digits",
         )
         return
-    if found is not None and found.step < stated / 100:
-        ratio = found.step / stated
+    ratio = 1.0 if found is None else found.step / stated
+    # digits and single precision make fine grids too; a unit is wrong only if the right one makes an axis of it
+    if found is not None and ratio < 0.01 and float(np.ptp(log.position)) / ratio < _longest(description):
         yield Finding(
             "fatal",
             "position",

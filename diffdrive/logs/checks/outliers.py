@@ -97,31 +97,42 @@ def _unexplained(log: Log, bend: Signal) -> Signal:
     return robust_fit(columns, bend).residual if np.ptp(bend) > 0 else bend
 
 
-def _relative_jumps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
-    """Each increment over the median of its six neighbours, less one; and how far those neighbours scatter."""
+def _relative_jumps(signal: Signal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each increment over the median of its six neighbours, less one; that median; and how far they scatter."""
     increment = np.diff(signal)
     around = np.stack([np.roll(increment, s) for s in (-3, -2, -1, 1, 2, 3)])
     usual = np.median(around, axis=0)
     size = np.maximum(np.abs(usual), max(1e-12 * float(np.ptp(signal)), np.finfo(float).tiny))
-    jumps, scatter = (increment - usual) / size * np.sign(usual), np.ptp(around, axis=0) / size
+    scatter = np.ptp(around, axis=0) / size
     scatter[:3], scatter[-3:] = np.inf, np.inf
-    return jumps, scatter
+    return (increment - usual) / size * np.sign(usual), usual, scatter
+
+
+def _jump_between(signal: Signal, k: int, count: int = 10) -> float:
+    """How far the signal jumps from sample k to k + 1 beyond its own motion: the lines before and after, half-way."""
+    at = np.arange(count) + 0.5
+    before, after = signal[max(0, k + 1 - count) : k + 1], signal[k + 1 : k + 1 + count]
+    if len(before) < count or len(after) < count:
+        return 0.0
+    return float(np.polynomial.Polynomial.fit(at, after, 1)(0) - np.polynomial.Polynomial.fit(-at[::-1], before, 1)(0))
 
 
 def lost_rows(log: Log) -> Iterator[Finding]:
     """Rows lost or repeated although the stamps are uniform: reference and position jump by the same whole steps."""
     if log.reference is None:
         return
-    jump, scatter = _relative_jumps(log.reference)
-    echo, roughness = _relative_jumps(log.position)
+    jump, usual, scatter = _relative_jumps(log.reference)
     count = np.round(jump)
-    # the reference must be smooth here, and the position must make the same jump, both clear of their own noise
-    both = (np.abs(jump - count) < 0.1) & (scatter < 0.1) & (np.abs(echo - jump) < 0.3) & (roughness < 0.3)
+    # the reference must be smooth around, and the jump that of whole steps
+    whole = (np.abs(jump - count) < 0.1) & (scatter < 0.1)
     listed = np.zeros(len(jump), bool)
     listed[[k - 1 for k in log.gaps]] = True
     listed |= np.diff(log.time) > 1.5 * np.median(np.diff(log.time))  # the stamps show it already
-    lost = np.flatnonzero(both & (count >= 1) & ~listed)
-    again = np.flatnonzero(both & (count == -1) & (np.diff(log.command) == 0))
+    lost = np.flatnonzero(whole & (count >= 1) & ~listed)
+    # and the position must make the same jump: otherwise it is the set-point generator that missed its cycle
+    follows = [abs(_jump_between(log.position, int(k)) / (count[k] * usual[k]) - 1) < 0.5 for k in lost]
+    lost = lost[np.array(follows, bool)]
+    again = np.flatnonzero(whole & (count == -1) & (np.diff(log.command) == 0) & (np.diff(log.position) == 0))
     for which, what in ((lost, "lost"), (again, "repeated")):
         if len(which):
             yield Finding(

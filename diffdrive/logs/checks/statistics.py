@@ -43,6 +43,11 @@ def robust_fit(columns: list[Signal], y: Signal) -> Fit:
     return Fit(solution, float(np.sqrt(np.mean(kept**2))) / max(size, np.finfo(float).tiny), residual)
 
 
+def percent(share: float) -> str:
+    """A share as per cent with two digits, such as 0.24, 3.5 or 100."""
+    return f"{float(f'{100 * share:.2g}'):g}"
+
+
 class Run(NamedTuple):
     """A stretch of equal samples, [start, stop)."""
 

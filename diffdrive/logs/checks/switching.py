@@ -1,0 +1,42 @@
+"""Something that is switched on and off within the command beside the controller's output, such as test pulses."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.logs.checks.statistics import Fit, robust_fit, scale
+from diffdrive.logs.log import Signal
+
+# The two levels must stand clear of what scatters around them, like the bits of a binary signal; and a switch is rare,
+# or the increments would not show the controller.
+CLEAR = 10.0
+RARE = 0.05
+
+
+class Switched(NamedTuple):
+    """The fit of the command by controller and switch, the switch's height in the command's unit, and how it went."""
+
+    fit: Fit
+    height: float
+    changes: int
+    share: float  # of the samples, on
+
+
+def switching(command: Signal, output: Signal) -> Switched | None:
+    """The switch, if controller and one switch explain the command.
+
+    The increments from sample to sample tell the controller: while the switch stands still the increments are the controller's alone, and a robust fit ignores the rest.
+    """
+    increments = robust_fit([np.diff(output)], np.diff(command))
+    rest = command - increments.coefficients[0] * output
+    low, high = np.quantile(rest, [0.02, 0.98])
+    on = rest > (low + high) / 2
+    changes = int(np.sum(np.diff(on.astype(int)) != 0))
+    if not 0 < changes < RARE * len(on) or not 0.02 < np.mean(on) < 0.98:
+        return None
+    levels = float(np.median(rest[on])), float(np.median(rest[~on]))
+    if levels[0] - levels[1] < CLEAR * max(scale(rest[on]), scale(rest[~on])):
+        return None
+    fits = [(state, robust_fit([output, state.astype(float)], command)) for state in (on, ~on)]
+    column, fit = min(fits, key=lambda one: abs(one[1].coefficients[-1]))  # off is where the controller alone is seen
+    return Switched(fit, float(fit.coefficients[1]), changes, float(np.mean(column)))
