@@ -83,7 +83,7 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
         force = acting_force(drive, lane, delay)
         return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
 
-    gains, innovation = jax.vmap(one)(lanes)
+    gains, innovation = lax.map(one, lanes)
     counts = lanes.counts
     weighed = jnp.sum(counts * (innovation / gains.scatter) ** 2) / jnp.sum(counts)
     deviance = jnp.sum(counts) * jnp.log(weighed) + 2.0 * jnp.sum(counts * jnp.log(gains.scatter))
@@ -94,9 +94,7 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
 def _deviances(
     drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
 ) -> Any:
-    return jax.lax.map(
-        lambda one: filtered(drive, delay, one, noise, lanes, sampling).deviance, processes, batch_size=13
-    )
+    return jax.vmap(lambda one: filtered(drive, delay, one, noise, lanes, sampling).deviance)(processes)
 
 
 @eqx.filter_jit
@@ -104,12 +102,27 @@ def _filtered(*arguments: Any) -> Filtered:
     return filtered(*arguments)
 
 
-def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> tuple[float, Filtered]:
-    """The process force (N) under which the log is likeliest, and the filter with it.
+class Likeliest(NamedTuple):
+    """The process force under which a log is likeliest, and what that says about the model."""
+
+    process: float  # N, standard deviation of a white force, one value per control period
+    gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
+    track: Filtered
+
+
+def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> Likeliest:
+    """Filter the lanes under the likeliest of `PROCESSES`.
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
-    given = (drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling)
-    deviances = np.asarray(_deviances(*given))
-    best = float(PROCESSES[int(np.nanargmin(deviances))]) if np.isfinite(deviances).any() else float(PROCESSES[-1])
-    return best, _filtered(drive, jnp.asarray(delay), jnp.asarray(best), jnp.asarray(noise), lanes, sampling)
+    deviances = np.asarray(_deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling))
+    found = np.where(np.isfinite(deviances), deviances, np.inf)
+    best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
+    return Likeliest(
+        float(PROCESSES[best]), float(found[0] - found[best]), track(drive, delay, PROCESSES[best], noise, lanes, sampling)
+    )
+
+
+def track(drive: Drive, delay: float, process: float, noise: float, lanes: Lanes, sampling: Sampling) -> Filtered:
+    """Filter the lanes under a given process force (N)."""
+    return _filtered(drive, jnp.asarray(delay), jnp.asarray(process), jnp.asarray(noise), lanes, sampling)

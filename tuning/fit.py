@@ -14,8 +14,9 @@ from tuning.prediction import Gains, Lanes, Predicted, predict
 from tuning.space import Free, Space
 from tuning.unknowns import Unknowns
 
+WINDOW = 50
 SHORTEST = 200  # samples of a stretch that is worth a lane
-COARSEST_SUBSTEP = 25e-6  # s; leaves 1e-4 of the bristle's frequency, below what any log resolves
+COARSE_SUBSTEP, FINE_SUBSTEP, FINEST_SUBSTEP = 100e-6, 25e-6, 6.25e-6  # s, at most
 
 
 def lanes_of(logs: list[Log]) -> Lanes:
@@ -48,12 +49,14 @@ def noise_floor(drive: Drive, lanes: Lanes) -> float:
     """Standard deviation (m) of the measured position about the true one.
 
     From the drive's sensor where it states one, and at least what the log itself shows: the scatter of its third
-    differences, which smooth motion leaves alone.
+    differences, which smooth motion leaves alone, in the median stretch of `WINDOW` samples.
     """
     resolution = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution)
     stated = np.hypot(resolution / np.sqrt(12), float(drive.sensor.noise))
-    third = np.diff(np.asarray(lanes.position), 3, axis=1)[np.asarray(lanes.counts)[:, 3:] > 0]
-    shown = 1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0)  # 1 + 9 + 9 + 1
+    third = np.diff(np.asarray(lanes.position), 3, axis=1) * np.asarray(lanes.counts)[:, 3:]
+    windows = third[:, : third.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW)
+    squares = np.mean(windows[np.any(windows != 0.0, axis=1)] ** 2, axis=1)
+    shown = np.sqrt(np.median(squares) / 20.0) if len(squares) else 0.0  # 1 + 9 + 9 + 1
     return float(max(stated, shown, 1e-12))
 
 
@@ -97,6 +100,6 @@ class Innovations:
         return jnp.concatenate([weighed.ravel(), y])
 
 
-def fit_sampling(rate: float) -> Sampling:
-    """The sampling of a fit: its substeps are coarser than a simulation's."""
-    return Sampling(rate, int(np.ceil(round(1.0 / (rate * COARSEST_SUBSTEP), 6))))
+def sampling_of(rate: float, substep: float) -> Sampling:
+    """The sampling at which no substep of the plant is longer than `substep` (s)."""
+    return Sampling(rate, int(np.ceil(round(1.0 / (rate * substep), 6))))

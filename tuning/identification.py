@@ -16,31 +16,43 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Array, Float
 
 from diffdrive.errors import DiffdriveError, LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
 from tuning import inverse_dynamics
+from tuning.adequacy import Adequacy, adequacy
 from tuning.estimates import Estimate, estimates
-from tuning.filtering import likeliest
-from tuning.fit import Innovations, Problem, fit_sampling, lanes_of, noise_floor
+from tuning.filtering import likeliest, track
+from tuning.fit import (
+    COARSE_SUBSTEP,
+    FINE_SUBSTEP,
+    FINEST_SUBSTEP,
+    Innovations,
+    Problem,
+    lanes_of,
+    noise_floor,
+    sampling_of,
+)
 from tuning.least_squares import Progress, Search, levenberg_marquardt, many_starts, silent
 from tuning.prediction import Predicted, constant_gains
 from tuning.regressors import DIRECTIONAL
 from tuning.seed import seed_drive
 from tuning.space import Free, space_of
-from tuning.uncertainty import Covariance, Whiteness, sandwich, whiteness
+from tuning.uncertainty import Covariance, sandwich
 from tuning.unknowns import Unknowns, bounds, paths, unknowns_of
 
 SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
-MOST_STEPS = 40
-MOST_ROUNDS = 4  # of filtering and searching
+MOST_STEPS = 15  # of each search
+MOST_ROUNDS = 12  # of filtering and searching
 SETTLED = 0.1  # standard errors; a round that moves no parameter further is the last
-TOLERANCE = 1e-7
+TOLERANCE = 1e-6
 ROUGH_BANDWIDTH = 200.0  # rad/s, of the coarse searches: above the fastest growth on a falling Stribeck curve
+SMOOTHING = 0.02  # s
 UNDETERMINED = 0.35  # standard error in units of the prior: the log hardly narrows a factor of ten
 INSEPARABLE = 0.95  # correlation
 NAMES = {  # in the drive file -> in the search
@@ -63,13 +75,13 @@ class Identified:
 
     drive: Drive
     estimates: list[Estimate]
-    whiteness: Whiteness
+    adequacy: Adequacy
     covariance: Covariance
     correlated: list[tuple[str, str, float]]  # pairs that the logs hardly tell apart
     noise: float  # m
     process: float  # N, standard deviation of the force that the model lacks, were it white
     innovation: Float[np.ndarray, "lanes n"]  # m
-    scatter: Float[np.ndarray, "lanes n"]  # m, of the innovation as expected
+    missing: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
     velocity: Float[np.ndarray, "lanes n"]  # m/s, as predicted
     search: Search
     starts: Float[np.ndarray, " s"]  # cost of each start, over the best
@@ -81,7 +93,7 @@ class Identified:
         """What to make of it; never just "converged" over structured innovations."""
         if self.search.status != "converged":
             return self.search.status
-        return "converged, but structure remains" if self.whiteness.structured else "converged"
+        return "converged, but structure remains" if self.adequacy.structured else "converged"
 
 
 def identify(
@@ -102,7 +114,7 @@ def identify(
     require_double_precision()
     check_drive(drive)
     rate = _one_rate(logs)
-    sampling, lanes = fit_sampling(rate), lanes_of(list(logs))
+    lanes = lanes_of(list(logs))
     seeded, notes = _seeded(drive, logs)
     delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
     noise = noise_floor(drive, lanes)
@@ -111,28 +123,31 @@ def identify(
         believed_unknowns=unknowns_of(drive, delay),
         unknowns=unknowns_of(seeded, delay),
         lanes=lanes,
-        gains=constant_gains(ROUGH_BANDWIDTH, noise, lanes, sampling.period),
+        gains=constant_gains(ROUGH_BANDWIDTH, noise, lanes, 1.0 / rate),
         origin=np.zeros(0),
     )
     held = _held(fixed)
     if np.ptp(np.asarray(lanes.load)[np.asarray(lanes.counts) > 0]) < _least_load(drive):
         held.add("load_coefficient")
     problem, free = _space(_without(problem, held), held, bounded or {})
-    y, costs = _scattered(Innovations(free, sampling, COARSE_EVERY), problem, starts, seed, progress)
-    fit = _refined(Innovations(free, sampling), y, problem, noise, progress)
+    y, costs = _scattered(Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY), problem, starts, seed, progress)
+    fit = _refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, noise, progress)
     lost = _undetermined(free, fit.covariance)
     if lost:
         fit = _refined(*_narrowed(fit, lost), noise, progress)
+    fit = _sharpened(fit, noise, progress)
     return Identified(
         drive=_with_delay(*jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem))),
         estimates=estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost),
-        whiteness=whiteness(fit.innovation / fit.problem.gains.scatter, 1.0),
+        adequacy=adequacy(
+            fit.innovation / np.asarray(fit.problem.gains.scatter), fit.gain, _missing(fit), _friction(fit)
+        ),
         covariance=fit.covariance,
         correlated=_correlated(fit.residuals.free, fit.covariance),
         noise=noise,
         process=fit.process,
         innovation=fit.innovation,
-        scatter=np.asarray(fit.problem.gains.scatter),
+        missing=_missing(fit),
         velocity=fit.velocity,
         search=fit.search,
         starts=costs / costs.min(),
@@ -148,10 +163,11 @@ class Fit(NamedTuple):
     problem: Problem
     search: Search
     covariance: Covariance
-    process: float  # N
     innovation: Float[np.ndarray, "lanes n"]  # m; zero where nothing was measured
     velocity: Float[np.ndarray, "lanes n"]  # m/s
-    steps: int
+    process: float = np.inf  # N
+    gain: float = 0.0  # in deviance, of that process over none
+    steps: int = 0
 
 
 def _refined(
@@ -162,19 +178,56 @@ def _refined(
     for _ in range(MOST_ROUNDS):
         drive, unknowns = fine.unpack(jnp.asarray(y), problem)
         before = process
-        process, track = likeliest(drive, unknowns.delay, noise, problem.lanes, fine.sampling)
-        problem = problem._replace(gains=jax.tree.map(np.asarray, track.gains))
-        search = levenberg_marquardt(
-            fine, y, as_arrays(problem), max_steps=MOST_STEPS, tolerance=TOLERANCE, progress=progress
-        )
-        covariance = _covariance(fine, search.y, problem)
-        moved = np.abs(search.y - y) / np.sqrt(np.diag(covariance.matrix))
-        y, steps = search.y, steps + search.steps
-        if process == before and np.max(moved) < SETTLED:
+        process, gain, filtered = likeliest(drive, unknowns.delay, noise, problem.lanes, fine.sampling)
+        problem = problem._replace(gains=jax.tree.map(np.asarray, filtered.gains))
+        fit = _searched(fine, y, problem, progress)
+        errors = np.sqrt(np.diag(fit.covariance.matrix))
+        settled = process == before and np.max(np.abs(fit.search.y - y) / errors) < SETTLED
+        y, steps = fit.search.y, steps + fit.search.steps
+        if settled and fit.search.status == "converged":
             break
-    predicted = _predict(fine, jnp.asarray(y), as_arrays(problem))
+    return fit._replace(process=process, gain=gain, steps=steps)
+
+
+def _searched(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, progress: Progress) -> Fit:
+    """One search under given gains."""
+    given = as_arrays(problem)
+    search = levenberg_marquardt(fine, y, given, max_steps=MOST_STEPS, tolerance=TOLERANCE, progress=progress)
+    predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
-    return Fit(fine, problem, search, covariance, process, innovation, np.asarray(predicted.velocity), steps)
+    return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
+
+
+def _sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
+    """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
+
+    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
+    """
+    finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
+    drive, unknowns = finest.unpack(jnp.asarray(fit.search.y), fit.problem)
+    filtered = track(drive, unknowns.delay, fit.process, noise, fit.problem.lanes, finest.sampling)
+    problem = fit.problem._replace(gains=jax.tree.map(np.asarray, filtered.gains))
+    sharp = _searched(finest, fit.search.y, problem, progress)
+    left = (sharp.search.y - fit.search.y) / 15.0
+    covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
+    return sharp._replace(
+        covariance=covariance, process=fit.process, gain=fit.gain, steps=fit.steps + sharp.search.steps
+    )
+
+
+def _missing(fit: Fit) -> Float[np.ndarray, "lanes n"]:
+    """The force (N) that the filter's corrections of the velocity stand for, averaged over `SMOOTHING`."""
+    drive, _ = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)
+    sampling = fit.residuals.sampling
+    force = float(drive.plant.mass) * sampling.rate * np.asarray(fit.problem.gains.velocity) * fit.innovation
+    width = max(1, round(SMOOTHING * sampling.rate))
+    return scipy.ndimage.uniform_filter1d(force, width, axis=1)
+
+
+def _friction(fit: Fit) -> float:
+    """Coulomb friction (N) at no load, the scale against which missing forces count."""
+    unknowns = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)[1]
+    return 0.5 * float(unknowns.coulomb.positive + unknowns.coulomb.negative)
 
 
 def _one_rate(logs: Sequence[Log]) -> float:

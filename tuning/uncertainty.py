@@ -14,8 +14,6 @@ from jaxtyping import Float
 LEVEL = 0.95
 BLOCK = 0.25  # s, at least
 FEWEST_BLOCKS_PER_PARAMETER = 2
-WHITENESS_LAGS = 100
-STRUCTURED_SHARE = 0.01  # of the residual's variance that its own past foretells
 
 
 class Covariance(NamedTuple):
@@ -28,7 +26,7 @@ class Covariance(NamedTuple):
     @property
     def quantile(self) -> float:
         """Half-width of the 95 % interval in standard errors: Student's t, the blocks being what was counted."""
-        return float(scipy.stats.t.ppf(0.5 * (1 + LEVEL), max(3, self.blocks - 1)))
+        return float(scipy.stats.t.ppf(0.5 * (1 + LEVEL), max(3, self.blocks - len(self.matrix))))
 
     @property
     def correlation(self) -> Float[np.ndarray, "k k"]:
@@ -69,49 +67,9 @@ def sandwich(
     sums = scores.reshape(lanes, -1, block, count).sum(axis=2).reshape(-1, count)
     sums = sums[np.any(sums != 0.0, axis=1)]
     blocks = len(sums)
-    scatter = sums.T @ sums * (blocks / max(1, blocks - 1)) + np.eye(count)
+    # each fitted parameter has taken a block's worth of scatter out of the sums
+    scatter = sums.T @ sums * (blocks / max(1, blocks - count)) + np.eye(count)
     inverse = np.linalg.inv(information + np.eye(count))
     scale = np.sqrt(np.diag(information))
     scaled = information / np.outer(scale, scale) if np.all(scale > 0) else np.zeros((count, count))
     return Covariance(inverse @ scatter @ inverse, blocks, float(np.linalg.cond(scaled)))
-
-
-class Whiteness(NamedTuple):
-    """Whether structure remains in the innovations."""
-
-    p_value: float  # Ljung-Box: how often white noise would look like this
-    foretold: float  # share of the variance that an autoregression foretells from the past
-    over_noise: float  # RMS of the innovation over the measuring noise
-
-    @property
-    def structured(self) -> bool:
-        """Structure beyond doubt and large enough to matter."""
-        return self.p_value < 1e-3 and self.foretold > STRUCTURED_SHARE
-
-    @property
-    def says(self) -> str:
-        """In plain words."""
-        if self.structured:
-            return (
-                f"structure remains: {100 * self.foretold:.0f} % of the innovation's variance could have been foretold from "
-                f"its own past (p = {self.p_value:.1g}), and it is {self.over_noise:.3g} times the measuring noise; the model "
-                "lacks something, and the intervals are those of the best compromise, not of the truth"
-            )
-        return (
-            f"the innovations are white to within {100 * self.foretold:.2g} % of their variance and "
-            f"{self.over_noise:.3g} times the measuring noise"
-        )
-
-
-def whiteness(innovation: Float[np.ndarray, "lanes n"], noise: float) -> Whiteness:
-    """Ljung-Box test and autoregression over `WHITENESS_LAGS` lags; zeros (padding) do not count."""
-    counted = int(np.count_nonzero(innovation))
-    lags = min(WHITENESS_LAGS, innovation.shape[1] // 10)
-    rho = autocorrelation(innovation, lags)
-    statistic = counted * (counted + 2) * float(np.sum(rho**2 / (counted - np.arange(1, lags + 1))))
-    table = np.r_[1.0, rho]
-    toeplitz = table[np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))]
-    weights = np.linalg.solve(toeplitz + 1e-9 * np.eye(lags), rho)
-    foretold = float(weights @ rho) - lags / counted  # what fitting that many weights to noise would seem to foretell
-    rms = float(np.sqrt(np.sum(innovation**2) / max(1, counted)))
-    return Whiteness(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, foretold), rms / noise)
