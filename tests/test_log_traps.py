@@ -301,3 +301,10 @@ def test_each_trap_is_found_and_named(name):
     findings = examine(log, DRIVE)
     assert matching(findings, severity, channel, text), "\n".join(map(str, findings))
     assert severity == "fatal" or not [one for one in findings if one.severity == "fatal"], findings
+
+
+def test_a_log_at_rest_is_noted_and_does_no_harm():
+    noise = 1e-7 * np.round(np.random.default_rng(2).normal(0, 0.5, COUNT))
+    rest = but(reference=np.zeros(COUNT), position=noise, command=-4e6 * noise)
+    assert matching(examine(rest), "note", "position", "rests throughout")
+    assert matching(examine(rest, DRIVE), "note", "position", "rests throughout")

@@ -9,6 +9,7 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.factors import told
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.ranges import LONGEST
+from diffdrive.logs.checks.statistics import scale
 from diffdrive.logs.log import Log, Signal
 
 # Residuals to a grid, in steps: uniform ones have an RMS of 1/sqrt(12) = 0.289; single-precision storage of 0.25 m on
@@ -54,6 +55,13 @@ def grid_of(signal: Signal) -> Grid | None:
         step = float(np.sum(small * counts) / np.sum(counts**2))
     misfit = float(np.sqrt(np.mean((small / step - np.round(small / step)) ** 2)))
     return Grid(step, misfit) if misfit < ON_GRID else None
+
+
+def noise_of(signal: Signal) -> float:
+    """Standard deviation of a signal's noise, from its third differences, which no motion survives, and its counts."""
+    found = grid_of(signal)
+    counts = found.step / np.sqrt(12) if found else 0.0
+    return max(scale(np.diff(signal, 3)) / np.sqrt(20), counts)  # 20 = 1 + 9 + 9 + 1
 
 
 def off_grid_share(signal: Signal, step: float) -> float | None:

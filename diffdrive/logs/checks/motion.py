@@ -5,25 +5,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import grid_of
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, scale, smoothed
+from diffdrive.logs.checks.grid import noise_of
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, smoothed
 from diffdrive.logs.log import Log
 
 SHORT = 1.0  # s of motion: fewer strokes than that hold no more than a handful of reversals
 STROKES = 20  # counts: a travel below is noise
 
 
-def _noise(log: Log) -> float:
-    """Standard deviation of the position's noise (m), from its third differences, which no motion survives."""
-    piece = longest_piece(log)
-    grid = grid_of(log.position)
-    counts = grid.step / np.sqrt(12) if grid else 0.0
-    return max(scale(np.diff(log.position[piece], 3)) / np.sqrt(20), counts)
-
-
 def variety(log: Log) -> Iterator[Finding]:
     """Motion at all, long enough, both ways, at several speeds."""
-    piece, step, noise = longest_piece(log), mean_step(log), _noise(log)
+    piece, step, noise = longest_piece(log), mean_step(log), noise_of(log.position[longest_piece(log)])
     position = log.position[piece]
     speed = smoothed(position, step).rate
     top = float(np.quantile(np.abs(speed), 0.999))
@@ -62,7 +54,7 @@ def variety(log: Log) -> Iterator[Finding]:
 
 def begins_in_motion(log: Log) -> Iterator[Finding]:
     """A log whose first sample is not at rest."""
-    step, noise = mean_step(log), _noise(log)
+    step, noise = mean_step(log), noise_of(log.position[longest_piece(log)])
     position = log.position
     top = float(np.quantile(np.abs(smoothed(position[longest_piece(log)], step).rate), 0.999))
     count = max(2, min(len(position) - 1, int(2e-3 / step)))  # 2 ms: an axis gains 10 mm/s in it at 5 m/s^2

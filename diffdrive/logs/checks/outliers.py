@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import percentile_filter
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import grid_of
+from diffdrive.logs.checks.grid import grid_of, noise_of
 from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, robust_fit
 from diffdrive.logs.log import CHANNELS, Log, Signal
 
@@ -125,6 +125,8 @@ def lost_rows(log: Log) -> Iterator[Finding]:
     count = np.round(jump)
     # the reference must be smooth around, and the jump that of whole steps
     whole = (np.abs(jump - count) < 0.1) & (scatter < 0.1)
+    # and both clear of noise and digits: at a creep every increment is a digit, and any two of them make a jump
+    whole &= np.abs(count * usual) > 5 * max(noise_of(log.reference), noise_of(log.position))
     listed = np.zeros(len(jump), bool)
     listed[[k - 1 for k in log.gaps]] = True
     listed |= np.diff(log.time) > 1.5 * np.median(np.diff(log.time))  # the stamps show it already

@@ -25,7 +25,8 @@ class Switched(NamedTuple):
 def switching(command: Signal, output: Signal) -> Switched | None:
     """The switch, if controller and one switch explain the command.
 
-    The increments from sample to sample tell the controller: while the switch stands still the increments are the controller's alone, and a robust fit ignores the rest.
+    The increments from sample to sample tell the controller: while the switch stands still they are the controller's
+    alone, and a robust fit ignores the rest.
     """
     increments = robust_fit([np.diff(output)], np.diff(command))
     rest = command - increments.coefficients[0] * output
