@@ -56,7 +56,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     verbose: Callable[..., None] = eqx.field(static=True, default=lambda **_: None)
 
 
-STALLED_STEPS, STALLED_SHARE = 8, 1e-9  # a search that gains no more than this in so many steps has arrived
+STALLED_STEPS, STALLED_SHARE = 6, 1e-7  # a search that gains no more than this in so many steps has arrived
 START_NORM = 10.0  # the residuals are scaled to it at the start, so that the first damping of 1 is a light one
 
 
