@@ -1,8 +1,8 @@
 """How well identification recovers what is known: random drives, logged by a truth machine of its own numerics.
 
-Each draw is a drive within 40 % of the paper's (`random_drive`), logged twice on the identification motion, without load and
-under 8 kN, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive as the belief. Draws are kept
-line by line as they come; an interrupted study goes on where it stopped.
+Each draw is a drive within 40 % of the paper's (`random_drive`), logged twice on the identification motion, without
+load and under 8 kN, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive as the belief.
+Draws are kept line by line as they come; an interrupted study goes on where it stopped.
 """
 
 import json
@@ -38,8 +38,8 @@ def true_values(drive: Drive, believed: Drive) -> dict[str, float]:
         values |= {f"{name}.{side}": value for name, value in of.items()}
         values |= {f"coulomb_at_no_load.{side}": level, f"viscous.{side}": of["viscous"] + damping}
     for name in ("bristle_stiffness", "bristle_damping"):
-        values[name] = float(getattr(friction, name).positive)
-    return values | {"delay": 0.0}
+        values[name] = getattr(friction, name).positive
+    return {name: float(value) for name, value in values.items()} | {"delay": 0.0}
 
 
 PER_DIRECTION = ("coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous")
@@ -60,7 +60,7 @@ def draw(number: int) -> dict[str, Any]:
     found = identify(logs, believed)
     truth = true_values(drive, believed)
     rows = [
-        {"name": e.name, "true": float(truth[e.name]), "value": e.value, "low": e.low, "high": e.high, "status": e.status}
+        {"name": e.name, "true": truth[e.name], "value": e.value, "low": e.low, "high": e.high, "status": e.status}
         for e in found.estimates
     ]
     return {
@@ -149,5 +149,6 @@ def _figure(done: list[dict[str, Any]]) -> Any:
         off = [2.0 * (r["value"] - r["true"]) / (r["high"] - r["low"]) for r in rows]
         axis.plot(np.clip(off, -4, 4), k + 0.3 * np.linspace(-1, 1, len(off)), ".", ms=2)
     axis.axvspan(-1, 1, color="0.9", zorder=0)
-    axis.set(yticks=range(len(stems)), yticklabels=stems, xlabel="error, half-widths of the 95 % interval", xlim=(-4.2, 4.2))
+    axis.set(yticks=range(len(stems)), yticklabels=stems, xlim=(-4.2, 4.2))
+    axis.set_xlabel("error, half-widths of the 95 % interval")
     return figure

@@ -40,9 +40,9 @@ class Adequacy(NamedTuple):
         force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
         if self.structured:
             return (
-                f"structure remains: the model lacks a force of {force}, and {100 * self.foretold:.2g} % of the innovations' "
-                f"variance could have been foretold from their past (p = {self.p_value:.1g}); the parameters are the best "
-                "compromise of an incomplete model, and the intervals are those of the compromise"
+                f"structure remains: the model lacks a force of {force}, and {100 * self.foretold:.2g} % of the "
+                f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
+                "parameters are the best compromise of an incomplete model, and so are their intervals"
             )
         return (
             f"nothing is missing that these logs would show: the force left over is {force}, the innovations are white "
@@ -53,7 +53,7 @@ class Adequacy(NamedTuple):
 def adequacy(
     innovation: Float[np.ndarray, "lanes n"], gain: float, missing: Float[np.ndarray, "lanes n"], friction: float
 ) -> Adequacy:
-    """Judge normalised innovations (zeros, the padding, do not count) and the missing force (N) over the friction (N)."""
+    """Judge normalised innovations (zeros, the padding, do not count) and the missing force (N) over `friction` (N)."""
     counted = int(np.count_nonzero(innovation))
     lags = min(LAGS, innovation.shape[1] // 10)
     rho = autocorrelation(innovation, lags)
@@ -61,6 +61,8 @@ def adequacy(
     table = np.r_[1.0, rho]
     toeplitz = table[np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))]
     weights = np.linalg.solve(toeplitz + 1e-9 * np.eye(lags), rho)
-    foretold = float(weights @ rho) - lags / counted  # what fitting so many weights to white noise would seem to foretell
+    foretold = (
+        float(weights @ rho) - lags / counted
+    )  # what fitting so many weights to white noise would seem to foretell
     force = float(np.sqrt(np.sum(missing**2) / max(1, counted)))
     return Adequacy(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, foretold), force, force / friction, gain)

@@ -15,7 +15,7 @@ from tuning.unknowns import Unknowns, paths
 
 
 class Estimate(NamedTuple):
-    """One parameter as found. `low` and `high` bound it with 95 % confidence; equal to `value` where it was not fitted."""
+    """One parameter as found, between `low` and `high` with 95 % confidence (both `value` where it was not fitted)."""
 
     name: str  # as in the drive file, with .positive or .negative where the directions differ
     unit: str
@@ -88,7 +88,9 @@ def estimates(
         drive, unknowns = innovations.unpack(y, problem)
         return jnp.stack([jnp.asarray(row.value) for row in reported(drive, unknowns, together)])
 
-    together = frozenset(path for path in paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping"))
+    together = frozenset(
+        path for path in paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping")
+    )
     before = reported(problem.believed, problem.believed_unknowns, together)
     point = jnp.asarray(y)
     found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))

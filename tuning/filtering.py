@@ -115,11 +115,15 @@ def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: 
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
-    deviances = np.asarray(_deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling))
+    deviances = np.asarray(
+        _deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling)
+    )
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
     return Likeliest(
-        float(PROCESSES[best]), float(found[0] - found[best]), track(drive, delay, PROCESSES[best], noise, lanes, sampling)
+        float(PROCESSES[best]),
+        float(found[0] - found[best]),
+        track(drive, delay, PROCESSES[best], noise, lanes, sampling),
     )
 
 

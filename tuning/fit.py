@@ -75,8 +75,8 @@ class Problem(NamedTuple):
 class Innovations:
     """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
 
-    Innovations over their expected scatter, each `every`-th, then the distance of y from its start. The latter is a prior
-    of a factor of five (one unit in y): next to nothing where the log says something about a parameter, and what keeps
+    Innovations over their expected scatter, each `every`-th, then the distance of y from its start. That is a prior of
+    a factor of five (one unit in y): next to nothing where the log says something about a parameter, and what keeps
     it at its start where the log says nothing.
     """
 

@@ -132,9 +132,9 @@ def levenberg_marquardt(
     """Minimise the sum of squares of `residuals(y, args)` from `y`.
 
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
-    `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is forward-mode:
-    it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start itself has no
-    finite cost.
+    `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is
+    forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start
+    itself has no finite cost.
     """
     began = time.perf_counter()
     point = jnp.asarray(y)

@@ -1,7 +1,7 @@
 """One-step prediction of a log by a drive: what the model did not foresee, sample by sample.
 
-The drive is given the command that the log holds, so that the noise in the machine's loop reaches it too, and at each sample
-is corrected by the innovation, e = measured minus predicted position:
+The drive is given the command that the log holds, so that the noise in the machine's loop reaches it too, and at each
+sample is corrected by the innovation, e = measured minus predicted position:
 
     x <- x + Kx e ,   v <- v + Kv e ,   z <- z + Kz e
 
@@ -77,7 +77,7 @@ def acting_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]
 
 
 def moving(drive: Drive, lane: Lanes) -> plant.PlantState:
-    """Where one lane begins: where it is measured, at its velocity, the bristle in the steady state of that velocity."""
+    """Where one lane begins: where it is measured, at its velocity, the bristle bent as that velocity bends it."""
     friction = drive.friction
     level = friction.coulomb_screw.towards(lane.velocity) + friction.load_coefficient.towards(lane.velocity) * (
         friction.initial_load + lane.load[0]

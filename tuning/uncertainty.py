@@ -1,8 +1,8 @@
 """How far estimates can be trusted, also where the model is not quite true.
 
-The covariance is the sandwich H^-1 W H^-1 with H = J'J and W the scatter of the score J'e, summed over blocks of time: it
-asks neither for white residuals nor for residuals of the size that the noise would give (White 1982; Newey and West 1987).
-Blocks must be longer than the residual's memory, and many more than the parameters.
+The covariance is the sandwich H^-1 W H^-1 with H = J'J and W the scatter of the score J'e, summed over blocks of time:
+it asks neither for white residuals nor for residuals of the size that the noise would give (White 1982; Newey and West
+1987). Blocks must be longer than the residual's memory, and many more than the parameters.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,8 @@ def sandwich(
 ) -> Covariance:
     """Covariance of y from residuals (any unit) and their derivative with respect to y.
 
-    A unit prior on y (tuning.fit.residuals) is part of both H and W: where the data say nothing the standard error is one.
+    A unit prior on y (tuning.fit.Innovations) is part of both H and W: where the data say nothing the standard error is
+    one.
     """
     lanes, samples, count = jacobian.shape
     information = np.einsum("lnk,lnj->kj", jacobian, jacobian)
@@ -69,7 +70,8 @@ def sandwich(
     blocks = len(sums)
     # each fitted parameter has taken a block's worth of scatter out of the sums
     scatter = sums.T @ sums * (blocks / max(1, blocks - count)) + np.eye(count)
-    inverse = np.linalg.inv(information + np.eye(count))
-    scale = np.sqrt(np.diag(information))
-    scaled = information / np.outer(scale, scale) if np.all(scale > 0) else np.zeros((count, count))
-    return Covariance(inverse @ scatter @ inverse, blocks, float(np.linalg.cond(scaled)))
+    scale = np.sqrt(np.diag(information) + 1.0)  # parameters differ by many orders in what the logs say of them
+    scaled = (information + np.eye(count)) / np.outer(scale, scale)
+    inverse = np.linalg.inv(scaled)
+    matrix = inverse @ (scatter / np.outer(scale, scale)) @ inverse / np.outer(scale, scale)
+    return Covariance(0.5 * (matrix + matrix.T), blocks, float(np.linalg.cond(scaled)))

@@ -1,0 +1,168 @@
+"""What is asked of the logs: which parameters are free, within which bounds, and where the search starts."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from diffdrive.errors import DiffdriveError, LogError, ParameterError
+from diffdrive.logs import Log
+from diffdrive.parameters import Directional, Drive, check_drive
+from tuning import inverse_dynamics
+from tuning.fit import Problem, lanes_of, noise_floor
+from tuning.prediction import constant_gains
+from tuning.regressors import DIRECTIONAL
+from tuning.seed import seed_drive
+from tuning.space import Free, space_of
+from tuning.unknowns import Unknowns, bounds, paths, unknowns_of
+
+NAMES = {  # in the drive file -> in the search
+    "mass": "mass",
+    "constant_force": "constant_force",
+    "coulomb_screw": "coulomb",
+    "load_coefficient": "load_coefficient",
+    "breakaway_gap": "breakaway",
+    "stribeck_velocity": "stribeck_velocity",
+    "viscous": "viscous",
+    "bristle_stiffness": "bristle_stiffness",
+    "bristle_damping": "bristle_damping",
+    "delay": "delay",
+}
+SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
+ROUGH_BANDWIDTH = 200.0  # rad/s, of the coarse searches: above the fastest growth on a falling Stribeck curve
+
+
+class Question(NamedTuple):
+    """A problem, the parameters that are free in it, the measuring noise, and what the logs cannot even be asked."""
+
+    problem: Problem
+    free: tuple[Free, ...]
+    rate: float  # Hz
+    noise: float  # m
+    unasked: frozenset[str]  # paths of parameters that no motion of these logs bears on
+    notes: tuple[str, ...]
+
+
+def ask(
+    logs: Sequence[Log], drive: Drive, fixed: Sequence[str], bounded: Mapping[str, tuple[float, float]]
+) -> Question:
+    """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none."""
+    rate = _one_rate(logs)
+    lanes = lanes_of(list(logs))
+    seeded, notes = _seeded(drive, logs)
+    delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+    noise = noise_floor(drive, lanes)
+    believed = unknowns_of(drive, delay)
+    problem = Problem(
+        believed=drive,
+        believed_unknowns=believed,
+        unknowns=unknowns_of(seeded, delay),
+        lanes=lanes,
+        gains=constant_gains(ROUGH_BANDWIDTH, noise, lanes, 1.0 / rate),
+        origin=np.zeros(0),
+    )
+    held, unasked = _held(fixed), frozenset[str]()
+    if "load_coefficient" not in held and _one_load(problem):
+        held.add("load_coefficient")
+        unasked = frozenset(path for path in paths(believed) if path.startswith("load_coefficient"))
+        notes.append("these logs hold one load: load_coefficient stays as in the drive file")
+    if "load_coefficient" not in held and float(drive.friction.initial_load) > 0:
+        notes.append(
+            "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
+        )
+    problem, free = _space(_without(problem, held), held, bounded)
+    return Question(problem, free, rate, noise, unasked, tuple(notes))
+
+
+def _one_rate(logs: Sequence[Log]) -> float:
+    if not logs:
+        raise LogError("no log to identify from")
+    for log in logs:
+        if abs(log.rate / logs[0].rate - 1) > 1e-6:
+            raise LogError(
+                f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: identify from "
+                "logs of one rate"
+            )
+    return float(round(logs[0].rate, 6))
+
+
+def _seeded(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]:
+    """The drive with what inverse dynamics finds; as it is, with a note, where that finds nothing."""
+    try:
+        found = inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST)
+        seeded, notes = seed_drive(drive, found)
+        check_drive(seeded)
+    except DiffdriveError as problem:
+        return drive, [f"inverse dynamics gave no start ({problem}); started from the drive file"]
+    return seeded, list(notes)
+
+
+def _held(fixed: Sequence[str]) -> set[str]:
+    unknown = [name for name in fixed if name not in NAMES]
+    if unknown:
+        raise ParameterError(f"cannot fix '{unknown[0]}'; known: {', '.join(NAMES)}")
+    return {NAMES[name] for name in fixed}
+
+
+def _one_load(problem: Problem) -> bool:
+    """Whether the load differs too little for friction to show it: by less than a hundredth of the Coulomb friction."""
+    lanes, believed = problem.lanes, problem.believed_unknowns
+    spread = float(np.ptp(np.asarray(lanes.load)[np.asarray(lanes.counts) > 0]))
+    slope = max(float(believed.load_coefficient.positive), 1e-6)
+    return slope * spread < 0.01 * float(believed.coulomb.positive)
+
+
+def _without(problem: Problem, held: set[str]) -> Problem:
+    """Held parameters at the believed values; a held gap stays a gap, whatever becomes of the Coulomb friction."""
+    before = problem.believed_unknowns
+    values = {name: getattr(before, name) for name in held} | ({"breakaway": None} if "breakaway" in held else {})
+    return problem._replace(unknowns=dataclasses.replace(problem.unknowns, **values))
+
+
+def value(unknowns: Unknowns, path: str) -> float:
+    """The value at `path`; of a pair that is the same in both directions, that one."""
+    node = attrgetter(path)(unknowns)
+    return float(node.positive if isinstance(node, Directional) else node)
+
+
+def _space(
+    problem: Problem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+) -> tuple[Problem, tuple[Free, ...]]:
+    """What is free, within bounds about what was believed, and the problem with its starts inside them."""
+    for name in bounded:
+        if name not in NAMES:
+            raise ParameterError(f"cannot bound '{name}'; known: {', '.join(NAMES)}")
+    own = {NAMES[name]: limits for name, limits in bounded.items()}
+    before, unknowns, free = problem.believed_unknowns, problem.unknowns, []
+    for path in paths(unknowns):
+        stem = path.split(".")[0]
+        if stem in held:
+            continue
+        limits = bounds(path, value(before, path), value(before, "coulomb"))
+        if stem in own:
+            low, high = own[stem]
+            if stem == "breakaway":  # given as a gap
+                level = value(before, path.replace("breakaway", "coulomb"))
+                low, high = max(1e-2, 1 + low / level), 1 + high / level
+            limits = limits._replace(low=low, high=high)
+        reach = limits.high / limits.low if limits.low > 0 else np.nan
+        edge = 1e-3 * (limits.high - limits.low) if np.isnan(reach) else 0.0
+        inner = (
+            (limits.low + edge, limits.high - edge)
+            if np.isnan(reach)
+            else (limits.low * reach**0.02, limits.high * reach**-0.02)
+        )
+        inside = float(np.clip(value(unknowns, path), *inner))
+        unknowns = placed(unknowns, path, inside)
+        free.append(limits)
+    return problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin), tuple(free)
+
+
+def placed(unknowns: Unknowns, path: str, value: float) -> Unknowns:
+    """The unknowns with `value` at `path`, in both directions where the path names a pair."""
+    node = attrgetter(path)(unknowns)
+    new = Directional(value, value) if isinstance(node, Directional) else value
+    return eqx.tree_at(attrgetter(path), unknowns, new)
