@@ -116,6 +116,53 @@ def tune(
 
 
 @app.command()
+def identify(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
+    ],
+    drive: Annotated[Path, typer.Option(help="Drive file: what is believed about the axis, and how its logs read.")],
+    out: Out = None,
+    column: Annotated[
+        list[str] | None, typer.Option(help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
+    ] = None,
+    unit: Annotated[
+        list[str] | None, typer.Option(help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
+    ] = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(help="A parameter, as the drive file calls it, that stays as believed; repeatable."),
+    ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
+    ] = None,
+    starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the inverse dynamics' answer.")] = 6,
+    seed: Annotated[int, typer.Option(help="Seed of the other starts.")] = 0,
+    held_out: Annotated[
+        list[Path] | None, typer.Option(help="A log that is only looked at afterwards; repeatable.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Go on over fatal findings in a log.")] = False,
+) -> None:
+    """Identify friction, mass and delay of a drive from its logs, with intervals, and say whether the model suffices.
+
+    The logs are looked over first, and one with a fatal finding (volts for newtons, a shifted command) is refused.
+    Writes identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter
+    that the logs do not determine is named and stays as believed. Structure that the model leaves is said, and is no
+    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far.
+
+    Example: `diffdrive identify lap1.csv lap2.csv --drive drive.toml --unit command=V --held-out lap3.csv --out found`
+    """
+    from experiments.identify import identify_drive
+
+    converged = identify_drive(
+        logs, drive, out, columns=column or (), units=unit or (), fixed=fix or (), bounds=bound or (), starts=starts,
+        seed=seed, held_out=held_out or (), force=force,
+    )  # fmt: skip
+    if not converged:
+        raise typer.Exit(3)
+
+
+@app.command()
 def sweep(
     drive: DriveFile,
     motion: MotionText = DEFAULT_MOTION,

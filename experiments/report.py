@@ -37,10 +37,10 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Any, digits: int = 4) -> str:
     if value is None:
         return "-"
-    return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
+    return f"{value:.{digits}g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def _console() -> Console:
@@ -99,13 +99,15 @@ class Report:
         listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
         self.console.print(f"{name}: {listed}", markup=False)
 
-    def table(self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "") -> None:
-        """Print a table, keep its rows as records, and write it as CSV."""
+    def table(
+        self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "", digits: int = 4
+    ) -> None:
+        """Print a table with so many significant digits, keep its rows as records, and write it as CSV."""
         drawn = Table(title=caption or name, title_justify="left", header_style="")
         for k, column in enumerate(columns):
             drawn.add_column(column, justify="left" if k == 0 else "right")
         for row in rows:
-            drawn.add_row(*(_shown(value) for value in row))
+            drawn.add_row(*(_shown(value, digits) for value in row))
         self.console.print(drawn)
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),

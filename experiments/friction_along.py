@@ -1,0 +1,61 @@
+"""The friction that a drive would have shown along a measured motion, to be laid beside the measured friction."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.friction import bristle_at, friction_force, slide
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive, Scalar, as_arrays
+from tuning.curves import HysteresisCurves, hysteresis_curves
+from tuning.fit import SHORTEST
+
+
+def stretches_of(logs: Sequence[Log]) -> list[Log]:
+    """The gap-free stretches in the order of `tuning.fit.lanes_of`, each as a log of its own."""
+    pieces = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= SHORTEST]
+    return [
+        dataclasses.replace(log, gaps=(), **{name: values[piece] for name, values in log.channels.items()})
+        for log, piece in pieces
+    ]
+
+
+@eqx.filter_jit
+def _along(drive: Drive, velocity: Float[Array, " n"], load: Float[Array, " n"], period: Scalar) -> Float[Array, " n"]:
+    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        now, ahead, applied = at
+        force = friction_force(bristle_at(drive.friction, now, deflection, applied), now, deflection)
+        mean = 0.5 * (now + ahead)
+        rate = bristle_at(drive.friction, mean, deflection, applied).rate
+        return slide(deflection, mean, rate, period), force + drive.plant.damping.towards(now) * now
+
+    ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
+    return lax.scan(body, jnp.zeros(()), (velocity, ahead, load))[1]
+
+
+def friction_along(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Friction and damping (N) of `drive` at these velocities (m/s) of a stretch, the bristle relaxed at the start."""
+    load = np.zeros_like(velocity) if stretch.load is None else stretch.load
+    given = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
+    return np.asarray(_along(*given))
+
+
+def modelled_hysteresis(
+    drive: Drive, reference: Drive, stretches: Sequence[Log], velocities: Sequence[Float[np.ndarray, " n"]]
+) -> HysteresisCurves:
+    """Hysteresis curves of `drive` by the filters and the reach that curves measured with `reference` have.
+
+    The friction along each stretch takes the place of its command, and nothing has a mass: the measured curves' filters
+    then blur the model as they blur the measurement.
+    """
+    weightless = eqx.tree_at(lambda d: (d.plant.mass, d.plant.constant_force), reference, (0.0, 0.0))
+    rubbed = [
+        dataclasses.replace(stretch, command=friction_along(drive, stretch, velocity), disturbance=None)
+        for stretch, velocity in zip(stretches, velocities, strict=True)
+    ]
+    return hysteresis_curves(rubbed, weightless)

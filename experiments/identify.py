@@ -1,0 +1,181 @@
+"""`diffdrive identify`: the drive that logs tell, how sure each parameter is, and whether the model suffices."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive, quantities
+from experiments.checked_logs import read_checked
+from experiments.gaps import gap_table
+from experiments.identify_figures import draw
+from experiments.interruption import at_next_step
+from experiments.report import Report
+from experiments.scenario import number
+from tuning import inverse_dynamics
+from tuning.identification import Identified, identify
+from tuning.question import NAMES, SLOWEST
+
+SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
+DIGITS = 6  # intervals may be narrow
+
+
+def identify_drive(
+    paths: Sequence[Path],
+    drive: Path,
+    out: Path | None,
+    *,
+    columns: Sequence[str] = (),
+    units: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    bounds: Sequence[str] = (),
+    starts: int = 6,
+    seed: int = 0,
+    held_out: Sequence[Path] = (),
+    force: bool = False,
+) -> bool:
+    """`diffdrive identify`; False if the search did not converge.
+
+    `columns`, `units`, `fixed` and `bounds` are texts as on the command line. Raises `DriveFileError`, `LogError` and
+    `ParameterError`, one line each.
+    """
+    description = read_drive(drive)
+    description = replace(description, mapping=description.mapping.overridden(columns, units))
+    bounded = parse_bounds(bounds, description.drive)
+    _require_known(fixed, "--fix")
+    with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
+        logs = read_checked(paths, description, report, name="findings", force=force)
+        others = read_checked(held_out, description, report, name="findings_held_out", force=force) if held_out else ()
+        _inverse_dynamics(report, logs, others)
+        with (
+            report.progress("searching", 1) as advance,
+            at_next_step(advance, report.say) as progress,
+        ):
+            found = identify(
+                logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, progress=progress
+            )
+        _estimates(report, found)
+        _words(report, found)
+        gap_table(report, description, found.drive, _delay(found), logs, others)
+        if report.out is not None:
+            _write(report, replace(description, drive=found.drive))
+            with report.working("drawing"):
+                draw(report, found, description.drive, logs)
+    return found.search.status == "converged"
+
+
+def parse_bounds(texts: Sequence[str], drive: Drive) -> dict[str, tuple[float, float]]:
+    """Bounds from `NAME=LOW:HIGH`, each a number in SI or with its unit; raises `ParameterError`."""
+    units = {path.split(".")[-1]: declared.unit for path, declared, _ in quantities(drive)}
+    bounded: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        name, equals, limits = (part.strip() for part in text.partition("="))
+        low, colon, high = limits.partition(":")
+        if not (equals and colon):
+            raise ParameterError(f"--bound {text}: write NAME=LOW:HIGH, such as mass=80:120")
+        _require_known([name], "--bound")
+        if name in bounded:
+            raise ParameterError(f"--bound {text}: {name} is bounded twice")
+        unit = units.get(name, "1")  # the delay, in control periods, is no parameter of its own in the file
+        ends = number(low.strip(), unit, f"--bound {text}"), number(high.strip(), unit, f"--bound {text}")
+        if not ends[0] < ends[1]:
+            raise ParameterError(f"--bound {text}: the lower end must be below the higher one")
+        bounded[name] = ends
+    return bounded
+
+
+def _require_known(names: Sequence[str], option: str) -> None:
+    for name in names:
+        if name not in NAMES:
+            raise ParameterError(f"{option} {name}: no such parameter; known: {', '.join(NAMES)}")
+
+
+def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Log]) -> None:
+    """What the reference method says, which knows neither a bristle nor a delay."""
+    try:
+        found = inverse_dynamics.identify(logs, min_speed=SLOWEST)
+        others = inverse_dynamics.evaluate(found, held_out).error_percent if held_out else None
+    except DiffdriveError as problem:
+        report.say(f"No inverse dynamics: {problem}")
+        return
+    report.values(
+        "inverse_dynamics",
+        mass_kg=found.values["mass"],
+        viscous_Ns_per_m=found.values["viscous"],
+        coulomb_N=found.values["coulomb"],
+        constant_force_N=found.values["constant_force"],
+        force_error_percent=found.fit.error_percent,
+        **({} if others is None else {"held_out_force_error_percent": others}),
+    )
+    for note in found.notes:
+        report.say(f"inverse dynamics: {note}")
+
+
+def _estimates(report: Report, found: Identified) -> None:
+    def row(one: Any) -> list[Any]:
+        interval = [one.low, one.high] if one.status in ("fitted", "at its bound") else [None, None]
+        return [one.name, one.unit, one.believed, one.value, *interval, one.status]
+
+    report.table(
+        "estimates",
+        ("name", "unit", "drive_file", "identified", "low", "high", "status"),
+        [row(one) for one in found.estimates],
+        "Parameters in SI units, with their 95 % intervals",
+        digits=DIGITS,
+    )
+
+
+def _words(report: Report, found: Identified) -> None:
+    """What the numbers mean."""
+    report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
+    if found.search.status != "converged":
+        report.say("The search did not converge: these are the best parameters that it saw, not the best there are.")
+    for note in found.notes:
+        report.say(note)
+    verdict = found.adequacy.says
+    report.say(f"{verdict[0].upper()}{verdict[1:]}.")
+    report.values(
+        "accuracy",
+        noise_m=found.noise,
+        white_force_N=found.process,
+        condition=found.covariance.condition,
+        blocks=found.covariance.blocks,
+    )
+    report.values("adequacy", structured=found.adequacy.structured, **found.adequacy._asdict())
+    report.values("starts", cost_over_best=[round(float(cost), 4) for cost in found.starts])
+    if found.correlated:
+        rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
+        report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly tell apart")
+    undetermined = [one.name for one in found.estimates if one.status == "not determined"]
+    if undetermined:
+        report.say(f"The logs do not determine {', '.join(undetermined)}: they stay as the drive file says.")
+        # HERE: the table of tuning/next_motion.py, which motion would determine each of `undetermined`
+    at_bound = [one.name for one in found.estimates if one.status == "at its bound"]
+    if at_bound:
+        report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
+
+
+def _named(path: str) -> str:
+    """A path of the search space under the name of the table of estimates."""
+    stem, dot, side = path.partition(".")
+    return f"{SEARCHED[stem]}{dot}{side}"
+
+
+def _delay(found: Identified) -> float:
+    """The delay found (control periods); below zero where the command was logged late, which no drive file can say."""
+    return next(one.value for one in found.estimates if one.name == "delay")
+
+
+def _write(report: Report, description: DriveDescription) -> None:
+    """identified.toml: the same gains; observers and feed-forwards, whose model is the file's own, get the new one."""
+    assert report.out is not None
+    path = report.out / "identified.toml"
+    try:
+        write_drive(path, parse_drive(drive_tables(description), str(path)))
+    except DiffdriveError as problem:
+        report.say(f"identified.toml is not written, since no drive file can say this: {problem}")
+        return
+    report.values("written", file=path.name)
