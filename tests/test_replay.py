@@ -1,4 +1,4 @@
-"""Replay of logs against the simulations that they came from: in closed and in open loop, in motion, over gaps."""
+"""Replay of logs against the simulations that they came from, and the fit that rests on it."""
 
 import dataclasses
 
@@ -14,6 +14,7 @@ from diffdrive.errors import LogError, ParameterError
 from diffdrive.motion import sine
 from diffdrive.parameters import Actuator, Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.simulate import simulate
+from tuning.closed_loop_fit import fit_closed_loop
 from tuning.replay import closed_loop, drift_note, given, open_loop, replay
 
 SAMPLING = Sampling(1_000.0, 40)
@@ -149,3 +150,26 @@ def test_the_replay_is_differentiable():
     slope = jax.jacfwd(command)(mass)
     numeric = (command(mass + 0.01) - command(mass - 0.01)) / 0.02
     np.testing.assert_allclose(slope, numeric, atol=1e-4)
+
+
+def test_the_closed_loop_fit_finds_the_drive_behind_a_log():
+    truth, controller = axis(gap=(-6.0, -8.0), delay_samples=1, delay_fraction=0.3), CONTROLLERS["cascade"]
+    log = part(logged(truth, controller, 0.0), slice(100, None))  # a fit sees no start from rest
+    believed = axis(gap=1e-3, delay_samples=1)
+    believed = eqx.tree_at(lambda d: (d.plant.mass, d.plant.constant_force), believed, (120.0, 0.0))
+    found, search = fit_closed_loop([log], believed, controller)
+    assert search.cost < 0.05 < 1.0 < search.cost_before
+    assert search.cost == pytest.approx(closed_loop(found, controller, log).force_percent, abs=0.03)
+    assert found.plant.mass == pytest.approx(95.0, rel=0.01)
+    assert found.friction.viscous.negative == pytest.approx(230.0, rel=0.02)
+    assert found.friction.breakaway_gap.negative == pytest.approx(-8.0, rel=0.1)
+    assert found.actuator.delay_samples == 1
+    assert found.actuator.delay_fraction == pytest.approx(0.3, abs=0.05)
+    assert found.friction.load_coefficient == believed.friction.load_coefficient  # one load: not free
+
+
+def test_a_fit_of_logs_at_two_rates_is_refused():
+    drive, controller = axis(), CONTROLLERS["cascade"]
+    log = logged(drive, controller)
+    with pytest.raises(LogError, match="all of one rate"):
+        fit_closed_loop([log, part(log, slice(None, None, 2))], drive, controller)
