@@ -32,7 +32,7 @@ def read_checked(
             name,
             ("log", "severity", "channel", "what", "mend"),
             [[log, one.severity, one.channel, one.found, one.mend] for log, one in found],
-            "What the logs show before anything is identified",
+            f"What {', '.join(log.name for log in logs)} would mislead about, or limits",
         )
     fatal = [(log, one) for log, one in found if one.severity == "fatal"]
     if fatal and not force:

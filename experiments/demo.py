@@ -1,4 +1,4 @@
-"""The main job: simulate the paper's drive, differentiate it, tune it over loads; replay and fit a real axis."""
+"""The main job: simulate the paper's drive, differentiate it, tune it over loads; identify and replay a real axis."""
 
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.parameters import as_arrays, quantities
 from diffdrive.simulate import inputs_of, rollout
 from diffdrive.smooth import smooth
-from experiments import emps, paper
-from experiments.report import Report, new_figure
+from experiments import emps, emps_study, paper
+from experiments.report import Report
 from experiments.reproduce import table_1
 from experiments.tune import reversal, tune_drive
 
@@ -55,7 +55,7 @@ def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
 
 
 def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = False) -> Report:
-    """The main job; `quick` takes fewer tuning steps. Returns the report, written to `out` if given."""
+    """The main job; `quick` takes fewer tuning steps and starts. Returns the report, written to `out` if given."""
     if emps_folder is not None and not (emps_folder / emps.FILES["estimation"]).is_file():
         raise ParameterError(f"--emps {emps_folder}: no {emps.FILES['estimation']} in it")
     with Report("diffdrive: the paper's drive, and a real axis", out) as report:
@@ -103,40 +103,12 @@ def _differentiate(report: Report, description: DriveDescription) -> None:
 
 
 def _real_axis(report: Report, folder: Path, quick: bool) -> None:
-    records = {name: emps.read(folder / file) for name, file in emps.FILES.items() if (folder / file).is_file()}
-    start = emps.reference_drive()
-    with report.progress("fitting the real axis (EMPS) by gradient", 12) as advance:
-        fitted, search = emps.fit(start, records["estimation"], max_steps=4 if quick else 12, progress=advance)
-    rows, gaps = [], {}
-    for name, record in records.items():
-        was, now = emps.gap(start, record), emps.gap(fitted, record)
-        gaps[name] = (was, now)
-        rows.append([name, was.force_percent, now.force_percent, 1e6 * was.position_rms, 1e6 * now.position_rms])
-    report.table(
-        "emps",
-        ("file", "force gap %", "fitted", "position gap um", "fitted"),
-        rows,
-        "EMPS in closed loop: published parameters, and fitted to the estimation file only",
-    )
-    paths = [free.path for free in emps.FREE]
-    values = {name: value for name, _, value in quantities(start)}
-    after = {name: value for name, _, value in quantities(fitted)}
-
-    def number(value: Any) -> float:
-        return float(value.positive if hasattr(value, "positive") else value)
-
-    report.table(
-        "emps_parameters", ("parameter", "published", "fitted"),
-        [[path, number(values[path]), number(after[path])] for path in paths], f"EMPS parameters, SI; {search.status}",
-    )  # fmt: skip
-    figure, axes = new_figure(2, 1, width=9.0, height=2.4)
-    record, (was, now) = records["estimation"], gaps["estimation"]
-    axes[0].plot(record.motion.time, record.command, "k", lw=0.6, label="logged")
-    axes[0].plot(record.motion.time, now.command, "C3", lw=0.6, label="simulated")
-    axes[1].plot(record.motion.time, was.command - record.command, lw=0.6, label="published parameters")
-    axes[1].plot(record.motion.time, now.command - record.command, lw=0.6, label="fitted")
-    axes[0].set(ylabel="force, N", title="EMPS, estimation file: force command in closed loop")
-    axes[1].set(ylabel="difference, N", xlabel="time, s")
-    for axis in axes:
-        axis.legend(loc="upper right", fontsize=8)
-    report.figure("emps", figure)
+    """The EMPS axis before and after identification; `diffdrive emps` says more."""
+    records = emps.read_all(folder)
+    identified = emps_study.identify_axis(report, records, starts=2 if quick else 6)
+    drives = {emps_study.PUBLISHED: emps.reference_drive(), emps_study.IDENTIFIED: identified.drive}
+    replays = emps_study.force_table(report, drives, records)
+    emps_study.parameter_table(report, identified.estimates, {})
+    report.say(identified.adequacy.says)
+    estimation = {name: replays[name]["estimation"] for name in drives}
+    emps_study.force_figure(report, records["estimation"], estimation)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from diffdrive.friction import bristle_at, friction_force, slide
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Scalar, as_arrays
+from experiments.gaps import delay_of
 from tuning.curves import HysteresisCurves, hysteresis_curves
 from tuning.fit import SHORTEST
 
@@ -48,14 +49,25 @@ def friction_along(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]
 def modelled_hysteresis(
     drive: Drive, reference: Drive, stretches: Sequence[Log], velocities: Sequence[Float[np.ndarray, " n"]]
 ) -> HysteresisCurves:
-    """Hysteresis curves of `drive` by the filters and the reach that curves measured with `reference` have.
+    """Hysteresis curves of the friction of `drive`, made as curves measured with `reference` are made.
 
-    The friction along each stretch takes the place of its command, and nothing has a mass: the measured curves' filters
-    then blur the model as they blur the measurement.
+    The command that would have moved the mass of `reference` along each stretch against that friction takes the place
+    of the logged one. So the filters blur the model as they blur the measurement, and what the hold and the delay of
+    the command do to a measured curve (at a fast reversal, a good part of its slope) they do to the model's.
     """
-    weightless = eqx.tree_at(lambda d: (d.plant.mass, d.plant.constant_force), reference, (0.0, 0.0))
     rubbed = [
-        dataclasses.replace(stretch, command=friction_along(drive, stretch, velocity), disturbance=None)
+        dataclasses.replace(stretch, command=_command(drive, reference, stretch, velocity), disturbance=None)
         for stretch, velocity in zip(stretches, velocities, strict=True)
     ]
-    return hysteresis_curves(rubbed, weightless)
+    return hysteresis_curves(rubbed, reference)
+
+
+def _command(
+    drive: Drive, reference: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """The force (N) over each period, given as early as the delay of `reference` asks."""
+    friction = friction_along(drive, stretch, velocity)
+    sample = np.arange(len(velocity))
+    mean = np.append(0.5 * (friction[1:] + friction[:-1]), friction[-1])
+    inertia = float(reference.plant.mass) * stretch.rate * np.append(np.diff(velocity), 0.0)
+    return np.interp(sample + delay_of(reference), sample, mean + inertia - float(drive.plant.constant_force))

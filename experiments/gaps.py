@@ -15,6 +15,7 @@ from diffdrive.parameters import Drive, as_arrays
 from experiments.report import Report
 from tuning.fit import FINE_SUBSTEP, lanes_of, sampling_of
 from tuning.prediction import constant_gains, predict
+from tuning.replay import closed_loop, drift_note, open_loop
 
 BANDWIDTH = 200.0  # rad/s of the correction: above the fastest growth on a falling Stribeck curve
 FORGOTTEN = 10.0 / BANDWIDTH  # s, in which the unknown velocity at the beginning is corrected
@@ -49,7 +50,20 @@ def _rms(signal: np.ndarray) -> float:
     return float(np.sqrt(np.mean(signal**2)))
 
 
-MEASURES: tuple[Measure, ...] = (one_step,)
+def replayed(description: DriveDescription, _: float, log: Log) -> dict[str, float]:
+    """The log replayed by the drive: in closed loop through the controller if it has a reference, and in open loop."""
+    drive, found = description.drive, {}
+    if log.reference is not None:
+        loop = closed_loop(drive, description.controller, log)
+        found = {
+            "closed loop: command, N": loop.command_rms,
+            "closed loop: command, %": loop.force_percent,
+            "closed loop: position, um": 1e6 * loop.position_rms,
+        }
+    return found | {"open loop: position, mm": open_loop(drive, log).position_rms_mm}
+
+
+MEASURES: tuple[Measure, ...] = (one_step, replayed)
 
 
 def delay_of(drive: Drive) -> float:
@@ -78,3 +92,5 @@ def gap_table(
                     now = measure(replace(description, drive=identified), delay, log)
                     rows += [[log.name, role, name, was[name], now[name]] for name in was]
     report.table("gaps", ("log", "role", "gap", "drive file", "identified"), rows, "The gap to the logs, RMS")
+    note = drift_note(identified)
+    report.say(f"{note[0].upper()}{note[1:]}.")

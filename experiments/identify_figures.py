@@ -14,13 +14,14 @@ from diffdrive.logs import Log
 from diffdrive.parameters import Drive
 from experiments.forest import forest
 from experiments.friction_along import modelled_hysteresis, stretches_of
-from experiments.report import Report, new_figure
+from experiments.report import Report, new_figure, plain_logarithmic
 from tuning.curves import hysteresis_curves, stribeck_curves
 from tuning.identification import Identified
 from tuning.uncertainty import autocorrelation
 
 LAGS = 100
 MOST_POINTS = 20_000  # of a signal in a figure
+STARTED = 0.05  # s, in which a filter finds the velocity at a beginning; no scale of an axis comes from there
 
 
 def draw(report: Report, found: Identified, before: Drive, logs: Sequence[Log]) -> None:
@@ -46,7 +47,10 @@ def _shades(count: int) -> list[Any]:
 
 
 def _stribeck(found: Identified, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
-    """Friction over speed, one panel per direction: measured with error bars, drive file's and identified."""
+    """Friction over speed, one panel per direction: measured with error bars, drive file's and identified.
+
+    Less the constant force, as the motor meets it: what of it is friction each drive says otherwise.
+    """
     curves = stribeck_curves(stretches, found.drive)
     if not curves.curves:
         return None, curves.notes
@@ -56,7 +60,7 @@ def _stribeck(found: Identified, before: Drive, stretches: Sequence[Log]) -> tup
             at = side * curve.velocity > 0
             if not at.any():
                 continue
-            speed, friction = side * curve.velocity[at], side * curve.friction[at]
+            speed, friction = side * curve.velocity[at], side * (curve.friction[at] - _pull(found.drive))
             error = 1.96 * np.nan_to_num(curve.standard_error[at])
             under = f", {1e-3 * curve.load:.3g} kN" if len(curves.curves) > 1 else ""
             axis.errorbar(
@@ -68,15 +72,22 @@ def _stribeck(found: Identified, before: Drive, stretches: Sequence[Log]) -> tup
                 axis.plot(
                     1e3 * along, side * model, style, color="0.4" if style == ":" else shade, label=f"{name}{under}"
                 )
-        axis.set(xscale="log", xlabel="speed, mm/s", ylabel="friction against the motion, N", title=title)
+        axis.set(xscale="log", xlabel="speed, mm/s", ylabel="friction less constant force, N", title=title)
+        plain_logarithmic(axis.xaxis)
         axis.legend(fontsize=8)
     figure.suptitle("Steady friction: mean and 95 % over passes, and the models", fontsize=10)
     return figure, curves.notes
 
 
 def _steady(drive: Drive, velocity: np.ndarray, load: float) -> np.ndarray:
+    """The force (N) that a steady motion takes."""
     at = jnp.asarray(velocity)
-    return np.asarray(steady_friction(drive.friction, at, load) + drive.plant.damping.towards(at) * at)
+    friction = steady_friction(drive.friction, at, load) + drive.plant.damping.towards(at) * at
+    return np.asarray(friction) - _pull(drive)
+
+
+def _pull(drive: Drive) -> float:
+    return float(drive.plant.constant_force)
 
 
 def _hysteresis(found: Identified, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
@@ -93,17 +104,25 @@ def _hysteresis(found: Identified, before: Drive, stretches: Sequence[Log]) -> t
             if curve.load != load:
                 continue
             shade, name = ("C0", "forwards") if curve.direction > 0 else ("C1", "backwards")
-            way = 1e6 * curve.displacement
-            axis.fill_between(way, curve.lower, curve.upper, color=shade, alpha=0.25, lw=0)
+            way, pull = 1e6 * curve.displacement, _pull(found.drive)
+            axis.fill_between(way, curve.lower - pull, curve.upper - pull, color=shade, alpha=0.25, lw=0)
             axis.plot(
-                way, curve.median, color=shade, lw=2.5, alpha=0.6, label=f"measured {name}, {curve.reversals} reversals"
+                way,
+                curve.median - pull,
+                color=shade,
+                lw=2.5,
+                alpha=0.6,
+                label=f"measured {name}, {curve.reversals} reversals",
             )
             for model, style, said in zip(modelled, (":", "-"), ("drive file", "identified"), strict=True):
-                axis.plot(way, model.median, style, color="k", lw=1.0, label=said if curve.direction > 0 else None)
+                axis.plot(
+                    way, model.median - pull, style, color="k", lw=1.0, label=said if curve.direction > 0 else None
+                )
         # the first point but one is at a ten-thousandth of the reach
         axis.set_xscale("symlog", linthresh=1e6 * measured.curves[0].displacement[-1] * 1e-3)
-        axis.set(xlabel="way since the reversal, um", ylabel="friction, N", xlim=(0, None))
-        axis.set_title(f"after a reversal, {1e-3 * load:.3g} kN: median and quartiles", fontsize=10)
+        axis.set(xlabel="way since the reversal, um", ylabel="friction less constant force, N", xlim=(0, None))
+        under = f", {1e-3 * load:.3g} kN" if len(loads) > 1 else ""
+        axis.set_title(f"after a reversal{under}: median and quartiles over reversals", fontsize=10)
         axis.legend(fontsize=8)
     return figure, measured.notes
 
@@ -112,9 +131,10 @@ def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
     """Over time, the stretches one after another, beside the position; and over the position, by direction."""
     figure, axes = new_figure(3, 1, width=10.0, height=2.4, share_x=False)
     axes[1].sharex(axes[0])
-    begin = 0.0
+    begin, largest = 0.0, 0.0
     for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing, found.velocity, strict=True)):
         force, speed = missing[: len(one.time)], velocity[: len(one.time)]
+        largest = max(largest, float(np.max(np.abs(force[round(STARTED * one.rate) :]))))
         step = max(1, len(force) * len(stretches) // MOST_POINTS)
         time = begin + one.time - one.time[0]
         begin = time[-1] + 1.0 / one.rate
@@ -130,6 +150,9 @@ def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
     axes[0].set(ylabel="position, mm", title="Force that the model lacks")
     axes[1].set(ylabel="missing force, N", xlabel="time, s")
     axes[2].set(ylabel="missing force, N", xlabel="position, mm")
+    for axis in axes[1:]:
+        axis.set_ylim(-1.1 * largest, 1.1 * largest)
+    axes[0].tick_params(labelbottom=False)
     axes[2].legend(fontsize=8, markerscale=6, loc="upper right")
     return figure
 

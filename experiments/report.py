@@ -14,6 +14,7 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.figure
+import matplotlib.ticker
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -171,3 +172,9 @@ def new_figure(
         figure = matplotlib.figure.Figure(figsize=(width, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, sharex="col" if share_x else False)
     return figure, axes
+
+
+def plain_logarithmic(axis: Any) -> None:
+    """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten."""
+    axis.set_major_formatter(matplotlib.ticker.LogFormatter(labelOnlyBase=False))
+    axis.set_minor_formatter(matplotlib.ticker.LogFormatter(labelOnlyBase=False))
