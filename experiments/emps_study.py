@@ -100,7 +100,8 @@ def parameter_table(report: Report, estimates: list[Estimate], others: Mapping[s
     """The identified parameters with their intervals, and those of other drives beside them."""
     rows = []
     for one in estimates:
-        if one.status != "fixed" and not one.name.startswith("load_coefficient"):
+        # the benchmark knows no load: its slope stays, and Coulomb friction at no load is that of the screw
+        if one.status != "fixed" and not one.name.startswith(("load_coefficient", "coulomb_at_no_load")):
             beside = [_parameter(drive, one.name) for drive in others.values()]
             rows.append([f"{one.name}, {one.unit}", one.believed, one.value, one.low, one.high, *beside])
     report.table(
@@ -114,7 +115,6 @@ def _parameter(drive: Drive, name: str) -> float | None:
     key, _, side = name.partition(".")
     if key == "delay":
         return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
-    key = "coulomb_screw" if key == "coulomb_at_no_load" else key  # the benchmark knows no load
     for part in (drive.plant, drive.friction):
         value: Any = getattr(part, key, None)
         if value is not None:
