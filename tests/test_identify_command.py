@@ -1,0 +1,330 @@
+"""`diffdrive identify` as a user meets it: from log files to a drive file, with what it says and what it refuses."""
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sound_log import RATE, described, logged
+from typer.testing import CliRunner
+
+from diffdrive.drive_file import read_drive, write_drive
+from diffdrive.errors import LogError, ParameterError
+from diffdrive.logs import write_log
+from diffdrive.simulate import simulate
+from experiments import emps
+from experiments.checked_logs import read_checked
+from experiments.cli import app
+from experiments.excitation import joined, resting, strokes
+from experiments.forest import forest
+from experiments.friction_along import friction_along, stretches_of
+from experiments.identify import parse_bounds
+from experiments.interruption import at_next_step
+from experiments.report import Report
+from tuning.estimates import Estimate
+
+TRUE = described()
+# distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
+STROKES = (
+    (2e-5, 4e-4, 0.05, 20.0),
+    (2e-4, 1.5e-3, 0.05, 20.0),
+    (1e-3, 5e-3, 0.3, 30.0),
+    (2e-3, 2e-2, 0.5, 50.0),
+    (4e-3, 0.08, 2.0, 200.0),
+    (1e-3, 3e-3, 0.3, 30.0),
+)
+# the same question wherever one is asked in full, so that it is compiled once
+QUESTION = ("--starts", 2, "--fix", "stribeck_velocity", "--bound", "mass=70kg:150")
+MOTION = joined([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two logs of one machine, and a drive file that takes its mass for a quarter too large."""
+    folder = tmp_path_factory.mktemp("identify")
+    for name, seed in (("lap", 1), ("other", 2)):
+        write_log(folder / f"{name}.csv", logged(TRUE, MOTION, seed=seed))
+    heavy = dataclasses.replace(TRUE.drive, plant=dataclasses.replace(TRUE.drive.plant, mass=125.0))
+    write_drive(folder / "drive.toml", dataclasses.replace(TRUE, drive=heavy))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def identified(folder):
+    """One identification for all who look at its result."""
+    out = folder / "out"
+    result = run(
+        folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--held-out", folder / "other.csv",
+        "--out", out,
+    )  # fmt: skip
+    return result, out, json.loads((out / "result.json").read_text())
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["identify", *(str(one) for one in arguments)], catch_exceptions=False)
+
+
+def estimates(written):
+    return {row[0]: dict(zip(written["tables"]["estimates"]["columns"], row, strict=True)) for row in records(written)}
+
+
+def records(written):
+    return written["tables"]["estimates"]["rows"]
+
+
+def test_it_finds_the_machine_and_writes_everything(identified):
+    result, out, written = identified
+    assert result.exit_code == 0, result.output
+    mass = estimates(written)["mass"]
+    assert mass["drive_file"] == 125.0
+    assert mass["low"] < mass["identified"] < mass["high"]
+    assert mass["identified"] == pytest.approx(100.0, rel=1e-3)
+    assert mass["status"] == "fitted"
+    assert written["search"]["status"] == "converged"
+    figures = {f"{name}.png" for name in ("stribeck", "hysteresis", "missing_force", "parameters", "innovations")}
+    assert set(written["figures"]) == figures
+    for name in {*figures, "identified.toml", "estimates.csv", "gaps.csv", "findings.csv"}:
+        assert (out / name).stat().st_size > 100, name
+    assert "stopped_by" not in written
+
+
+def test_what_is_printed_is_in_the_json(identified):
+    result, _, written = identified
+    assert f"{estimates(written)['viscous.positive']['identified']:.6g}" in result.output
+    for sentence in written["notes"]:
+        assert sentence in result.output
+    assert {"inverse_dynamics", "search", "accuracy", "adequacy", "starts"} <= set(written)
+    assert {"findings", "findings_held_out", "estimates", "correlated", "gaps"} <= set(written["tables"])
+    assert f"force_error_percent {written['inverse_dynamics']['force_error_percent']:.4g}" in result.output
+    assert any(said.startswith("Nothing is missing that these logs would show") for said in written["notes"])
+
+
+def test_fixed_parameters_stay_and_undetermined_ones_are_named(identified):
+    _, _, written = identified
+    found = estimates(written)
+    for side in ("positive", "negative"):
+        held = found[f"stribeck_velocity.{side}"]
+        assert (held["status"], held["low"]) == ("fixed", None)
+        assert held["identified"] == pytest.approx(held["drive_file"])
+        assert found[f"load_coefficient.{side}"]["status"] == "not determined"
+    assert any("do not determine load_coefficient.positive" in said for said in written["notes"])
+
+
+def test_the_gap_closes_also_on_the_held_out_log(identified):
+    _, _, written = identified
+    rows = written["tables"]["gaps"]["rows"]
+    assert {(row[0], row[1]) for row in rows} == {("lap", "identified from"), ("other", "held out")}
+    for _, _, gap, before, after in rows:
+        assert after < 0.3 * before, gap
+    step = {row[0]: row[4] for row in rows if row[2] == "one-step prediction, um"}
+    assert step["other"] == pytest.approx(step["lap"], rel=0.1)
+
+
+def test_the_identified_drive_file_reads_back_and_simulates(identified, folder):
+    _, out, written = identified
+    believed, found = read_drive(folder / "drive.toml"), read_drive(out / "identified.toml")
+    assert float(found.drive.plant.mass) == estimates(written)["mass"]["identified"]
+    for part in ("sampling", "limits", "mapping"):
+        assert getattr(found, part) == getattr(believed, part)
+    assert found.controller.tracking.gains == believed.controller.tracking.gains
+    motion = "sine:amplitude=2mm,frequency=2Hz,duration=0.5s"
+    simulated = CliRunner().invoke(app, ["simulate", str(out / "identified.toml"), "--motion", motion])
+    assert simulated.exit_code == 0
+    assert "status ok" in simulated.output
+
+
+FAULTS = {
+    "no such parameter": (("--fix", "mas"), r"--fix mas: no such parameter; known: mass, constant_force"),
+    "no such bound": (("--bound", "mas=1:2"), r"--bound mas: no such parameter"),
+    "half a bound": (("--bound", "mass=80"), r"--bound mass=80: write NAME=LOW:HIGH"),
+    "bounds reversed": (("--bound", "mass=120:80"), r"--bound mass=120:80: the lower end must be below"),
+    "bounded twice": (("--bound", "mass=8:9", "--bound", "mass=9:10"), r"mass is bounded twice"),
+    "no such channel": (("--column", "positon=qm"), r"positon: no such channel; did you mean 'position'"),
+    "no such column": (("--column", "position=qm"), r"qm"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_bad_options_are_refused_in_one_line(name, folder):
+    options, said = FAULTS[name]
+    with pytest.raises((ParameterError, LogError), match=said) as caught:
+        run(folder / "lap.csv", "--drive", folder / "drive.toml", *options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bound_may_carry_its_unit():
+    assert parse_bounds(["bristle_stiffness=20 N/um:50N/um"], TRUE.drive) == {"bristle_stiffness": (2e7, 5e7)}
+    assert parse_bounds(["delay=0:2"], TRUE.drive) == {"delay": (0.0, 2.0)}
+
+
+def test_a_log_that_is_none_is_refused(folder):
+    (folder / "empty.csv").write_text("time,position\n")
+    with pytest.raises(LogError, match=r"empty\.csv"):
+        run(folder / "empty.csv", "--drive", folder / "drive.toml")
+    with pytest.raises(LogError, match=r"nowhere\.csv: no such file"):
+        run(folder / "nowhere.csv", "--drive", folder / "drive.toml")
+
+
+def test_a_log_at_another_rate_is_refused(folder, tmp_path):
+    log = logged(TRUE, MOTION)
+    slower = {name: values[::2] for name, values in log.channels.items()}
+    write_log(tmp_path / "slow.csv", dataclasses.replace(log, **slower))
+    with pytest.raises(LogError, match=r"slow\.csv: is sampled at 1000 Hz, .* runs at 2000 Hz: log every sample"):
+        run(tmp_path / "slow.csv", "--drive", folder / "drive.toml")
+
+
+@pytest.fixture
+def in_volts(folder, tmp_path):
+    """A log whose command is in volts of 159.6 N, and says newtons."""
+    log = logged(TRUE, MOTION)
+    path = tmp_path / "volts.csv"
+    write_log(path, dataclasses.replace(log, command=log.command / 159.6))
+    return path
+
+
+def test_a_fatal_finding_ends_with_one_line_and_code_2(folder, in_volts, tmp_path):
+    code = "from experiments.cli import main; main()"
+    arguments = ["identify", in_volts, "--drive", folder / "drive.toml", "--out", tmp_path / "out"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "error: volts: command: " in done.stderr
+    assert "--force" in done.stderr
+    assert "fatal" in done.stdout  # the table with all that was found
+    assert not (tmp_path / "out" / "identified.toml").exists()
+
+
+def test_force_goes_on_over_a_fatal_finding_and_says_so(in_volts, capsys):
+    with Report("forced", None) as report:
+        read_checked([in_volts], TRUE, report, name="findings", force=True)
+    assert "FORCED over fatal findings" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once():
+    steps, said = [], []
+    handler = signal.getsignal(signal.SIGINT)
+    with at_next_step(lambda *step: steps.append(step), said.append) as progress:
+        progress(1, 9, 1.0)
+        signal.raise_signal(signal.SIGINT)  # no exception here, in the midst of a computation
+        with pytest.raises(KeyboardInterrupt):
+            progress(2, 9, 1.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert [step[0] for step in steps] == [1, 2]
+    assert "best so far is kept" in said[0]
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3(folder, monkeypatch, tmp_path):
+    def interrupted(self, what, total):
+        return _interrupting()
+
+    monkeypatch.setattr(Report, "progress", interrupted)
+    out = tmp_path / "out"
+    result = run(folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--out", out)
+    assert result.exit_code == 3
+    written = json.loads((out / "result.json").read_text())
+    assert written["search"]["status"].startswith("interrupted")
+    assert any("did not converge" in said for said in written["notes"])
+    assert (out / "identified.toml").is_file()
+
+
+class _interrupting:  # noqa: N801
+    """A progress bar whose user has Ctrl-C pressed by the second step."""
+
+    def __enter__(self):
+        self.steps = 0
+
+        def advance(*_):
+            self.steps += 1
+            if self.steps == 2:
+                signal.raise_signal(signal.SIGINT)
+
+        return advance
+
+    def __exit__(self, *_):
+        return None
+
+
+def test_friction_along_a_motion_is_that_of_the_simulation():
+    drive = TRUE.drive
+    run = simulate(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
+    found = friction_along(drive, run.log(), run.velocity)
+    damping = np.where(run.velocity >= 0, drive.plant.damping.positive, drive.plant.damping.negative) * run.velocity
+    assert np.sqrt(np.mean((found - run.friction - damping) ** 2)) < 0.5  # of 100 N
+
+
+def test_stretches_are_those_of_the_lanes():
+    from tuning.fit import lanes_of
+
+    log = dataclasses.replace(logged(TRUE, MOTION), gaps=(1000, 1100, 3000))
+    lanes, pieces = lanes_of([log]), stretches_of([log])
+    assert [len(one.time) for one in pieces] == np.asarray(lanes.counts).sum(axis=1).tolist()
+    assert [one.position[0] for one in pieces] == np.asarray(lanes.position)[:, 0].tolist()
+
+
+def test_a_forest_plot_draws_every_kind_of_row():
+    rows = [
+        Estimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, "fitted"),
+        Estimate("far", "N", 1e-3, 5.0, 4.0, 6.0, "at its bound"),
+        Estimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, "fitted"),
+        Estimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, "fitted"),
+        Estimate("left", "N", 2.0, 2.0, 2.0, 2.0, "not determined"),
+    ]
+    figure = forest(rows)
+    low, high = figure.axes[0].get_xlim()
+    assert low < 0.8
+    assert 30.0 < high < 100.0
+    figure.draw_without_rendering()
+
+
+FOLDER = emps.find_folder()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(FOLDER is None, reason="the EMPS log is not in ../shared/data/emps")
+def test_the_emps_axis_end_to_end(tmp_path):
+    """The file with pulses is held out, they being taken out of the command and given as the disturbance."""
+    from experiments.demo import PAPER_DRIVE
+
+    record = emps.read(FOLDER / emps.FILES["pulses"])
+    volts = (record.command - record.added) / 35.15065
+    columns = {"t": record.motion.time, "qg": record.motion.position, "qm": record.position, "vir": volts}
+    table = np.column_stack([*columns.values(), record.added])
+    header = ",".join([*columns, "disturbance"])
+    np.savetxt(tmp_path / "pulses.csv", table, delimiter=",", header=header, comments="", fmt="%.17g")
+    out = tmp_path / "out"
+    result = run(
+        FOLDER / emps.FILES["estimation"], "--drive", PAPER_DRIVE.parent / "emps.toml", "--starts", 3,
+        "--held-out", tmp_path / "pulses.csv", "--out", out,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    written = json.loads((out / "result.json").read_text())
+    assert written["search"]["status"] == "converged, but structure remains"
+    assert any(said.startswith("Structure remains") for said in written["notes"])
+    found = estimates(written)
+    assert found["mass"]["identified"] == pytest.approx(95.1, rel=0.01)
+    gaps = {(row[1], row[2]): row[3:] for row in written["tables"]["gaps"]["rows"]}
+    for role, before in (("identified from", 4.46), ("held out", 5.04)):  # as docs/emps.md has them
+        assert gaps[role, "closed loop: command, %"][0] == pytest.approx(before, rel=0.1)
+        for gap in ("one-step prediction, um", "missing force, N", "closed loop: command, %"):
+            assert gaps[role, gap][1] < gaps[role, gap][0], (role, gap)
+    assert read_drive(out / "identified.toml").mapping.columns["reference"] == "qg"
+
+
+def test_the_emps_drive_file_holds_the_published_parameters():
+    import jax
+
+    from experiments.demo import PAPER_DRIVE
+
+    held = read_drive(PAPER_DRIVE.parent / "emps.toml")
+    published = emps.reference_drive()
+    assert jax.tree.leaves((held.drive.plant, held.drive.friction)) == jax.tree.leaves(
+        (published.plant, published.friction)
+    )
+    assert held.sampling.rate == emps.SAMPLING.rate
