@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
+from diffdrive.logs.write import write_csv
 from diffdrive.simulate import simulate
 from experiments import emps
 from experiments.checked_logs import read_checked
@@ -292,12 +293,11 @@ def test_the_emps_axis_end_to_end(tmp_path):
     """The file with pulses is held out, they being taken out of the command and given as the disturbance."""
     from experiments.demo import PAPER_DRIVE
 
-    record = emps.read(FOLDER / emps.FILES["pulses"])
-    volts = (record.command - record.added) / 35.15065
-    columns = {"t": record.motion.time, "qg": record.motion.position, "qm": record.position, "vir": volts}
-    table = np.column_stack([*columns.values(), record.added])
-    header = ",".join([*columns, "disturbance"])
-    np.savetxt(tmp_path / "pulses.csv", table, delimiter=",", header=header, comments="", fmt="%.17g")
+    pulses = emps.read(FOLDER / emps.FILES["pulses"]).log
+    mapping = read_drive(PAPER_DRIVE.parent / "emps.toml").mapping
+    columns = {mapping.columns.get(channel, channel): values for channel, values in pulses.channels.items()}
+    columns["vir"] = columns["vir"] / mapping.force_per_volt
+    write_csv(tmp_path / "pulses.csv", columns, {"disturbance": "N"})
     out = tmp_path / "out"
     result = run(
         FOLDER / emps.FILES["estimation"], "--drive", PAPER_DRIVE.parent / "emps.toml", "--starts", 3,
