@@ -69,9 +69,7 @@ def _stribeck(found: Identified, before: Drive, stretches: Sequence[Log]) -> tup
             along = np.geomspace(0.5 * speed.min(), 1.5 * speed.max(), 200)
             for drive, style, name in ((before, ":", "drive file"), (found.drive, "-", "identified")):
                 model = _steady(drive, side * along, curve.load)
-                axis.plot(
-                    1e3 * along, side * model, style, color="0.4" if style == ":" else shade, label=f"{name}{under}"
-                )
+                axis.plot(1e3 * along, side * model, style, color=shade, label=f"{name}{under}")
         axis.set(xscale="log", xlabel="speed, mm/s", ylabel="friction less constant force, N", title=title)
         plain_logarithmic(axis.xaxis)
         axis.legend(fontsize=8)
