@@ -233,6 +233,27 @@ def emps(
 
 
 @app.command()
+def evolution(
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of the EMPS files; by default that beside the checkout.")
+    ] = None,
+    synthetic: Annotated[bool, typer.Option(help="A simulated log in place of the EMPS estimation file.")] = False,
+    seconds: Annotated[float, typer.Option(min=1.0, help="The most that one evolution may take.")] = 300.0,
+    runs: Annotated[int, typer.Option(min=1, max=20, help="How often both searches run, by turns.")] = 3,
+    out: Out = None,
+) -> None:
+    """Gradient search against differential evolution on one identification problem: what equal quality costs.
+
+    Then the paper's route beside them: Stribeck curve first, bristle after. Takes some minutes.
+    """
+    from experiments.evolution_study import emps_case, evolution_study, synthetic_case
+    from experiments.report import Report
+
+    with Report("Gradient search against differential evolution", out) as report:
+        evolution_study(report, synthetic_case() if synthetic else emps_case(data), seconds=seconds, runs=runs)
+
+
+@app.command()
 def template(out: Out = None) -> None:
     """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml."""
     from experiments.demo import PAPER_DRIVE
