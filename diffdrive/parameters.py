@@ -42,9 +42,9 @@ class Directional(eqx.Module):
         return jnp.where(signal >= 0, self.positive, self.negative)
 
 
-def directional(value: Any) -> Directional:
-    """One value for both directions, or a pair (positive, negative)."""
-    if isinstance(value, Directional):
+def directional(value: Any) -> Directional | None:
+    """One value for both directions, or a pair (positive, negative); None, where a parameter is absent, stays None."""
+    if value is None or isinstance(value, Directional):
         return value
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1):
         if len(value) != 2:

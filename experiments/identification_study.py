@@ -1,7 +1,7 @@
 """How well identification recovers what is known: random drives, logged by a truth machine of its own numerics.
 
-Each draw is a drive within 40 % of the paper's (`random_drive`), logged twice on the identification motion, without
-load and under 8 kN, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive as the belief.
+Each draw is a drive within 40 % of the paper's (`random_drive`), logged on the identification motion, without load at
+first and under 8 kN later, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive as the belief.
 Draws are kept line by line as they come; an interrupted study goes on where it stopped.
 """
 
@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 
 from diffdrive.controllers import Gains
+from diffdrive.load import ramp
 from diffdrive.parameters import Drive
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from experiments.report import Report, new_figure
 from experiments.runtime import configure
 
 RATE = 4_000.0  # Hz
-LOADS = (0.0, 8_000.0)  # N
+LOAD, LOADED = 8_000.0, (6.0, 6.2)  # N, and when it comes on, s
 TIGHT = ("mass", "coulomb_at_no_load", "coulomb_screw", "load_coefficient", "viscous", "bristle_stiffness")  # 2 %
 LOOSE = ("stribeck_velocity", "breakaway_gap", "bristle_damping")  # 10 %
 
@@ -55,9 +56,10 @@ def draw(number: int) -> dict[str, Any]:
 
     drive, believed = random_drive(np.random.default_rng(number)), paper_drive()
     motion, gains = identification_motion(RATE), Gains(PAPER_KP, PAPER_KD)
-    logs = [truth_log(drive, gains, motion, load, seed=2 * number + k) for k, load in enumerate(LOADS)]
+    load = ramp(motion.time, start=LOADED[0], end=LOADED[1], to=LOAD)
+    log = truth_log(drive, gains, motion, load, seed=number)
     began = time.perf_counter()
-    found = identify(logs, believed)
+    found = identify([log], believed)
     truth = true_values(drive, believed)
     rows = [
         {"name": e.name, "true": truth[e.name], "value": e.value, "low": e.low, "high": e.high, "status": e.status}

@@ -106,6 +106,7 @@ class Likeliest(NamedTuple):
     """The process force under which a log is likeliest, and what that says about the model."""
 
     process: float  # N, standard deviation of a white force, one value per control period
+    deviance: float
     gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
     track: Filtered
 
@@ -120,11 +121,9 @@ def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: 
     )
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
-    return Likeliest(
-        float(PROCESSES[best]),
-        float(found[0] - found[best]),
-        track(drive, delay, PROCESSES[best], noise, lanes, sampling),
-    )
+    process = float(PROCESSES[best])
+    gains = track(drive, delay, process, noise, lanes, sampling)
+    return Likeliest(process, float(found[best]), float(found[0] - found[best]), gains)
 
 
 def track(drive: Drive, delay: float, process: float, noise: float, lanes: Lanes, sampling: Sampling) -> Filtered:

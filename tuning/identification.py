@@ -20,7 +20,7 @@ from tuning.estimates import Estimate, estimates
 from tuning.fit import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampling_of
 from tuning.least_squares import Progress, Search, many_starts, silent
 from tuning.question import ask
-from tuning.refinement import Fit, friction_of, missing_force, narrowed, refined, sharpened
+from tuning.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
 from tuning.space import Free
 from tuning.uncertainty import Covariance
 
@@ -28,6 +28,7 @@ SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_dam
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
 UNDETERMINED = 0.35  # standard error in units of the prior: the log hardly narrows a factor of ten
+LEAST_DELAY = 0.01  # control periods, below which a delay is none
 INSEPARABLE = 0.95  # correlation
 
 
@@ -83,8 +84,11 @@ def identify(
     y, costs = _scattered(coarse, problem, starts, seed, progress)
     wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress)
     lost = _undetermined(free, wide.covariance)
-    fit = refined(*narrowed(wide, lost), question.noise, progress) if lost else wide
-    fit = sharpened(fit, question.noise, progress)
+    fit = wide
+    if lost and not interrupted(wide.search):
+        fit = refined(*narrowed(wide, lost), question.noise, progress)
+    if not interrupted(fit.search):
+        fit = sharpened(fit, question.noise, progress)
     found, remark = _drive(fit)
     missing = missing_force(fit)
     return Identified(
@@ -137,10 +141,11 @@ def _drive(fit: Fit) -> tuple[Drive, tuple[str, ...]]:
     drive, unknowns = jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem))
     remarks = []
     delay = unknowns.delay
-    if delay < 0:
+    if delay < -LEAST_DELAY:
         remarks.append(f"the command seems logged {-delay:.3g} samples late; the drive is written without a delay")
-    whole = int(max(0.0, delay))
-    fraction = float(np.clip(delay - whole, 0.0, 1.0))
+    delay = delay if delay > LEAST_DELAY else 0.0
+    whole = int(delay)
+    fraction = delay - whole
     actuator = replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)
     friction = drive.friction
     if min(friction.coulomb_screw.positive, friction.coulomb_screw.negative) < 0:

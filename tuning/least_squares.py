@@ -41,7 +41,7 @@ class Search:
 
 
 class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's, but its damping falls eightfold after each step that goes at least half as well as foreseen.
+    """optimistix's, but its damping falls tenfold after each step that goes at least half as well as foreseen.
 
     The stock one waits for steps that go 99 % as well, which a simulation of friction hardly ever grants.
     """
@@ -51,12 +51,12 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     norm: Callable[[Any], Any] = optx.max_norm
     descent: optx.DampedNewtonDescent = optx.DampedNewtonDescent(linear_solver=lx.QR())
     search: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion(
-        high_cutoff=0.5, low_cutoff=0.01, high_constant=8.0, low_constant=0.2
+        high_cutoff=0.5, low_cutoff=0.01, high_constant=10.0, low_constant=0.1
     )
     verbose: Callable[..., None] = eqx.field(static=True, default=lambda **_: None)
 
 
-STALLED_STEPS, STALLED_SHARE = 6, 1e-7  # a search that gains no more than this in so many steps has arrived
+STALLED_STEPS, STALLED_SHARE = 3, 1e-7  # a search that gains no more than this in so many steps has arrived
 START_NORM = 10.0  # the residuals are scaled to it at the start, so that the first damping of 1 is a light one
 
 
@@ -127,6 +127,7 @@ def levenberg_marquardt(
     *,
     max_steps: int,
     tolerance: float,
+    damping: float = 1.0,
     progress: Progress = silent,
 ) -> Search:
     """Minimise the sum of squares of `residuals(y, args)` from `y`.
@@ -134,7 +135,7 @@ def levenberg_marquardt(
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
     `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is
     forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start
-    itself has no finite cost.
+    itself has no finite cost. `damping` is that of the first step: far below 1 for a start that is nearly there.
     """
     began = time.perf_counter()
     point = jnp.asarray(y)
@@ -144,8 +145,8 @@ def levenberg_marquardt(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
         )
     solver = _LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    given = (jnp.asarray(first / START_NORM), args)
-    best, cost, history = point, first, [first]
+    given = (jnp.asarray(first / START_NORM * np.sqrt(damping)), args)
+    best, cost, history, taken = point, first, [first], [first]
     status, count = f"stopped after {max_steps} steps, still falling", 0
     try:
         state = _begin(residuals, solver, point, given)
@@ -156,7 +157,9 @@ def levenberg_marquardt(
             if np.isfinite(now) and now < cost:
                 best, cost = point, now
             progress(count, max_steps, cost)
-            if len(history) > STALLED_STEPS and history[-1 - STALLED_STEPS] - cost < STALLED_SHARE * cost:
+            if taken[-1] != float(now):
+                taken.append(float(now))  # a step that was taken, not one that only raised the damping
+            if len(taken) > STALLED_STEPS and taken[-1 - STALLED_STEPS] - cost < STALLED_SHARE * cost:
                 status = "converged"
                 break
             if bool(finished):

@@ -147,6 +147,11 @@ def _space(
             if stem == "breakaway":  # given as a gap
                 level = value(before, path.replace("breakaway", "coulomb"))
                 low, high = max(1e-2, 1 + low / level), 1 + high / level
+            if stem == "coulomb":  # given as the screw's share
+                guide = value(before, path.replace("coulomb", "load_coefficient")) * float(
+                    problem.believed.friction.initial_load
+                )
+                low, high = max(1e-3, low + guide), high + guide
             limits = limits._replace(low=low, high=high)
         reach = limits.high / limits.low if limits.low > 0 else np.nan
         edge = 1e-3 * (limits.high - limits.low) if np.isnan(reach) else 0.0

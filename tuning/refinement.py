@@ -11,19 +11,21 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Array, Float
 
-from diffdrive.parameters import as_arrays
-from tuning.filtering import likeliest, track
+from diffdrive.parameters import Drive, as_arrays
+from tuning.filtering import PROCESSES, Likeliest, likeliest, track
 from tuning.fit import FINEST_SUBSTEP, Innovations, Problem, sampling_of
 from tuning.least_squares import Progress, Search, levenberg_marquardt
 from tuning.prediction import Predicted
 from tuning.question import placed, value
 from tuning.uncertainty import Covariance, sandwich
 
-MOST_STEPS = 15  # of each search
-MOST_ROUNDS = 12  # of filtering and searching
-SETTLED = 0.1  # standard errors; a round that moves no parameter further is the last
+MOST_STEPS = 25  # of each search
+MOST_ROUNDS = 15  # of filtering and searching
+BOLDNESS = 10.0
+LIKELIER = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
-SMOOTHING = 0.02  # s
+NEARLY_THERE = 1e-2  # damping of the first step from a point that is all but right
+SMOOTHING, SETTLING = 0.02, 0.1  # s
 
 
 class Fit(NamedTuple):
@@ -41,26 +43,53 @@ class Fit(NamedTuple):
 
 
 def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float, progress: Progress) -> Fit:
-    """Search and filter in turn, until the filter's gains no longer change what is found."""
-    steps, process = 0, np.inf
+    """Search and filter in turn, until neither changes the other.
+
+    Far from the truth the filter blames the model and forgives it too much, which makes the next search timid. So each
+    search trusts the model `BOLDNESS` times more than the filter would, as long as that makes the log likelier.
+    """
+    best, steps, boldness = _filtered(fine, y, problem, noise), 0, BOLDNESS
     for _ in range(MOST_ROUNDS):
-        drive, unknowns = fine.unpack(jnp.asarray(y), problem)
-        before = process
-        process, gain, filtered = likeliest(drive, unknowns.delay, noise, problem.lanes, fine.sampling)
-        problem = problem._replace(gains=jax.tree.map(np.asarray, filtered.gains))
-        fit = searched(fine, y, problem, progress)
-        errors = np.sqrt(np.diag(fit.covariance.matrix))
-        settled = process == before and np.max(np.abs(fit.search.y - y) / errors) < SETTLED
-        y, steps = fit.search.y, steps + fit.search.steps
-        if settled and fit.search.status == "converged":
+        process = max(best.process / boldness, float(PROCESSES[0]))
+        gains = best.track.gains
+        if process != best.process:
+            gains = track(*_machine(fine, y, problem), process, noise, problem.lanes, fine.sampling).gains
+        given = problem._replace(gains=jax.tree.map(np.asarray, gains))
+        fit = searched(fine, y, given, progress)
+        then, steps = _filtered(fine, fit.search.y, problem, noise), steps + fit.search.steps
+        if interrupted(fit.search) or then.deviance < best.deviance - LIKELIER:
+            y, best = fit.search.y, then
+        elif process != best.process:
+            boldness = 1.0  # it was too bold: not again
+        else:
             break
-    return fit._replace(process=process, gain=gain, steps=steps)
+        if interrupted(fit.search):
+            break
+    return fit._replace(process=best.process, gain=best.gain, steps=steps)
 
 
-def searched(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, progress: Progress) -> Fit:
+def interrupted(search: Search) -> bool:
+    """Whether somebody stopped the search."""
+    return search.status.startswith("interrupted")
+
+
+def _machine(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem) -> tuple[Drive, float]:
+    drive, unknowns = fine.unpack(jnp.asarray(y), problem)
+    return drive, unknowns.delay
+
+
+def _filtered(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float) -> Likeliest:
+    return likeliest(*_machine(fine, y, problem), noise, problem.lanes, fine.sampling)
+
+
+def searched(
+    fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, progress: Progress, damping: float = 1.0
+) -> Fit:
     """One search under given gains."""
     given = as_arrays(problem)
-    search = levenberg_marquardt(fine, y, given, max_steps=MOST_STEPS, tolerance=TOLERANCE, progress=progress)
+    search = levenberg_marquardt(
+        fine, y, given, max_steps=MOST_STEPS, tolerance=TOLERANCE, damping=damping, progress=progress
+    )
     predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
@@ -72,10 +101,10 @@ def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
     The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
     """
     finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
-    drive, unknowns = finest.unpack(jnp.asarray(fit.search.y), fit.problem)
-    filtered = track(drive, unknowns.delay, fit.process, noise, fit.problem.lanes, finest.sampling)
-    problem = fit.problem._replace(gains=jax.tree.map(np.asarray, filtered.gains))
-    sharp = searched(finest, fit.search.y, problem, progress)
+    machine = _machine(finest, fit.search.y, fit.problem)
+    gains = track(*machine, fit.process, noise, fit.problem.lanes, finest.sampling).gains
+    problem = fit.problem._replace(gains=jax.tree.map(np.asarray, gains))
+    sharp = searched(finest, fit.search.y, problem, progress, NEARLY_THERE)
     left = (sharp.search.y - fit.search.y) / 15.0
     covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
     return sharp._replace(
@@ -117,12 +146,17 @@ def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, "
 
 
 def missing_force(fit: Fit) -> Float[np.ndarray, "lanes n"]:
-    """The force (N) that the filter's corrections of the velocity stand for, averaged over `SMOOTHING`."""
+    """The force (N) that the filter's corrections of the velocity stand for, averaged over `SMOOTHING`.
+
+    Zero during `SETTLING`, while the filter finds the velocity and the bristle that the log began with.
+    """
     drive, _ = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)
     sampling = fit.residuals.sampling
     force = float(drive.plant.mass) * sampling.rate * np.asarray(fit.problem.gains.velocity) * fit.innovation
     width = max(1, round(SMOOTHING * sampling.rate))
-    return scipy.ndimage.uniform_filter1d(force, width, axis=1)
+    smooth = scipy.ndimage.uniform_filter1d(force, width, axis=1)
+    smooth[:, : round(SETTLING * sampling.rate)] = 0.0
+    return smooth
 
 
 def friction_of(fit: Fit) -> float:

@@ -1,0 +1,140 @@
+"""Which motion would determine what these logs leave open.
+
+Each candidate is simulated on the drive as identified, through its controller, and differentiated with respect to every
+unknown along its filtered prediction. Its Fisher information, added to that of the logs at hand, tells how sharply each
+open parameter would be known; for each the sharpest candidate is named.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Array, Float
+
+from diffdrive import motion
+from diffdrive.controllers import Controller
+from diffdrive.errors import MotionError
+from diffdrive.motion import Limits, Motion, require_within
+from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.simulate import Frame, Inputs, inputs_of, rollout
+from diffdrive.smooth import smooth
+from tuning.filtering import track
+from tuning.identification import Identified
+from tuning.prediction import Lanes
+from tuning.refinement import linearised
+from tuning.uncertainty import LEVEL
+
+DURATION = 3.0  # s, of each candidate
+SPEED, ACCELERATION = 0.1, 2.0  # m/s and m/s^2, where the axis allows as much
+
+
+class Proposal(NamedTuple):
+    """A motion for one parameter that the logs leave open."""
+
+    parameter: str  # path in the search space
+    motion: str  # what to run, in the form that `diffdrive simulate --motion` takes; "" where none of them helps
+    before: float  # half-width of the 95 % interval of the parameter's logarithm, with the logs at hand
+    after: float  # with that motion logged as well
+
+
+def candidates(drive: Drive, limits: Limits, rate: float) -> dict[str, Motion]:
+    """Motions about this drive's own scales, by how they are written; those that the axis cannot do are left out."""
+    friction = drive.friction
+    level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
+    bend = (level + float(friction.breakaway_gap.positive)) / float(friction.bristle_stiffness.positive)
+    slow = float(friction.stribeck_velocity.positive)
+    fast = min(SPEED, 0.8 * limits.speed)
+    strong = min(ACCELERATION, 0.8 * limits.acceleration)
+    middle = 0.0 if np.isinf(limits.stroke[0]) else limits.stroke[0] + 1e-3
+    sines = [(0.15 * bend, 5.0), (0.15 * bend, 40.0), (2.0 * bend, 2.0), (strong / (2 * np.pi * 5.0) ** 2, 5.0)]
+    strokes = [(slow / 3, 0.5), (slow, 0.5), (3 * slow, 0.5), (fast, 0.7)]
+    found = {}
+    for amplitude, frequency in sines:
+        name = f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s"
+        found[name] = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=middle)
+    for speed, time in strokes:
+        stroke, rounding = speed * time, max(0.1, speed / strong)
+        name = (
+            f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.2g}s,"
+            f"duration={DURATION:g}s"
+        )
+        found[name] = motion.triangular(
+            speed=speed, stroke=stroke, rounding=rounding, duration=DURATION, rate=rate, start=middle
+        )
+    return {name: one for name, one in found.items() if _possible(one, limits)}
+
+
+def _possible(one: Motion, limits: Limits) -> bool:
+    try:
+        require_within(one, limits)
+    except MotionError:
+        return False
+    return True
+
+
+@eqx.filter_jit
+def _simulated(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling) -> Frame:
+    return jax.lax.map(lambda one: rollout(drive, controller, one, sampling), inputs)
+
+
+def proposals(
+    identified: Identified, controller: Controller, sampling: Sampling, limits: Limits = Limits()
+) -> list[Proposal]:
+    """For each parameter that the logs do not determine, the candidate that would determine it best.
+
+    A coefficient of load needs no search: any sliding motion under a second load.
+    """
+    wide = identified.wide
+    found = [
+        Proposal(path, "any sliding motion under a second load", np.inf, np.nan)
+        for path in sorted(identified.undetermined)
+        if path.startswith("load_coefficient")
+    ]
+    open_ones = [(k, free) for k, free in enumerate(wide.residuals.free) if free.path in identified.undetermined]
+    motions = candidates(identified.drive, limits, sampling.rate)
+    if not open_ones or not motions:
+        return found
+    width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))
+    known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(wide.problem)), 1)[0]
+    offered = _offered(identified, controller, sampling, list(motions.values()))
+    for k, free in open_ones:
+        before, *after = (_width(information, k) for information in (known, *(known + more for more in offered)))
+        best = int(np.argmin(after))
+        # from the search vector to the parameter's logarithm, at the middle of its range
+        scale = width * 0.25 * (np.log(free.high / free.low) if free.low > 0 else 1.0)
+        found.append(Proposal(free.path, list(motions)[best], scale * before, scale * after[best]))
+    return found
+
+
+def _width(information: Float[np.ndarray, "k k"], k: int) -> float:
+    return float(np.sqrt(np.linalg.inv(information + np.eye(len(information)))[k, k]))
+
+
+def _information(value: Array, slope: Array, lanes: int) -> Float[np.ndarray, "lanes k k"]:
+    """Fisher information of each lane; the last rows, the prior, left out."""
+    count = slope.shape[1]
+    rows = np.asarray(slope)[:-count].reshape(lanes, -1, count)
+    return np.einsum("lnk,lnj->lkj", rows, rows)
+
+
+def _offered(
+    identified: Identified, controller: Controller, sampling: Sampling, motions: list[Motion]
+) -> Float[np.ndarray, "lanes k k"]:
+    """Information of each motion about every unknown, as far as the model has proved itself on the logs at hand."""
+    wide = identified.wide
+    load = np.zeros(len(motions[0].time))
+    stack = [inputs_of(one, load) for one in motions]
+    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stack)
+    frames = _simulated(*as_arrays((smooth(identified.drive), smooth(controller))), inputs, sampling)
+    shape = frames.position.shape
+    lanes = Lanes(
+        frames.position, frames.command, jnp.zeros(shape), jnp.zeros(shape), jnp.ones(shape), jnp.zeros(shape[0])
+    )
+    drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.y), wide.problem)
+    fine = wide.residuals.sampling
+    filtered = track(drive, unknowns.delay, identified.process, identified.noise, lanes, fine)
+    problem = wide.problem._replace(lanes=lanes, gains=jax.tree.map(np.asarray, filtered.gains))
+    return _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(problem)), shape[0])
