@@ -223,7 +223,7 @@ def emps(
 ) -> None:
     """The EMPS benchmark, a real axis: log checks, inverse dynamics, identification and replay, beside its figures.
 
-    Fits the estimation file only; the pulse file is held out. Takes about a minute.
+    Fits the estimation file only; the pulse file is held out. Takes a minute or two.
     """
     from experiments.emps_study import emps_study
     from experiments.report import Report

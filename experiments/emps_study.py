@@ -29,6 +29,11 @@ BENCHMARK_ERRORS = {"estimation": 4.083, "pulses": 5.982}  # %, of the decimated
 REFERENCES = {PUBLISHED: (4.46, 5.04), IDENTIFIED: (2.48, 3.33), FITTED: (2.46, 3.34)}  # %, of an independent prototype
 BARS = {"estimation": 2.8, "pulses": 4.2}  # %, that an identification from the estimation file must reach
 RIPPLE_SPEED = 5e-3  # m/s; faster, the table passes over the screw's ripple and does not linger in it
+PARTS = {  # what a smaller model leaves as published
+    "friction per direction": ("breakaway_gap", "stribeck_velocity", "delay"),
+    "friction per direction, delay": ("breakaway_gap", "stribeck_velocity"),
+    "friction per direction, rising": ("delay",),
+}
 READINGS = {
     "as read": (True, 0),
     "volts taken as newtons": (False, 0),
@@ -58,6 +63,7 @@ def emps_study(report: Report, folder: Path | None) -> None:
     drives = {PUBLISHED: emps.reference_drive(), IDENTIFIED: identified.drive, FITTED: fitted}
     replays = force_table(report, drives, records)
     parameter_table(report, identified.estimates, {FITTED: fitted})
+    _parts(report, replays[FITTED], records)
     _open_loop(report, drives, records)
     _remains(report, identified, log)
     force_figure(report, records["estimation"], {name: replays[name]["estimation"] for name in drives})
@@ -167,6 +173,18 @@ def _inverse_dynamics(report: Report, records: Records) -> None:
         "emps_inverse_dynamics", ("figure", "benchmark", "ours", "difference %"), rows,
         "Inverse dynamics, SI units (offset in the benchmark's sign)",
     )  # fmt: skip
+
+
+def _parts(report: Report, whole: Mapping[str, ClosedLoop], records: Records) -> None:
+    """What each part of the model is good for: the closed-loop fit without it."""
+    log, controller = records["estimation"].log, emps.controller(records["estimation"])
+    rows = []
+    for name, fixed in PARTS.items():
+        with report.progress(f"fitting with {name}", MOST_STEPS) as advance:
+            drive, _ = fit_closed_loop([log], emps.reference_drive(), controller, fixed=fixed, progress=advance)
+        rows.append([name, *(closed_loop(drive, controller, one.log).force_percent for one in records.values())])
+    rows.append(["all of it", *(one.force_percent for one in whole.values())])
+    report.table("emps_parts", ("model", *(f"{file} %" for file in records)), rows, "Force gap of smaller models")
 
 
 def _open_loop(report: Report, drives: Mapping[str, Drive], records: Records) -> None:

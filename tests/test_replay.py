@@ -168,8 +168,23 @@ def test_the_closed_loop_fit_finds_the_drive_behind_a_log():
     assert found.friction.load_coefficient == believed.friction.load_coefficient  # one load: not free
 
 
-def test_a_fit_of_logs_at_two_rates_is_refused():
+def test_a_fit_leaves_what_is_fixed():
+    truth, controller = axis(gap=-6.0), CONTROLLERS["cascade"]
+    log = part(logged(truth, controller, 0.0), slice(100, None))
+    fixed = ("breakaway_gap", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay", "mass")
+    found, search = fit_closed_loop([log], axis(gap=-3.0), controller, axis(gap=-3.0), fixed=fixed, max_steps=4)
+    assert search.cost < search.cost_before
+    assert found.plant.mass == 95.0
+    assert found.friction.breakaway_gap.positive == pytest.approx(-3.0)
+    assert found.friction.bristle_damping.negative == 3e3
+    assert found.actuator.delay_fraction == 0.0
+    assert found.friction.coulomb_screw.positive != 20.0
+
+
+def test_what_cannot_be_fitted_is_said():
     drive, controller = axis(), CONTROLLERS["cascade"]
     log = logged(drive, controller)
+    with pytest.raises(ParameterError, match="cannot fix 'weight'; known: mass,"):
+        fit_closed_loop([log], drive, controller, fixed=["weight"])
     with pytest.raises(LogError, match="all of one rate"):
         fit_closed_loop([log, part(log, slice(None, None, 2))], drive, controller)

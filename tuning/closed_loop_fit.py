@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.errors import LogError
+from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import (
     Drive,
@@ -31,7 +31,7 @@ from tuning import inverse_dynamics
 from tuning.fit import FINE_SUBSTEP, sampling_of
 from tuning.inverse_dynamics import LOAD_SPREAD
 from tuning.least_squares import Progress, Search, levenberg_marquardt, silent
-from tuning.question import placed
+from tuning.question import NAMES, placed
 from tuning.question import value as value_of
 from tuning.regressors import DIRECTIONAL
 from tuning.replay import Given, given, replay
@@ -88,27 +88,33 @@ def fit_closed_loop(
     controller: Controller,
     start: Drive | None = None,
     *,
+    fixed: Sequence[str] = (),
     max_steps: int = MOST_STEPS,
     progress: Progress = silent,
 ) -> tuple[Drive, Search]:
     """Fit `drive` to the commands of `logs` (of one machine, at one rate) in closed loop through `controller`.
 
     The search starts from `start`, by default from `drive` with what inverse dynamics finds; it has no other starts, so
-    a result of identification is the safer one. The delay is free within the period that `delay_samples` of `drive`
-    begins. The search's costs are in percent of the logged force.
+    a result of identification is the safer one. `fixed` names parameters (as in the drive file) that stay as it has
+    them. The delay is free within the period that `delay_samples` of `drive` begins. The search's costs are in percent
+    of the logged force.
 
-    Raises `LogError` and `ParameterError` as `tuning.replay` does, `DivergenceError` where the start runs away.
+    Raises `LogError` and `ParameterError` as `tuning.replay` does, the latter for an unknown name too, and
+    `DivergenceError` where the start runs away.
     """
     require_double_precision()
     check(controller)
     check_drive(drive)
     if not logs or any(abs(log.rate / logs[0].rate - 1) > 1e-6 for log in logs):
         raise LogError("give one log or more, all of one rate")
+    for name in fixed:
+        if name not in NAMES:
+            raise ParameterError(f"cannot fix '{name}'; known: {', '.join(NAMES)}")
     if start is None:
         start, _ = seed_drive(drive, inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST))
     check_drive(start)
     pieces = given(list(logs))
-    unknowns, free = _free(start, drive.actuator.delay_samples, pieces)
+    unknowns, free = _free(start, drive.actuator.delay_samples, pieces, {NAMES[name] for name in fixed})
     lanes = pieces.lanes
     # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
     believed, smoothed = smooth((dataclasses.replace(start, actuator=drive.actuator, sensor=drive.sensor), controller))
@@ -131,15 +137,18 @@ def fit_closed_loop(
     return dataclasses.replace(found, actuator=actuator, sensor=drive.sensor), search
 
 
-def _free(start: Drive, whole: int, pieces: Given) -> tuple[Unknowns, tuple[Free, ...]]:
-    """The unknowns at `start`, nudged inside their bounds, and these."""
+def _free(start: Drive, whole: int, pieces: Given, held: set[str]) -> tuple[Unknowns, tuple[Free, ...]]:
+    """The unknowns at `start`, those that are not held nudged inside their bounds, and these."""
     actuator = start.actuator
     unknowns = unknowns_of(start, actuator.delay_samples + float(actuator.delay_fraction or 0.0))
     load = np.asarray(pieces.lanes.load)[np.asarray(pieces.lanes.counts) > 0]
-    one_load = np.ptp(load) <= LOAD_SPREAD * np.max(np.abs(load))
+    if np.ptp(load) <= LOAD_SPREAD * np.max(np.abs(load)):
+        held = held | {"load_coefficient"}
+    if "breakaway" in held:  # a held gap stays a gap, whatever becomes of the Coulomb friction
+        unknowns = dataclasses.replace(unknowns, breakaway=None)
     free = []
     for path in paths(unknowns):
-        if one_load and path.startswith("load_coefficient"):
+        if path.split(".")[0] in held:
             continue
         value = value_of(unknowns, path)
         limits = Free(path, whole, whole + 1.0) if path == "delay" else bounds(path, value, _coulomb(unknowns))
