@@ -47,11 +47,10 @@ def read(path: Path, *, newtons: bool = True) -> Record:
     force_per_volt = float(data["gtau"].item())
     columns, units = dict(COLUMNS), {"command": "V" if newtons else "N"}
     if "pulses_N" in data:
-        columns["disturbance"] = "pulses_N"
-        units["disturbance"] = f"{PULSE_GAIN} V" if newtons else "N"
+        pulses = "injected" if newtons else "disturbance"
+        columns[pulses] = "pulses_N"
+        units[pulses] = f"{PULSE_GAIN} V" if newtons else "N"
     log = read_log(path, Mapping(columns, units, force_per_volt), SAMPLING.rate)
-    if newtons and log.disturbance is not None:
-        log = dataclasses.replace(log, command=log.command - log.disturbance)
     return Record(log, float(data["kp"].item()), float(data["kv"].item()) * force_per_volt)
 
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
@@ -17,6 +19,7 @@ from experiments.report import Report
 from experiments.scenario import number
 from tuning import inverse_dynamics
 from tuning.identification import Identified, identify
+from tuning.next_motion import proposals
 from tuning.question import NAMES, SLOWEST
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
@@ -59,6 +62,7 @@ def identify_drive(
             )
         _estimates(report, found)
         _words(report, found)
+        _next_motions(report, found, description)
         gap_table(report, description, found.drive, _delay(found), logs, others)
         if report.out is not None:
             _write(report, replace(description, drive=found.drive))
@@ -152,10 +156,29 @@ def _words(report: Report, found: Identified) -> None:
     undetermined = [one.name for one in found.estimates if one.status == "not determined"]
     if undetermined:
         report.say(f"The logs do not determine {', '.join(undetermined)}: they stay as the drive file says.")
-        # HERE: the table of tuning/next_motion.py, which motion would determine each of `undetermined`
     at_bound = [one.name for one in found.estimates if one.status == "at its bound"]
     if at_bound:
         report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
+
+
+def _next_motions(report: Report, found: Identified, description: DriveDescription) -> None:
+    """Which motion would determine what these logs leave open."""
+    if not found.undetermined:
+        return
+    with report.working("looking for the motions that would determine them"):
+        offers = proposals(found, description.controller, description.sampling, description.limits)
+    rows = [[_named(one.parameter), _percent(one.before), _percent(one.after), one.motion] for one in offers]
+    report.table(
+        "next_motions",
+        ("parameter", "+- now, %", "+- then, %", "log this motion too"),
+        rows,
+        "What would determine the rest (each can be tried: diffdrive simulate --motion ...)",
+    )
+
+
+def _percent(width: float) -> float | None:
+    """Half-width of a logarithm's interval in percent; None where it says nothing."""
+    return 100.0 * float(np.expm1(width)) if np.isfinite(width) else None
 
 
 def _named(path: str) -> str:

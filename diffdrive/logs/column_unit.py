@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.logs.log import CHANNELS
+from diffdrive.logs.log import READABLE
 from diffdrive.units import to_si
 
 FORCE_PER = {"force_per_volt": "V", "force_per_ampere": "A"}
-FORCES = ("command", "disturbance")  # what a drive may log in volts or amperes
+FORCES = ("command", "disturbance", "injected")  # what a drive may log in volts or amperes
 
 _SCALES_OF_TEMPERATURE = {
     "degc": (1.0, 0.0), "°c": (1.0, 0.0), "celsius": (1.0, 0.0), "c": (1.0, 0.0), "k": (1.0, -273.15),
@@ -38,7 +38,7 @@ def conversion(channel: str, text: str, force_per: dict[str, float]) -> Conversi
 
     `text` is a unit (mm, V), one with a factor (50 nm, -0.1 N) or only a sign (-V). Raises `ValueError` with the mend.
     """
-    unit = CHANNELS[channel].unit
+    unit = READABLE[channel].unit
     if unit == "degC":
         if text.strip().casefold() not in _SCALES_OF_TEMPERATURE:
             raise ValueError(f"cannot read '{text}' as a unit of temperature; write degC, K or degF")

@@ -4,7 +4,7 @@ import numpy as np
 
 from diffdrive.logs.log import Signal
 
-HELD = ("command", "disturbance")  # constant from one sample to the next
+HELD = ("command", "disturbance", "injected")  # constant from one sample to the next
 # a spline: a monotone cubic flattens every reversal, by some um of a 20 mm stroke where five samples are missing
 SMOOTH = ("position", "reference", "motor_position")
 

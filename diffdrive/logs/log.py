@@ -30,6 +30,10 @@ CHANNELS = {
     "current": Channel("A", "measured motor current"),
     "temperature": Channel("degC", "temperature"),
 }
+# what a file may hold, beyond what becomes a signal of the log
+READABLE = CHANNELS | {
+    "injected": Channel("N", "known force added to the controller's output and part of the command: a disturbance"),
+}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
-from diffdrive.logs.log import CHANNELS
+from diffdrive.logs.log import READABLE
 from diffdrive.units import to_si
 
 
@@ -29,8 +29,8 @@ class Mapping:
     def __post_init__(self) -> None:
         for table in ("columns", "units"):
             for channel, text in getattr(self, table).items():
-                known = [*CHANNELS, *(FORCE_PER if table == "units" else ())]
-                if channel not in CHANNELS:
+                known = [*READABLE, *(FORCE_PER if table == "units" else ())]
+                if channel not in READABLE:
                     raise LogError(f"[{table}] {channel}: no such channel; {_near(channel, known)}")
                 if not isinstance(text, str) or not text.strip():
                     raise LogError(f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {text!r}")

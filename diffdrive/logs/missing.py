@@ -4,7 +4,7 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs.interpolate import between
-from diffdrive.logs.log import CHANNELS, Signal
+from diffdrive.logs.log import READABLE, Signal
 
 LONGEST_REPAIR = 5  # samples in a row
 MOST_REPAIRED = 1e-3  # of all samples of a channel
@@ -20,7 +20,7 @@ def without_missing(source: str, signals: dict[str, Signal]) -> tuple[dict[str, 
     notes: list[str] = []
     for channel in [name for name, values in signals.items() if np.isnan(values).any()]:
         bad = np.isnan(signals[channel])
-        required = CHANNELS[channel].required
+        required = READABLE[channel].required
         if required and bad.all():
             raise LogError(f"{source}: the {channel} has no value at all; name another column for it")
         if bad.all() or (not required and channel != "temperature" and bad.mean() > MOST_ABSENT):

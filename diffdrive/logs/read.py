@@ -81,6 +81,10 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     signals, said = without_missing(table.source, signals)
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate)
+    if "injected" in signals:
+        signals["disturbance"] = signals.get("disturbance", 0.0) + signals["injected"]
+        signals["command"] = signals["command"] - signals["injected"]
+        notes.append("the injected force was taken off the command and counted as a disturbance")
     ordered = {name: np.ascontiguousarray(signals[name]) for name in CHANNELS if name in signals}
     return Log(Path(path).stem, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCES, Conversion, split
-from diffdrive.logs.log import CHANNELS
+from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.stamps import integer_seconds, text_seconds
 from diffdrive.logs.table import Table
@@ -44,7 +44,7 @@ def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conve
 
 def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
     chosen = {channel: _mapped(table, channel, column) for channel, column in mapping.columns.items()}
-    for channel, meant in CHANNELS.items():
+    for channel, meant in READABLE.items():
         if channel in chosen:
             continue
         free = [column for column in table.columns if column not in chosen.values()]
@@ -58,7 +58,7 @@ def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
             chosen[channel] = found[0]
         elif meant.required and channel != "time":
             raise missing(table, channel)
-    return {channel: chosen[channel] for channel in CHANNELS if channel in chosen}
+    return {channel: chosen[channel] for channel in READABLE if channel in chosen}
 
 
 def missing(table: Table, channel: str) -> LogError:
@@ -67,7 +67,7 @@ def missing(table: Table, channel: str) -> LogError:
     near = difflib.get_close_matches(channel, names, n=1)
     guess = near[0] if near else "COLUMN"
     return LogError(
-        f'{table.source}: no column is called "{channel}"; say which is the {CHANNELS[channel].meaning}, such as '
+        f'{table.source}: no column is called "{channel}"; say which is the {READABLE[channel].meaning}, such as '
         f'[columns] {channel} = "{guess}" or --column {channel}={guess}; the file has {_listed(names)}'
     )
 
