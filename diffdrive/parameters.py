@@ -109,7 +109,7 @@ class Friction(eqx.Module):
 class Actuator(eqx.Module):
     """Force limit and delay between the command and the force on the table.
 
-    The delay is `delay_samples` control periods (static: it sets the length of the pipeline) plus `delay_fraction` of one.
+    The delay is `delay_samples` control periods (static: it sets the length of the pipeline) and `delay_fraction` of one.
     """
 
     force_limit: Scalar | None = quantity(
@@ -241,8 +241,9 @@ def check_drive(drive: Drive) -> None:
             )
         if not isinstance(breakaway, jax.core.Tracer) and not np.all(np.asarray(breakaway) > 0):
             raise ParameterError(
-                f"friction.breakaway_gap in the {side} direction makes the breakaway friction {float(np.min(breakaway)):g} N "
-                "(coulomb_screw + load_coefficient * initial_load + breakaway_gap): it must stay positive"
+                f"friction.breakaway_gap in the {side} direction makes the breakaway friction "
+                f"{float(np.min(breakaway)):g} N (coulomb_screw + load_coefficient * initial_load + breakaway_gap): it "
+                "must stay positive"
             )
 
 

@@ -254,6 +254,21 @@ def evolution(
 
 
 @app.command()
+def recovery(
+    out: Annotated[Path, typer.Option(help="Folder; a study that was interrupted goes on from what is in it.")],
+    draws: Annotated[int, typer.Option(min=1, help="How many random drives.")] = 200,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one per core.")] = None,
+) -> None:
+    """How well identification recovers known drives, and whether its intervals hold the truth.
+
+    A drive takes some 20 s of one core.
+    """
+    from experiments.recovery import study
+
+    study(out, draws, workers)
+
+
+@app.command()
 def template(out: Out = None) -> None:
     """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml."""
     from experiments.demo import PAPER_DRIVE

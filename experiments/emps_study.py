@@ -26,7 +26,6 @@ from tuning.replay import ClosedLoop, closed_loop, open_loop
 PUBLISHED, IDENTIFIED, FITTED = "published", "prediction error", "closed-loop fit"
 BENCHMARK = {"mass": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}  # SI, Janot et al. 2019
 BENCHMARK_ERRORS = {"estimation": 4.083, "pulses": 5.982}  # %, of the decimated force
-REFERENCES = {PUBLISHED: (4.46, 5.04), IDENTIFIED: (2.48, 3.33), FITTED: (2.46, 3.34)}  # %, of an independent prototype
 BARS = {"estimation": 2.8, "pulses": 4.2}  # %, that an identification from the estimation file must reach
 RIPPLE_SPEED = 5e-3  # m/s; faster, the table passes over the screw's ripple and does not linger in it
 PARTS = {  # what a smaller model leaves as published
@@ -86,13 +85,13 @@ def force_table(report: Report, drives: Mapping[str, Drive], records: Records) -
     }
     rows = []
     for name, found in replays.items():
-        for k, (file, one) in enumerate(found.items()):
-            rows.append([name, file, one.force_percent, REFERENCES[name][k], one.command_rms, 1e6 * one.position_rms])
+        for file, one in found.items():
+            rows.append([name, file, one.force_percent, one.command_rms, 1e6 * one.position_rms])
             if not one.status.ok:
                 report.say(f"{name}: {one.status.message}")
     report.table(
         "emps",
-        ("parameters", "file", "force gap %", "reference %", "missing N", "position gap um"),
+        ("parameters", "file", "force gap %", "missing N", "position gap um"),
         rows,
         "EMPS in closed loop (RMS; the gap is of the force's); fitted to the estimation file only",
     )

@@ -69,7 +69,11 @@ PARAMETERS = {
         0.0,
         r"friction.bristle_stiffness \(positive direction\) must be above 0 N/m",
     ),
-    "negative gap": (lambda d: d.friction.breakaway_gap.positive, -90.0, "friction.breakaway_gap in the positive direction"),
+    "negative gap": (
+        lambda d: d.friction.breakaway_gap.positive,
+        -90.0,
+        "friction.breakaway_gap in the positive direction",
+    ),
     "zero Stribeck velocity": (lambda d: d.friction.stribeck_velocity.negative, 0.0, "stribeck_velocity .*above 0 m/s"),
     "infinite Stribeck velocity": (lambda d: d.friction.stribeck_velocity.negative, INF, "stribeck_velocity .*finite"),
     "no Coulomb friction": (
@@ -82,7 +86,7 @@ PARAMETERS = {
     "zero force limit": (lambda d: d.actuator.force_limit, 0.0, "actuator.force_limit must be above 0 N"),
     "negative delay": (lambda d: d.actuator, Actuator(delay_samples=-1), "actuator.delay_samples must be a whole"),
     "fractional delay": (lambda d: d.actuator, Actuator(delay_samples=1.5), "actuator.delay_samples must be a whole"),
-    "delay fraction above 1": (lambda d: d.actuator, Actuator(delay_fraction=1.5), "actuator.delay_fraction must be at"),
+    "delay fraction above 1": (lambda d: d.actuator, Actuator(delay_fraction=1.5), "delay_fraction must be at most 1"),
 }
 
 

@@ -30,7 +30,8 @@ from diffdrive.smooth import smooth
 PAPER = paper_drive(quantised=False)
 PLANT = eqx.tree_at(lambda plant: plant.constant_force, PAPER.plant, 5.0)
 DRIVE = Drive(PLANT, PAPER.friction, Actuator(), Sensor(noise=1e-8))
-LIMITED = eqx.tree_at(lambda drive: drive.actuator, DRIVE, Actuator(force_limit=98.0, delay_samples=1, delay_fraction=0.3))
+LATE = Actuator(force_limit=98.0, delay_samples=1, delay_fraction=0.3)
+LIMITED = eqx.tree_at(lambda drive: drive.actuator, DRIVE, LATE)
 # the controllers' models are off by a few per cent, as on a real machine, so that no derivative vanishes by symmetry
 MODEL = jax.tree.map(lambda value: 1.03 * value, Drive(PLANT, PAPER.friction))
 TRACKING = paper_tracking(MODEL, PAPER_KP, PAPER_KD)

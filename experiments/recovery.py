@@ -1,7 +1,7 @@
 """How well identification recovers what is known: random drives, logged by a truth machine of its own numerics.
 
 Each draw is a drive within 40 % of the paper's (`random_drive`), logged on the identification motion, without load at
-first and under 8 kN later, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive as the belief.
+first and under 8 kN later, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive.
 Draws are kept line by line as they come; an interrupted study goes on where it stopped.
 """
 
@@ -91,7 +91,7 @@ def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
 
 
 def study(out: Path, count: int = 200, workers: int | None = None) -> None:
-    """`diffdrive identification-study`: errors and coverage over `count` random drives."""
+    """`diffdrive recovery`: errors and coverage over `count` random drives."""
     with Report(f"identification of {count} random drives", out) as report:
         done = []
         with report.progress("draws", count) as advance:
