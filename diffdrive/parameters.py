@@ -109,7 +109,7 @@ class Friction(eqx.Module):
 class Actuator(eqx.Module):
     """Force limit and delay between the command and the force on the table.
 
-    The delay is `delay_samples` control periods (static: it sets the length of the pipeline) and `delay_fraction` of one.
+    The delay is `delay_samples` control periods (static: the length of the pipeline) and `delay_fraction` of one.
     """
 
     force_limit: Scalar | None = quantity(
