@@ -61,8 +61,11 @@ def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) 
 def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     """The command `delay` periods later, linear between samples; before the log its first value."""
     shifted = jnp.zeros_like(command)
+    # not 1 - |delay - periods|: at whole delays, where searches start, its derivative is none of this one's
+    whole = lax.stop_gradient(jnp.clip(jnp.floor(delay), EARLIEST_DELAY, LONGEST_DELAY - 1))
+    later = delay - whole
     for periods in range(EARLIEST_DELAY, LONGEST_DELAY + 1):
-        share = jnp.maximum(0.0, 1.0 - jnp.abs(delay - periods))
+        share = jnp.where(periods == whole, 1.0 - later, jnp.where(periods == whole + 1, later, 0.0))
         if periods >= 0:
             past = jnp.concatenate([jnp.full(periods, command[0]), command[: len(command) - periods]])
         else:
