@@ -209,3 +209,15 @@ def test_the_padding_of_short_stretches_does_not_count():
     verdict = adequacy(innovation, 500.0, force, FRICTION)
     assert verdict.missing == pytest.approx(3.0)
     assert verdict.p_value > 1e-3
+
+
+def test_a_derivative_that_has_run_away_does_not_overflow():
+    """As it does where a search passes through a model that diverges: that parameter is known beyond measure."""
+    rng = np.random.default_rng(11)
+    columns = regressors(rng)
+    residual = white(rng, columns)
+    plain = sandwich(residual[None], columns[None], RATE)
+    wild = sandwich(residual[None], columns[None] * np.array([1.0, 1e200, 1.0]), RATE)
+    kept = np.ix_([0, 2], [0, 2])
+    np.testing.assert_allclose(wild.matrix[kept], plain.matrix[kept], rtol=1e-3)
+    assert 0.0 <= wild.matrix[1, 1] < 1e-300

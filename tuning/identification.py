@@ -8,10 +8,11 @@ A parameter that the logs do not determine is put back to what the drive file sa
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from diffdrive.logs import Log
 from diffdrive.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
@@ -27,6 +28,7 @@ from tuning.uncertainty import Covariance
 SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
+DELAYS = 19  # that are tried before, over the range of the delay
 UNDETERMINED = 0.35  # standard error in units of the prior: the log hardly narrows a factor of ten
 LEAST_DELAY = 0.01  # control periods, below which a delay is none
 INSEPARABLE = 0.95  # correlation
@@ -104,7 +106,7 @@ def identify(
         velocity=fit.velocity,
         search=fit.search,
         starts=costs / costs.min(),
-        simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)),
+        simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)) + DELAYS,
         notes=(*question.notes, *remark),
         wide=wide,
         undetermined=frozenset(lost | question.unasked),
@@ -117,9 +119,28 @@ def _scattered(
     """The best of several coarse searches; the first starts where the problem says, the others around it."""
     loose = np.array([free.path.split(".")[0] in SCATTERED for free in coarse.free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
-    points = np.vstack([np.zeros(len(loose)), noise])
+    points = _begin(coarse, problem) + np.vstack([np.zeros(len(loose)), noise])
     found, costs = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
     return found[int(np.argmin(costs))], costs
+
+
+@eqx.filter_jit
+def _costs(residuals: Innovations, points: Float[Array, "s k"], problem: Problem) -> Float[Array, " s"]:
+    return jax.vmap(lambda y: jnp.linalg.norm(residuals(y, problem)))(points)
+
+
+def _begin(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"]:
+    """Where the problem says, but at the best delay on the way from one of its bounds to the other.
+
+    From a delay that is a sample off, friction first bends to make up for it, and seldom finds back.
+    """
+    points = np.zeros((1 + DELAYS, len(coarse.free)))
+    for k, free in enumerate(coarse.free):
+        if free.path == "delay":
+            share = np.linspace(0.0, 1.0, DELAYS + 2)[1:-1]
+            points[1:, k] = np.log(share / (1.0 - share)) - problem.origin[k]
+    costs = np.asarray(_costs(coarse, jnp.asarray(points), as_arrays(problem)))
+    return points[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
 
 
 def _undetermined(free: tuple[Free, ...], covariance: Covariance) -> set[str]:

@@ -60,7 +60,10 @@ def sandwich(
     one.
     """
     lanes, samples, count = jacobian.shape
-    information = np.einsum("lnk,lnj->kj", jacobian, jacobian)
+    # what diverges from a bad point would overflow when squared
+    largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
+    jacobian, prior = jacobian / largest, np.diag(largest**-2.0)
+    information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + prior
     block = max(round(BLOCK * rate), 2 * memory(residual))
     block = max(1, min(block, lanes * samples // max(1, FEWEST_BLOCKS_PER_PARAMETER * count)))
     whole = samples // block * block
@@ -69,9 +72,10 @@ def sandwich(
     sums = sums[np.any(sums != 0.0, axis=1)]
     blocks = len(sums)
     # each fitted parameter has taken a block's worth of scatter out of the sums
-    scatter = sums.T @ sums * (blocks / max(1, blocks - count)) + np.eye(count)
-    scale = np.sqrt(np.diag(information) + 1.0)  # parameters differ by many orders in what the logs say of them
-    scaled = (information + np.eye(count)) / np.outer(scale, scale)
+    scatter = sums.T @ sums * (blocks / max(1, blocks - count)) + prior
+    scale = np.sqrt(np.diag(information))  # parameters differ by many orders in what the logs say of them
+    scaled = information / np.outer(scale, scale)
     inverse = np.linalg.inv(scaled)
     matrix = inverse @ (scatter / np.outer(scale, scale)) @ inverse / np.outer(scale, scale)
+    matrix = matrix / largest[:, None] / largest
     return Covariance(0.5 * (matrix + matrix.T), blocks, float(np.linalg.cond(scaled)))
