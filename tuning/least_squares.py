@@ -56,7 +56,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     verbose: Callable[..., None] = eqx.field(static=True, default=lambda **_: None)
 
 
-STALLED_STEPS, STALLED_SHARE = 3, 1e-7  # a search that gains no more than this in so many steps has arrived
+STALLED_STEPS = 3  # a search that gains next to nothing in so many steps has arrived
 START_NORM = 10.0  # the residuals are scaled to it at the start, so that the first damping of 1 is a light one
 
 
@@ -127,7 +127,7 @@ def levenberg_marquardt(
     *,
     max_steps: int,
     tolerance: float,
-    damping: float = 1.0,
+    enough: float = 1e-7,
     progress: Progress = silent,
 ) -> Search:
     """Minimise the sum of squares of `residuals(y, args)` from `y`.
@@ -135,7 +135,7 @@ def levenberg_marquardt(
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
     `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is
     forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start
-    itself has no finite cost. `damping` is that of the first step: far below 1 for a start that is nearly there.
+    itself has no finite cost. `enough` is the share of the cost that three steps must gain to be worth going on.
     """
     began = time.perf_counter()
     point = jnp.asarray(y)
@@ -145,7 +145,7 @@ def levenberg_marquardt(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
         )
     solver = _LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    given = (jnp.asarray(first / START_NORM * np.sqrt(damping)), args)
+    given = (jnp.asarray(first / START_NORM), args)
     best, cost, history, taken = point, first, [first], [first]
     status, count = f"stopped after {max_steps} steps, still falling", 0
     try:
@@ -159,7 +159,7 @@ def levenberg_marquardt(
             progress(count, max_steps, cost)
             if taken[-1] != float(now):
                 taken.append(float(now))  # a step that was taken, not one that only raised the damping
-            if len(taken) > STALLED_STEPS and taken[-1 - STALLED_STEPS] - cost < STALLED_SHARE * cost:
+            if len(taken) > STALLED_STEPS and taken[-1 - STALLED_STEPS] - cost < enough * cost:
                 status = "converged"
                 break
             if bool(finished):

@@ -19,12 +19,12 @@ from tuning.prediction import Predicted
 from tuning.question import placed, value
 from tuning.uncertainty import Covariance, sandwich
 
-MOST_STEPS = 25  # of each search
+MOST_STEPS, ROUGH_STEPS = 40, 80  # of each search
 MOST_ROUNDS = 15  # of filtering and searching
 BOLDNESS = 10.0
 LIKELIER = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
-NEARLY_THERE = 1e-2  # damping of the first step from a point that is all but right
+ROUGHLY, EXACTLY = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
 SMOOTHING, SETTLING = 0.02, 0.1  # s
 
 
@@ -45,17 +45,22 @@ class Fit(NamedTuple):
 def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float, progress: Progress) -> Fit:
     """Search and filter in turn, until neither changes the other.
 
-    Far from the truth the filter blames the model and forgives it too much, which makes the next search timid. So each
-    search trusts the model `BOLDNESS` times more than the filter would, as long as that makes the log likelier.
+    The first search goes by the constant gains that the problem comes with, which forgive a rough start. Far from the
+    truth the filter blames the model and forgives it too much, which makes the next search timid. So each search trusts
+    the model `BOLDNESS` times more than the filter would, as long as that makes the log likelier.
     """
-    best, steps, boldness = _filtered(fine, y, problem, noise), 0, BOLDNESS
+    rough = searched(fine, y, problem, progress, ROUGHLY, ROUGH_STEPS)
+    if interrupted(rough.search):
+        return rough._replace(steps=rough.search.steps)
+    y, steps, boldness = rough.search.y, rough.search.steps, BOLDNESS
+    best = _filtered(fine, y, problem, noise)
     for _ in range(MOST_ROUNDS):
         process = max(best.process / boldness, float(PROCESSES[0]))
         gains = best.track.gains
         if process != best.process:
             gains = track(*_machine(fine, y, problem), process, noise, problem.lanes, fine.sampling).gains
         given = problem._replace(gains=jax.tree.map(np.asarray, gains))
-        fit = searched(fine, y, given, progress)
+        fit = searched(fine, y, given, progress, ROUGHLY)
         then, steps = _filtered(fine, fit.search.y, problem, noise), steps + fit.search.steps
         if interrupted(fit.search) or then.deviance < best.deviance - LIKELIER:
             y, best = fit.search.y, then
@@ -82,14 +87,10 @@ def _filtered(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, n
     return likeliest(*_machine(fine, y, problem), noise, problem.lanes, fine.sampling)
 
 
-def searched(
-    fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, progress: Progress, damping: float = 1.0
-) -> Fit:
+def searched(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, progress: Progress, enough: float) -> Fit:
     """One search under given gains."""
     given = as_arrays(problem)
-    search = levenberg_marquardt(
-        fine, y, given, max_steps=MOST_STEPS, tolerance=TOLERANCE, damping=damping, progress=progress
-    )
+    search = levenberg_marquardt(fine, y, given, max_steps=most, tolerance=TOLERANCE, enough=enough, progress=progress)
     predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
@@ -104,7 +105,7 @@ def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
     machine = _machine(finest, fit.search.y, fit.problem)
     gains = track(*machine, fit.process, noise, fit.problem.lanes, finest.sampling).gains
     problem = fit.problem._replace(gains=jax.tree.map(np.asarray, gains))
-    sharp = searched(finest, fit.search.y, problem, progress, NEARLY_THERE)
+    sharp = searched(finest, fit.search.y, problem, progress, EXACTLY)
     left = (sharp.search.y - fit.search.y) / 15.0
     covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
     return sharp._replace(
