@@ -74,9 +74,18 @@ def draw(number: int) -> dict[str, Any]:
     }
 
 
+def _kept(path: Path) -> list[dict[str, Any]]:
+    """The draws in the file; a last line that a kill has cut short goes."""
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    return [json.loads(line) for line in whole.splitlines()]
+
+
 def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
     """Draws 0 to `count` - 1, those in `path` first, the others as they are done and written there."""
-    kept = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+    kept = _kept(path) if path.exists() else []
     yield from (one for one in kept if one["draw"] < count)
     left = sorted(set(range(count)) - {one["draw"] for one in kept})
     if not left:
