@@ -119,7 +119,8 @@ def _scattered(
     """The best of several coarse searches; the first starts where the problem says, the others around it."""
     loose = np.array([free.path.split(".")[0] in SCATTERED for free in coarse.free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
-    points = _begin(coarse, problem) + np.vstack([np.zeros(len(loose)), noise])
+    points = np.vstack([np.zeros(len(loose)), noise])
+    points[1::2] += _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
     found, costs = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
     return found[int(np.argmin(costs))], costs
 
@@ -129,8 +130,8 @@ def _costs(residuals: Innovations, points: Float[Array, "s k"], problem: Problem
     return jax.vmap(lambda y: jnp.linalg.norm(residuals(y, problem)))(points)
 
 
-def _begin(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"]:
-    """Where the problem says, but at the best delay on the way from one of its bounds to the other.
+def _best_delay(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"]:
+    """The start moved to the best delay on the way from one of its bounds to the other.
 
     From a delay that is a sample off, friction first bends to make up for it, and seldom finds back.
     """

@@ -87,7 +87,14 @@ def _filtered(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, n
     return likeliest(*_machine(fine, y, problem), noise, problem.lanes, fine.sampling)
 
 
-def searched(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, progress: Progress, enough: float) -> Fit:
+def searched(
+    fine: Innovations,
+    y: Float[np.ndarray, " k"],
+    problem: Problem,
+    progress: Progress,
+    enough: float,
+    most: int = MOST_STEPS,
+) -> Fit:
     """One search under given gains."""
     given = as_arrays(problem)
     search = levenberg_marquardt(fine, y, given, max_steps=most, tolerance=TOLERANCE, enough=enough, progress=progress)
