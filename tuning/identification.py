@@ -22,7 +22,7 @@ from tuning.fit import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampl
 from tuning.least_squares import Progress, Search, many_starts, silent
 from tuning.question import ask
 from tuning.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
-from tuning.space import Free
+from tuning.space import Free, Space
 from tuning.uncertainty import Covariance
 
 SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
@@ -85,7 +85,7 @@ def identify(
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
     y, costs = _scattered(coarse, problem, starts, seed, progress)
     wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress)
-    lost = _undetermined(free, wide.covariance)
+    lost = _undetermined(wide)
     fit = wide
     if lost and not interrupted(wide.search):
         fit = refined(*narrowed(wide, lost), question.noise, progress)
@@ -120,7 +120,7 @@ def _scattered(
     loose = np.array([free.path.split(".")[0] in SCATTERED for free in coarse.free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
     points = np.vstack([np.zeros(len(loose)), noise])
-    points[1::2] += _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
+    points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
     found, costs = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
     return found[int(np.argmin(costs))], costs
 
@@ -144,9 +144,11 @@ def _best_delay(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"
     return points[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
 
 
-def _undetermined(free: tuple[Free, ...], covariance: Covariance) -> set[str]:
-    errors = np.sqrt(np.diag(covariance.matrix))
-    return {one.path for one, error in zip(free, errors, strict=True) if error > UNDETERMINED}
+def _undetermined(fit: Fit) -> set[str]:
+    """What the logs hardly narrow; not what they push against its bound, where the search vector has no more effect."""
+    free, errors = fit.residuals.free, np.sqrt(np.diag(fit.covariance.matrix))
+    pushed = Space(free, fit.problem.origin).near_bound(fit.search.y)
+    return {one.path for one, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
 
 
 def _correlated(free: tuple[Free, ...], covariance: Covariance) -> list[tuple[str, str, float]]:

@@ -143,12 +143,16 @@ def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem)
 
 
 def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, " k"], Problem]:
-    """The problem without the parameters in `lost`, which go back to what was believed, and y of the others."""
+    """The problem without the parameters in `lost`, which go back to what was believed, and y of the others.
+
+    A believed value outside the bounds goes to the nearer one.
+    """
     free, problem = fit.residuals.free, fit.problem
     kept = np.array([one.path not in lost for one in free])
     unknowns = problem.unknowns
-    for path in sorted(lost):
-        unknowns = placed(unknowns, path, value(problem.believed_unknowns, path))
+    for path, low, high in free:
+        if path in lost:
+            unknowns = placed(unknowns, path, float(np.clip(value(problem.believed_unknowns, path), low, high)))
     smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, kept)))
     return smaller, fit.search.y[kept], problem._replace(unknowns=unknowns, origin=np.asarray(problem.origin)[kept])
 
