@@ -32,7 +32,7 @@ NAMES = {  # in the drive file -> in the search
     "delay": "delay",
 }
 SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
-ROUGH_BANDWIDTH = 200.0  # rad/s, of the coarse searches: above the fastest growth on a falling Stribeck curve
+ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
 
 
 class Question(NamedTuple):
@@ -61,7 +61,7 @@ def ask(
         believed_unknowns=believed,
         unknowns=unknowns_of(seeded, delay),
         lanes=lanes,
-        gains=constant_gains(ROUGH_BANDWIDTH, noise, lanes, 1.0 / rate),
+        gains=constant_gains(_rough_bandwidth(drive, rate), noise, lanes, 1.0 / rate),
         origin=np.zeros(0),
     )
     held, unasked = _held(fixed), frozenset[str]()
@@ -105,6 +105,16 @@ def _held(fixed: Sequence[str]) -> set[str]:
     if unknown:
         raise ParameterError(f"cannot fix '{unknown[0]}'; known: {', '.join(NAMES)}")
     return {NAMES[name] for name in fixed}
+
+
+def _rough_bandwidth(drive: Drive, rate: float) -> float:
+    """Bandwidth (rad/s) of the first searches: well above the rate at which motion on the Stribeck slope runs away."""
+    friction, mass = drive.friction, float(drive.plant.mass)
+    slopes = (
+        float(getattr(friction.breakaway_gap, side)) / float(getattr(friction.stribeck_velocity, side))
+        for side in ("positive", "negative")
+    )
+    return float(np.clip(FASTER * max(slopes) / mass, ROUGH_BANDWIDTH, 0.3 * rate))
 
 
 def _one_load(problem: Problem) -> bool:

@@ -52,25 +52,51 @@ def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noi
     rough = searched(fine, y, problem, progress, ROUGHLY, ROUGH_STEPS)
     if interrupted(rough.search):
         return rough._replace(steps=rough.search.steps)
-    y, steps, boldness = rough.search.y, rough.search.steps, BOLDNESS
-    best = _filtered(fine, y, problem, noise)
+    fit = _alternated(fine, rough.search.y, problem, noise, progress, ROUGHLY)
+    return fit._replace(steps=rough.search.steps + fit.steps)
+
+
+def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
+    """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
+
+    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
+    """
+    finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
+    sharp = _alternated(finest, fit.search.y, fit.problem, noise, progress, EXACTLY)
+    left = (sharp.search.y - fit.search.y) / 15.0
+    covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
+    return sharp._replace(covariance=covariance, steps=fit.steps + sharp.steps)
+
+
+def _alternated(
+    fine: Innovations,
+    y: Float[np.ndarray, " k"],
+    problem: Problem,
+    noise: float,
+    progress: Progress,
+    enough: float,
+) -> Fit:
+    """Searches under the filter's gains and gains at the search's end, as long as the log becomes likelier."""
+    best, kept, steps, boldness = _filtered(fine, y, problem, noise), None, 0, BOLDNESS
     for _ in range(MOST_ROUNDS):
         process = max(best.process / boldness, float(PROCESSES[0]))
         gains = best.track.gains
         if process != best.process:
             gains = track(*_machine(fine, y, problem), process, noise, problem.lanes, fine.sampling).gains
         given = problem._replace(gains=jax.tree.map(np.asarray, gains))
-        fit = searched(fine, y, given, progress, ROUGHLY)
+        fit = searched(fine, y, given, progress, enough)
         then, steps = _filtered(fine, fit.search.y, problem, noise), steps + fit.search.steps
-        if interrupted(fit.search) or then.deviance < best.deviance - LIKELIER:
+        likelier = then.deviance < best.deviance - LIKELIER
+        if likelier:
             y, best = fit.search.y, then
-        elif process != best.process:
+        if process == best.process or kept is None:
+            kept = fit  # the gains of the last word are those of the likeliest process
+        if interrupted(fit.search) or (not likelier and process == best.process):
+            break
+        if not likelier:
             boldness = 1.0  # it was too bold: not again
-        else:
-            break
-        if interrupted(fit.search):
-            break
-    return fit._replace(process=best.process, gain=best.gain, steps=steps)
+    assert kept is not None
+    return kept._replace(process=best.process, gain=best.gain, steps=steps)
 
 
 def interrupted(search: Search) -> bool:
@@ -101,23 +127,6 @@ def searched(
     predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
-
-
-def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
-    """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
-
-    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
-    """
-    finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
-    machine = _machine(finest, fit.search.y, fit.problem)
-    gains = track(*machine, fit.process, noise, fit.problem.lanes, finest.sampling).gains
-    problem = fit.problem._replace(gains=jax.tree.map(np.asarray, gains))
-    sharp = searched(finest, fit.search.y, problem, progress, EXACTLY)
-    left = (sharp.search.y - fit.search.y) / 15.0
-    covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
-    return sharp._replace(
-        covariance=covariance, process=fit.process, gain=fit.gain, steps=fit.steps + sharp.search.steps
-    )
 
 
 @eqx.filter_jit
