@@ -62,16 +62,17 @@ def covered(draws):
 
 
 def test_under_white_noise_it_is_the_textbooks_covariance():
-    """In the mean over the draws: a single sandwich scatters by the root of two over its number of blocks."""
+    """In the mean over the draws; up to a third wider, since of two estimates the larger variance counts."""
     draws = drawn(white)
     mean = np.mean([covariance.matrix for _, covariance, _ in draws], axis=0)
     textbook = np.mean([naive for *_, naive in draws], axis=0)
     scale = np.sqrt(np.outer(np.diag(textbook), np.diag(textbook)))
     blocks = draws[0][1].blocks
     assert blocks == SAMPLES // 250
-    assert np.max(np.abs(mean - textbook) / scale) < 4 * np.sqrt(2 / blocks / DRAWS)
+    assert np.max(np.abs(mean - textbook) / scale) < 0.33
+    assert np.all(np.diag(mean) >= np.diag(textbook) * (1 - 4 * np.sqrt(2 / blocks / DRAWS)))
     scatter = np.cov([found for found, *_ in draws], rowvar=False)  # and it is what the estimates really do
-    assert np.max(np.abs(mean - scatter) / scale) < 4 * np.sqrt(2 / DRAWS)
+    assert np.max(np.abs(mean - scatter) / scale) < 0.33 + 4 * np.sqrt(2 / DRAWS)
 
 
 def test_intervals_cover_under_white_noise():

@@ -2,7 +2,8 @@
 
 The covariance is the sandwich H^-1 W H^-1 with H = J'J and W the scatter of the score J'e, summed over blocks of time:
 it asks neither for white residuals nor for residuals of the size that the noise would give (White 1982; Newey and West
-1987). Blocks must be longer than the residual's memory, and many more than the parameters.
+1987). Blocks are longer than the residual's memory; where there are fewer than parameters, residuals of one colour
+throughout are assumed.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,6 @@ from jaxtyping import Float
 
 LEVEL = 0.95
 BLOCK = 0.25  # s, at least
-FEWEST_BLOCKS_PER_PARAMETER = 2
 
 
 class Covariance(NamedTuple):
@@ -64,18 +64,34 @@ def sandwich(
     largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
     jacobian, prior = jacobian / largest, np.diag(largest**-2.0)
     information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + prior
-    block = max(round(BLOCK * rate), 2 * memory(residual))
-    block = max(1, min(block, lanes * samples // max(1, FEWEST_BLOCKS_PER_PARAMETER * count)))
-    whole = samples // block * block
-    scores = jacobian[:, :whole] * residual[:, :whole, None]
+    block = min(samples, max(round(BLOCK * rate), 2 * memory(residual)))
+    filled = -(-samples // block) * block  # the last block of a lane may be short
+    scores = np.pad(jacobian * residual[:, :, None], ((0, 0), (0, filled - samples), (0, 0)))
     sums = scores.reshape(lanes, -1, block, count).sum(axis=2).reshape(-1, count)
     sums = sums[np.any(sums != 0.0, axis=1)]
     blocks = len(sums)
-    # each fitted parameter has taken a block's worth of scatter out of the sums
-    scatter = sums.T @ sums * (blocks / max(1, blocks - count)) + prior
     scale = np.sqrt(np.diag(information))  # parameters differ by many orders in what the logs say of them
     scaled = information / np.outer(scale, scale)
     inverse = np.linalg.inv(scaled)
-    matrix = inverse @ (scatter / np.outer(scale, scale)) @ inverse / np.outer(scale, scale)
-    matrix = matrix / largest[:, None] / largest
+    if blocks > count:
+        # each fitted parameter has taken a block's worth of scatter out of the sums
+        scatter = (sums.T @ sums * (blocks / (blocks - count)) + prior) / np.outer(scale, scale)
+        # a few blocks can agree by chance: no variance below that of white residuals
+        matrix = _at_least(inverse @ scatter @ inverse, _variance(residual, 0) * inverse)
+    else:
+        matrix = _variance(residual, memory(residual)) * inverse
+    matrix = matrix / np.outer(scale, scale) / largest[:, None] / largest
     return Covariance(0.5 * (matrix + matrix.T), blocks, float(np.linalg.cond(scaled)))
+
+
+def _variance(residual: Float[np.ndarray, "lanes n"], lags: int) -> float:
+    """Variance of the residual, times one plus twice its autocorrelations up to `lags`, and at least itself."""
+    counted = residual[residual != 0.0]
+    colour = 1.0 + 2.0 * float(np.sum(autocorrelation(residual, lags))) if len(counted) else 1.0
+    return float(np.mean(counted**2)) * max(1.0, colour) if len(counted) else 1.0
+
+
+def _at_least(matrix: Float[np.ndarray, "k k"], floor: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """The covariance with no variance below that of `floor`, its correlations kept."""
+    wider = np.sqrt(np.maximum(1.0, np.diag(floor) / np.diag(matrix)))
+    return matrix * np.outer(wider, wider)
