@@ -17,8 +17,8 @@ from tuning.fit import FINE_SUBSTEP, lanes_of, sampling_of
 from tuning.prediction import constant_gains, predict
 from tuning.replay import closed_loop, drift_note, open_loop
 
-BANDWIDTH = 200.0  # rad/s of the correction: above the fastest growth on a falling Stribeck curve
-FORGOTTEN = 10.0 / BANDWIDTH  # s, in which the unknown velocity at the beginning is corrected
+BANDWIDTH = 1000.0  # rad/s of the correction, above the fastest growth on a falling Stribeck curve; less where slow
+FORGOTTEN = 0.05  # s, in which the unknown velocity at the beginning is corrected
 SMOOTHING = 0.02  # s, over which a missing force is averaged: below that it is the noise of the position
 
 # what a drive makes of a log: the description with that drive in it, its delay (control periods), the log -> numbers
@@ -35,7 +35,7 @@ def one_step(description: DriveDescription, delay: float, log: Log) -> dict[str,
     forgive a poor drive its errors: trusting it less, they follow the measurement.
     """
     drive, lanes = description.drive, lanes_of([log])
-    gains = constant_gains(BANDWIDTH, 1.0, lanes, 1.0 / log.rate)
+    gains = constant_gains(min(BANDWIDTH, 0.3 * log.rate), 1.0, lanes, 1.0 / log.rate)
     sampling = sampling_of(float(round(log.rate, 6)), FINE_SUBSTEP)
     found = _predict(as_arrays(drive), jnp.asarray(delay), as_arrays(gains), as_arrays(lanes), sampling)
     innovation = np.asarray(found.innovation)
@@ -47,7 +47,7 @@ def one_step(description: DriveDescription, delay: float, log: Log) -> dict[str,
 
 
 def _rms(signal: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(signal**2)))
+    return float(np.sqrt(np.mean(signal**2))) if len(signal) else 0.0
 
 
 def replayed(description: DriveDescription, _: float, log: Log) -> dict[str, float]:

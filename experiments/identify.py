@@ -18,6 +18,7 @@ from experiments.interruption import at_next_step
 from experiments.report import Report
 from experiments.scenario import number
 from tuning import inverse_dynamics
+from tuning.fit import lanes_of
 from tuning.identification import Identified, identify
 from tuning.next_motion import proposals
 from tuning.question import NAMES, SLOWEST
@@ -52,6 +53,8 @@ def identify_drive(
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         logs = read_checked(paths, description, report, name="findings", force=force)
         others = read_checked(held_out, description, report, name="findings_held_out", force=force) if held_out else ()
+        if others:
+            lanes_of(list(others))  # too short a log is better refused before the search than after it
         _inverse_dynamics(report, logs, others)
         with (
             report.progress("searching", 1) as advance,
@@ -61,11 +64,13 @@ def identify_drive(
                 logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, progress=progress
             )
         _estimates(report, found)
-        _words(report, found)
-        _next_motions(report, found, description)
-        gap_table(report, description, found.drive, _delay(found), logs, others)
         if report.out is not None:
             _write(report, replace(description, drive=found.drive))
+        _words(report, found)
+        if found.search.status == "converged":
+            _next_motions(report, found, description)
+        gap_table(report, description, found.drive, _delay(found), logs, others)
+        if report.out is not None:
             with report.working("drawing"):
                 draw(report, found, description.drive, logs)
     return found.search.status == "converged"
@@ -120,7 +125,7 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
 
 def _estimates(report: Report, found: Identified) -> None:
     def row(one: Any) -> list[Any]:
-        interval = [one.low, one.high] if one.status in ("fitted", "at its bound") else [None, None]
+        interval = [one.low, one.high] if one.status == "fitted" else [None, None]
         return [one.name, one.unit, one.believed, one.value, *interval, one.status]
 
     report.table(

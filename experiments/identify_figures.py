@@ -132,7 +132,7 @@ def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
     begin, largest = 0.0, 0.0
     for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing, found.velocity, strict=True)):
         force, speed = missing[: len(one.time)], velocity[: len(one.time)]
-        largest = max(largest, float(np.max(np.abs(force[round(STARTED * one.rate) :]))))
+        largest = max(largest, float(np.max(np.abs(force[round(STARTED * one.rate) :]), initial=0.0)))
         step = max(1, len(force) * len(stretches) // MOST_POINTS)
         time = begin + one.time - one.time[0]
         begin = time[-1] + 1.0 / one.rate

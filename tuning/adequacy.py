@@ -31,14 +31,29 @@ class Adequacy(NamedTuple):
     @property
     def structured(self) -> bool:
         """Structure beyond doubt and large enough to matter."""
-        coloured = self.p_value < IMPROBABLE and self.foretold > FORETOLD
-        return coloured or (self.gain > DEVIANCE and self.share > MISSING)
+        return self.coloured or self.lacking
+
+    @property
+    def coloured(self) -> bool:
+        """Innovations that their past foretells."""
+        return not self.p_value >= IMPROBABLE and self.foretold > FORETOLD
+
+    @property
+    def lacking(self) -> bool:
+        """A force that the filter had to invent; also where nothing could be judged."""
+        return not self.gain <= DEVIANCE and not self.share <= MISSING
 
     @property
     def says(self) -> str:
         """In plain words."""
         force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
-        if self.structured:
+        if self.coloured and not self.lacking:
+            return (
+                f"structure remains, though no force is missing ({force}): {100 * self.foretold:.2g} % of the "
+                f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
+                "measuring noise is coloured, as after a filter or between the counts of a coarse scale"
+            )
+        if self.lacking:
             return (
                 f"structure remains: the model lacks a force of {force}, and {100 * self.foretold:.2g} % of the "
                 f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "

@@ -15,7 +15,10 @@ from tuning.unknowns import Unknowns, paths
 
 
 class Estimate(NamedTuple):
-    """One parameter as found, between `low` and `high` with 95 % confidence (both `value` where it was not fitted)."""
+    """One parameter as found, between `low` and `high` with 95 % confidence.
+
+    Both are `value` where it was not fitted, and NaN where it ended at its bound.
+    """
 
     name: str  # as in the drive file, with .positive or .negative where the directions differ
     unit: str
@@ -104,7 +107,9 @@ def estimates(
             status = "fixed"
         else:
             status = "at its bound" if row.path in at_bound else "fitted"
-        if row.key in LINEAR or value <= 0:
+        if status == "at its bound":
+            low, high = np.nan, np.nan  # the optimum may lie beyond: no interval describes that
+        elif row.key in LINEAR or value <= 0:
             low, high = value - width, value + width
         else:
             low, high = value * np.exp(-width / value), value * np.exp(width / value)

@@ -29,7 +29,7 @@ SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_dam
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
 DELAYS = 19  # that are tried before, over the range of the delay
-UNDETERMINED = 0.35  # standard error in units of the prior: the log hardly narrows a factor of ten
+UNDETERMINED = 0.25  # standard error in units of the prior: the value is not known to a factor of two
 LEAST_DELAY = 0.01  # control periods, below which a delay is none
 INSEPARABLE = 0.95  # correlation
 

@@ -5,6 +5,7 @@ unknown along its filtered prediction. Its Fisher information, added to that of 
 open parameter would be known; for each the sharpest candidate is named.
 """
 
+import contextlib
 from typing import NamedTuple
 
 import equinox as eqx
@@ -54,25 +55,21 @@ def candidates(drive: Drive, limits: Limits, rate: float) -> dict[str, Motion]:
     found = {}
     for amplitude, frequency in sines:
         name = f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s"
-        found[name] = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=middle)
+        with contextlib.suppress(MotionError):
+            one = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=middle)
+            found[name] = require_within(one, limits)
     for speed, time in strokes:
         stroke, rounding = speed * time, max(0.1, speed / strong)
         name = (
             f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.2g}s,"
             f"duration={DURATION:g}s"
         )
-        found[name] = motion.triangular(
-            speed=speed, stroke=stroke, rounding=rounding, duration=DURATION, rate=rate, start=middle
-        )
-    return {name: one for name, one in found.items() if _possible(one, limits)}
-
-
-def _possible(one: Motion, limits: Limits) -> bool:
-    try:
-        require_within(one, limits)
-    except MotionError:
-        return False
-    return True
+        with contextlib.suppress(MotionError):
+            one = motion.triangular(
+                speed=speed, stroke=stroke, rounding=rounding, duration=DURATION, rate=rate, start=middle
+            )
+            found[name] = require_within(one, limits)
+    return found
 
 
 @eqx.filter_jit
@@ -102,7 +99,7 @@ def proposals(
     offered = _offered(identified, controller, sampling, list(motions.values()))
     for k, free in open_ones:
         before, *after = (_width(information, k) for information in (known, *(known + more for more in offered)))
-        best = int(np.argmin(after))
+        best = int(np.argmin(np.where(np.isfinite(after), after, np.inf)))
         # from the search vector to the parameter's logarithm, at the middle of its range
         scale = width * 0.25 * (np.log(free.high / free.low) if free.low > 0 else 1.0)
         found.append(Proposal(free.path, list(motions)[best], scale * before, scale * after[best]))

@@ -22,7 +22,7 @@ from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.parameters import Drive, Sampling, Scalar, require_double_precision
 
-LONGEST_DELAY = 4  # control periods
+LONGEST_DELAY = 8  # control periods
 EARLIEST_DELAY = -1  # a command that is logged one sample late
 
 

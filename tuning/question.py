@@ -13,7 +13,8 @@ from diffdrive.logs import Log
 from diffdrive.parameters import Directional, Drive, check_drive
 from tuning import inverse_dynamics
 from tuning.fit import Problem, lanes_of, noise_floor
-from tuning.prediction import constant_gains
+from tuning.inverse_dynamics import LOAD_SPREAD
+from tuning.prediction import LONGEST_DELAY, constant_gains
 from tuning.regressors import DIRECTIONAL
 from tuning.seed import seed_drive
 from tuning.space import Free, space_of
@@ -31,6 +32,7 @@ NAMES = {  # in the drive file -> in the search
     "bristle_damping": "bristle_damping",
     "delay": "delay",
 }
+SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
 SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
 
@@ -54,6 +56,11 @@ def ask(
     lanes = lanes_of(list(logs))
     seeded, notes = _seeded(drive, logs)
     delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+    if delay >= LONGEST_DELAY:
+        raise ParameterError(
+            f"the drive file's delay of {delay:g} samples is beyond the {LONGEST_DELAY} that identification looks at: "
+            "shift the log's command by the whole samples, and lower delay_samples by as many"
+        )
     noise = noise_floor(drive, lanes)
     believed = unknowns_of(drive, delay)
     problem = Problem(
@@ -65,6 +72,11 @@ def ask(
         origin=np.zeros(0),
     )
     held, unasked = _held(fixed), frozenset[str]()
+    if "coulomb" in held and "load_coefficient" not in held and not _one_load(problem):
+        raise ParameterError(
+            "the loads differ between or within the logs: fix coulomb_screw and load_coefficient together, or neither, "
+            "since friction shows only their sum at each load"
+        )
     if "load_coefficient" not in held and _one_load(problem):
         held.add("load_coefficient")
         unasked = frozenset(path for path in paths(believed) if path.startswith("load_coefficient"))
@@ -81,12 +93,12 @@ def _one_rate(logs: Sequence[Log]) -> float:
     if not logs:
         raise LogError("no log to identify from")
     for log in logs:
-        if abs(log.rate / logs[0].rate - 1) > 1e-6:
+        if abs(log.rate / logs[0].rate - 1) > SAME_RATE:
             raise LogError(
                 f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: identify from "
                 "logs of one rate"
             )
-    return float(round(logs[0].rate, 6))
+    return float(round(np.mean([log.rate for log in logs]), 6))
 
 
 def _seeded(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]:
@@ -118,11 +130,9 @@ def _rough_bandwidth(drive: Drive, rate: float) -> float:
 
 
 def _one_load(problem: Problem) -> bool:
-    """Whether the load differs too little for friction to show it: by less than a hundredth of the Coulomb friction."""
-    lanes, believed = problem.lanes, problem.believed_unknowns
-    spread = float(np.ptp(np.asarray(lanes.load)[np.asarray(lanes.counts) > 0]))
-    slope = max(float(believed.load_coefficient.positive), 1e-6)
-    return slope * spread < 0.01 * float(believed.coulomb.positive)
+    """Whether the load differs too little for friction to show it."""
+    loads = np.asarray(problem.lanes.load)[np.asarray(problem.lanes.counts) > 0]
+    return bool(np.ptp(loads) <= LOAD_SPREAD * np.max(np.abs(loads)))
 
 
 def _without(problem: Problem, held: set[str]) -> Problem:
@@ -151,7 +161,10 @@ def _space(
         stem = path.split(".")[0]
         if stem in held:
             continue
-        limits = bounds(path, value(before, path), value(before, "coulomb"))
+        believed, seeded = value(before, path), value(unknowns, path)
+        # about the belief, unless inverse dynamics says that it is far off: the same bounds for like machines
+        trusted = 0.2 < believed / seeded < 5.0 if seeded > 0 else True
+        limits = bounds(path, believed if trusted else seeded, value(before, "coulomb"))
         if stem in own:
             low, high = own[stem]
             if stem == "breakaway":  # given as a gap
@@ -162,6 +175,10 @@ def _space(
                     problem.believed.friction.initial_load
                 )
                 low, high = max(1e-3, low + guide), high + guide
+            if not (np.isfinite([low, high]).all() and low < high and (low > 0 or limits.low <= 0)):
+                raise ParameterError(
+                    f"cannot bound {path.split('.')[0]} within {low:g} to {high:g}: not a range of its values"
+                )
             limits = limits._replace(low=low, high=high)
         reach = limits.high / limits.low if limits.low > 0 else np.nan
         edge = 1e-3 * (limits.high - limits.low) if np.isnan(reach) else 0.0
@@ -173,6 +190,8 @@ def _space(
         inside = float(np.clip(value(unknowns, path), *inner))
         unknowns = placed(unknowns, path, inside)
         free.append(limits)
+    if not free:
+        raise ParameterError("every parameter is fixed: leave at least one free")
     return problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin), tuple(free)
 
 

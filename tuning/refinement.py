@@ -51,7 +51,7 @@ def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noi
     """
     rough = searched(fine, y, problem, progress, ROUGHLY, ROUGH_STEPS)
     if interrupted(rough.search):
-        return rough._replace(steps=rough.search.steps)
+        return rough._replace(process=float(PROCESSES[-1]), steps=rough.search.steps)
     fit = _alternated(fine, rough.search.y, problem, noise, progress, ROUGHLY)
     return fit._replace(steps=rough.search.steps + fit.steps)
 
@@ -158,10 +158,17 @@ def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, "
     """
     free, problem = fit.residuals.free, fit.problem
     kept = np.array([one.path not in lost for one in free])
-    unknowns = problem.unknowns
+    unknowns, found = problem.unknowns, fit.residuals.unpack(jnp.asarray(fit.search.y), problem)[1]
     for path, low, high in free:
-        if path in lost:
-            unknowns = placed(unknowns, path, float(np.clip(value(problem.believed_unknowns, path), low, high)))
+        if path not in lost:
+            continue
+        believed = value(problem.believed_unknowns, path)
+        stem, _, side = path.partition(".")
+        if stem == "breakaway":  # the gap stays, not its ratio to a Coulomb friction that was found to be another
+            gap = getattr(problem.believed.friction.breakaway_gap, side)
+            level = problem.believed_unknowns if f"coulomb.{side}" in lost else found
+            believed = 1.0 + float(gap) / value(level, f"coulomb.{side}")
+        unknowns = placed(unknowns, path, float(np.clip(believed, low, high)))
     smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, kept)))
     return smaller, fit.search.y[kept], problem._replace(unknowns=unknowns, origin=np.asarray(problem.origin)[kept])
 

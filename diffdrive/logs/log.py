@@ -59,8 +59,10 @@ class Log:
 
     @property
     def rate(self) -> float:
-        """Samples per second, the median over the log."""
-        return float(1.0 / np.median(np.diff(self.time)))
+        """Samples per second, over the longest stretch without a gap."""
+        longest = max(self.pieces(), key=lambda piece: piece.stop - piece.start)
+        time = self.time[longest]
+        return float((len(time) - 1) / (time[-1] - time[0]))
 
     @property
     def duration(self) -> float:
