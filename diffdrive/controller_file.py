@@ -13,6 +13,7 @@ from diffdrive.controllers import (
     Gains,
     PDFeedforwardDOB,
     Tracking,
+    UnknownController,
 )
 from diffdrive.load_estimator import FixedLoad, InnovationLoad
 from diffdrive.observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
@@ -26,6 +27,7 @@ KINDS = {
     "pd+fc+le": "friction observer with the load estimator of the paper's eq. (20)",
     "pd+fc+ls": "friction observer with the load as a state, which converges at every speed",
     "cascade": "proportional position loop over a PI velocity loop",
+    "unknown": "for identification alone, from the logged command",
 }
 
 # controllers of the paper carry the inertia and damping feed-forward unless told otherwise; a bare PD or cascade is
@@ -40,6 +42,8 @@ def build_controller(section: Any, drive: Drive) -> Controller:
         raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
     if not isinstance(kind, str) or kind not in KINDS:
         raise section.fail("kind", f"unknown controller {kind!r}; known: {', '.join(KINDS)}")
+    if kind == "unknown":
+        return UnknownController()
     wanted = section.take("feedforward", _FEEDFORWARD.get(kind, True))
     if not isinstance(wanted, bool):
         raise section.fail("feedforward", f"must be true or false, got {wanted!r}")
@@ -81,6 +85,8 @@ def _compensation(kind: str, section: Any, drive: Drive, tracking: Tracking) -> 
 
 def controller_table(controller: Controller) -> dict[str, Any]:
     """The [controller] table that describes this controller."""
+    if isinstance(controller, UnknownController):
+        return {"kind": "unknown"}
     if isinstance(controller, Cascade):
         fed = float(controller.feedforward.mass) > 0
         return {

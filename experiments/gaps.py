@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 
+from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
@@ -53,7 +54,7 @@ def _rms(signal: np.ndarray) -> float:
 def replayed(description: DriveDescription, _: float, log: Log) -> dict[str, float]:
     """The log replayed by the drive: in closed loop through the controller if it has a reference, and in open loop."""
     drive, found = description.drive, {}
-    if log.reference is not None:
+    if log.reference is not None and not isinstance(description.controller, UnknownController):
         loop = closed_loop(drive, description.controller, log)
         found = {
             "closed loop: command, N": loop.command_rms,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
@@ -168,8 +169,8 @@ def _words(report: Report, found: Identified) -> None:
 
 def _next_motions(report: Report, found: Identified, description: DriveDescription) -> None:
     """Which motion would determine what these logs leave open."""
-    if not found.undetermined:
-        return
+    if not found.undetermined or isinstance(description.controller, UnknownController):
+        return  # without a controller no motion can be simulated
     with report.working("looking for the motions that would determine them"):
         offers = proposals(found, description.controller, description.sampling, description.limits)
     rows = [[_named(one.parameter), _percent(one.before), _percent(one.after), one.motion] for one in offers]

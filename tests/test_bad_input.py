@@ -433,3 +433,10 @@ def test_a_load_of_a_giganewton_still_gives_finite_numbers():
         assert np.all(np.isfinite(signal))
     assert run.status.ok
     assert np.max(np.abs(run.friction)) < 3.66e-4 * (1e9 + 15_200) + 100
+
+
+def test_a_drive_whose_controller_is_unknown_can_be_read_but_not_simulated():
+    from diffdrive.controllers import UnknownController
+
+    with pytest.raises(ParameterError, match="controller is 'unknown': to simulate its loop"):
+        simulate(paper_drive(), UnknownController(), MOVE)

@@ -7,6 +7,7 @@ from diffdrive.controllers.dobvsc import DOBVSC
 from diffdrive.controllers.feedforward_dob import PDFeedforwardDOB
 from diffdrive.controllers.friction_compensation import FrictionCompensation
 from diffdrive.controllers.pd import PD
+from diffdrive.controllers.unknown import UnknownController
 
 __all__ = [
     "DOBVSC",
@@ -21,4 +22,5 @@ __all__ = [
     "PDFeedforwardDOB",
     "Reference",
     "Tracking",
+    "UnknownController",
 ]

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks import (
     balance,
@@ -88,7 +89,8 @@ def _command(log: Log, description: DriveDescription | None) -> list[Finding]:
         return []
     if description is None:
         return [*balance.command_opposes_friction(log)]
-    found = controller.compare(log, description)
+    unknown = isinstance(description.controller, UnknownController)
+    found = None if unknown else controller.compare(log, description)
     if found is not None and found.related:
         return [
             *controller.timing(found, description),

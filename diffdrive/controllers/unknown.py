@@ -1,0 +1,19 @@
+"""A controller that nobody knows: logs can be identified from, but no loop can be simulated."""
+
+from typing import Any, NoReturn
+
+from diffdrive.controllers.base import Controller, Reference
+from diffdrive.errors import ParameterError
+from diffdrive.parameters import Scalar
+
+
+class UnknownController(Controller):
+    """Stands in a drive description for a controller of which only the logged command is known."""
+
+    def init(self, position: Scalar) -> NoReturn:
+        raise ParameterError(
+            "the drive file's controller is 'unknown': to simulate its loop, give [controller] a kind and its gains"
+        )
+
+    def step(self, state: Any, reference: Reference, position: Scalar, applied: Scalar, period: float) -> NoReturn:
+        self.init(position)
