@@ -28,17 +28,18 @@ DONE = [
 
 def test_the_summary_counts_errors_coverage_and_what_stayed_open():
     table = {name: rest for name, *rest in recovery.summary(DONE)}
-    draws, median, most, worst, inside, lost = table["mass"]
+    draws, median, most, worst, bar, met, inside, lost = table["mass"]
     assert (draws, lost) == (3, 0)
     assert median == pytest.approx(2.0)
     assert worst == pytest.approx(10.0)
     assert median < most < worst
+    assert (bar, met) == (2.0, pytest.approx(100.0 * 2 / 3))
     assert inside == pytest.approx(100.0 * 2 / 3)
-    draws, median, _, worst, inside, lost = table["viscous"]  # both directions together
+    draws, median, _, worst, _, met, inside, lost = table["viscous"]  # both directions together
     assert (draws, lost) == (5, 1)
-    assert (median, worst) == (pytest.approx(4.0), pytest.approx(10.0))
+    assert (median, worst, met) == (pytest.approx(4.0), pytest.approx(10.0), pytest.approx(100.0 / 3))
     assert inside == pytest.approx(100.0 * 2 / 3)
-    draws, median, _, _, inside, _ = table["delay"]  # a truth of zero has no error in percent
+    draws, median, *_, inside, _ = table["delay"]  # a truth of zero has no error in percent
     assert (draws, median, inside) == (1, None, 100.0)
 
 
@@ -47,7 +48,7 @@ def test_coverage_is_over_fitted_parameters_alone():
 
 
 def test_a_parameter_that_was_never_fitted_has_neither_error_nor_coverage():
-    ((name, draws, *errors, inside, lost),) = recovery.summary([made_up(0, row("mass", status="not determined"))])
+    ((name, draws, *errors, _, _, inside, lost),) = recovery.summary([made_up(0, row("mass", status="not determined"))])
     assert (name, draws, lost) == ("mass", 1, 1)
     assert errors == [None] * 3
     assert inside is None

@@ -1,5 +1,6 @@
 """Reads a log of any known format: its columns, their channels and units, missing values, the clock."""
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -93,7 +94,12 @@ def read_logs(
     paths: Iterable[str | Path], mapping: Mapping | None = None, rate: float | None = None
 ) -> tuple[Log, ...]:
     """Read several logs of one machine with the same mapping and rate (Hz)."""
-    logs = tuple(read_log(path, mapping, rate) for path in paths)
+    files = [Path(path) for path in paths]
+    logs = [read_log(path, mapping, rate) for path in files]
     if not logs:
         raise LogError("no log is named; give one or more files")
-    return logs
+    alike = {path.stem for path in files if sum(other.stem == path.stem for other in files) > 1}
+    return tuple(
+        dataclasses.replace(log, name=f"{path.parent.name}/{path.stem}") if path.stem in alike else log
+        for path, log in zip(files, logs, strict=True)
+    )
