@@ -6,9 +6,9 @@ sample is corrected by the innovation, e = measured minus predicted position:
     x <- x + Kx e ,   v <- v + Kv e ,   z <- z + Kz e
 
 An open-loop replay of the command (K = 0) is of no use for a drive with a falling Stribeck curve: there the motion is
-unstable, and a micrometre becomes a millimetre. `constant_gains` pulls with one bandwidth throughout, which is robust but
-lets the noise in; the gains of `tuning.filtering` pull as hard as the model is trusted and the measurement is good (the
-innovation form of the prediction-error method: Ljung, System Identification, ch. 7).
+unstable, and a micrometre becomes a millimetre. `constant_gains` pulls with one bandwidth throughout, which is robust
+but lets the noise in; the gains of `tuning.filtering` pull as hard as the model is trusted and the measurement is good
+(the innovation form of the prediction-error method: Ljung, System Identification, ch. 7).
 """
 
 from typing import NamedTuple
