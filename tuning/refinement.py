@@ -25,6 +25,7 @@ BOLDNESS = 10.0
 LIKELIER = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
 ROUGHLY, EXACTLY = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
+INTEGRATOR_ERROR = 1e-2  # N of process force: what steps of `FINE_SUBSTEP` look like to the filter, and more
 SMOOTHING, SETTLING = 0.02, 0.1  # s
 
 
@@ -59,8 +60,11 @@ def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noi
 def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
     """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
 
-    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
+    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved. A
+    model that lacks more force than the integrator errs stays as it is.
     """
+    if fit.process > INTEGRATOR_ERROR:
+        return fit
     finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
     sharp = _alternated(finest, fit.search.y, fit.problem, noise, progress, EXACTLY)
     left = (sharp.search.y - fit.search.y) / 15.0

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 LEVEL = 0.95
 BLOCK = 0.25  # s, at least
+FEWEST_BLOCKS_PER_PARAMETER = 2  # a long memory does not make blocks so long that fewer are left
 
 
 class Covariance(NamedTuple):
@@ -64,7 +65,8 @@ def sandwich(
     largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
     jacobian, prior = jacobian / largest, np.diag(largest**-2.0)
     information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + prior
-    block = min(samples, max(round(BLOCK * rate), 2 * memory(residual)))
+    enough = lanes * samples // (FEWEST_BLOCKS_PER_PARAMETER * count)
+    block = min(samples, max(round(BLOCK * rate), min(2 * memory(residual), enough)))
     filled = -(-samples // block) * block  # the last block of a lane may be short
     scores = np.pad(jacobian * residual[:, :, None], ((0, 0), (0, filled - samples), (0, 0)))
     sums = scores.reshape(lanes, -1, block, count).sum(axis=2).reshape(-1, count)

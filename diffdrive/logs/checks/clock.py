@@ -70,10 +70,11 @@ def stamps(log: Log) -> Iterator[Finding]:
             "they are not the controller's clock; if the controller runs on a timer, take the samples as uniform",
         )
     elif off > CLOCK_ERROR * step:
-        median = abs(log.rate * step - 1)
+        usual = float(1.0 / np.median(regular))
+        median = abs(usual * step - 1)
         severity = "warning" if median > CLOCK_ERROR else "note"
         which = (
-            f"even their median is off by {median:.2g}, a rate of {log.rate:.8g} Hz, which drifts by "
+            f"even their median is off by {median:.2g}, a rate of {usual:.8g} Hz, which drifts by "
             f"{1e3 * median * log.duration:.3g} ms over the log"
             if severity == "warning"
             else f"a single difference taken as the step would drift by up to {drift:.3g} ms over the log"
