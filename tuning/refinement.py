@@ -60,8 +60,8 @@ def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noi
 def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
     """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
 
-    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved. A
-    model that lacks more force than the integrator errs stays as it is.
+    The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
+    A model that lacks more force than the integrator errs stays as it is.
     """
     if fit.process > INTEGRATOR_ERROR:
         return fit
