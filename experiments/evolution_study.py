@@ -77,7 +77,7 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
     scattered = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
     points = np.vstack([np.zeros(len(loose)), scattered])
     before = 0
-    found, costs = many_starts(residuals, points, args, steps=steps, progress=visited(starts * each))
+    found, costs, _ = many_starts(residuals, points, args, steps=steps, progress=visited(starts * each))
     before = starts * steps * each
     search = levenberg_marquardt(
         residuals, found[int(np.argmin(costs))], args, max_steps=last, tolerance=TOLERANCE, progress=visited(each)

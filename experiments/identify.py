@@ -1,13 +1,12 @@
 """`diffdrive identify`: the drive that logs tell, how sure each parameter is, and whether the model suffices."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
@@ -22,7 +21,8 @@ from tuning import inverse_dynamics
 from tuning.fit import lanes_of
 from tuning.identification import Identified, identify
 from tuning.next_motion import proposals
-from tuning.question import NAMES, SLOWEST
+from tuning.question import SLOWEST
+from tuning.ranges import BOUNDABLE, NAMES
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
 DIGITS = 6  # intervals may be narrow
@@ -50,7 +50,7 @@ def identify_drive(
     description = read_drive(drive)
     description = replace(description, mapping=description.mapping.overridden(columns, units))
     bounded = parse_bounds(bounds, description.drive)
-    _require_known(fixed, "--fix")
+    _require_known(fixed, "--fix", NAMES)
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         logs = read_checked(paths, description, report, name="findings", force=force)
         others = read_checked(held_out, description, report, name="findings_held_out", force=force) if held_out else ()
@@ -80,13 +80,14 @@ def identify_drive(
 def parse_bounds(texts: Sequence[str], drive: Drive) -> dict[str, tuple[float, float]]:
     """Bounds from `NAME=LOW:HIGH`, each a number in SI or with its unit; raises `ParameterError`."""
     units = {path.split(".")[-1]: declared.unit for path, declared, _ in quantities(drive)}
+    units["coulomb_at_no_load"] = units["coulomb_screw"]
     bounded: dict[str, tuple[float, float]] = {}
     for text in texts:
         name, equals, limits = (part.strip() for part in text.partition("="))
         low, colon, high = limits.partition(":")
         if not (equals and colon):
             raise ParameterError(f"--bound {text}: write NAME=LOW:HIGH, such as mass=80:120")
-        _require_known([name], "--bound")
+        _require_known([name], "--bound", BOUNDABLE)
         if name in bounded:
             raise ParameterError(f"--bound {text}: {name} is bounded twice")
         unit = units.get(name, "1")  # the delay, in control periods, is no parameter of its own in the file
@@ -97,10 +98,10 @@ def parse_bounds(texts: Sequence[str], drive: Drive) -> dict[str, tuple[float, f
     return bounded
 
 
-def _require_known(names: Sequence[str], option: str) -> None:
+def _require_known(names: Sequence[str], option: str, known: Iterable[str]) -> None:
     for name in names:
-        if name not in NAMES:
-            raise ParameterError(f"{option} {name}: no such parameter; known: {', '.join(NAMES)}")
+        if name not in known:
+            raise ParameterError(f"{option} {name}: no such parameter; known: {', '.join(known)}")
 
 
 def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Log]) -> None:
@@ -127,15 +128,21 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
 def _estimates(report: Report, found: Identified) -> None:
     def row(one: Any) -> list[Any]:
         interval = [one.low, one.high] if one.status == "fitted" else [None, None]
-        return [one.name, one.unit, one.believed, one.value, *interval, one.status]
+        free = one.status in ("fitted", "at its bound")
+        within = [_short(one.lowest), _short(one.highest)] if free else [None, None]
+        return [one.name, one.unit, one.believed, one.value, *interval, *within, one.status]
 
     report.table(
         "estimates",
-        ("name", "unit", "drive_file", "identified", "low", "high", "status"),
+        ("name", "unit", "drive_file", "identified", "low", "high", "lowest", "highest", "status"),
         [row(one) for one in found.estimates],
-        "Parameters in SI units, with their 95 % intervals",
+        "Parameters in SI units: 95 % intervals (low to high), bounds of the search (lowest to highest)",
         digits=DIGITS,
     )
+
+
+def _short(bound: float) -> float:
+    return float(f"{bound:.3g}")
 
 
 def _words(report: Report, found: Identified) -> None:
@@ -169,22 +176,25 @@ def _words(report: Report, found: Identified) -> None:
 
 def _next_motions(report: Report, found: Identified, description: DriveDescription) -> None:
     """Which motion would determine what these logs leave open."""
-    if not found.undetermined or isinstance(description.controller, UnknownController):
-        return  # without a controller no motion can be simulated
+    if not found.undetermined:
+        return
     with report.working("looking for the motions that would determine them"):
         offers = proposals(found, description.controller, description.sampling, description.limits)
-    rows = [[_named(one.parameter), _percent(one.before), _percent(one.after), one.motion] for one in offers]
+    if not offers:
+        report.say("No motion is proposed: without a controller none can be simulated.")
+        return
+    rows = [[_named(one.parameter), one.unit, _finite(one.before), _finite(one.after), one.motion] for one in offers]
     report.table(
         "next_motions",
-        ("parameter", "+- now, %", "+- then, %", "log this motion too"),
+        ("parameter", "unit", "+- now", "+- then", "log this motion too"),
         rows,
         "What would determine the rest (each can be tried: diffdrive simulate --motion ...)",
     )
 
 
-def _percent(width: float) -> float | None:
-    """Half-width of a logarithm's interval in percent; None where it says nothing."""
-    return 100.0 * float(np.expm1(width)) if np.isfinite(width) else None
+def _finite(width: float) -> float | None:
+    """Half-width of an interval; None where it says nothing."""
+    return width if np.isfinite(width) else None
 
 
 def _named(path: str) -> str:

@@ -13,7 +13,7 @@ from diffdrive.friction import steady_friction
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive
 from experiments.forest import forest
-from experiments.friction_along import modelled_hysteresis, stretches_of
+from experiments.modelled_friction import modelled_hysteresis, stretches_of
 from experiments.report import Report, new_figure, plain_logarithmic
 from tuning.curves import hysteresis_curves, stribeck_curves
 from tuning.identification import Identified

@@ -21,8 +21,10 @@ from experiments.excitation import FAST, MEDIUM, SLOW, identification_motion, jo
 from experiments.random_drive import random_drive
 from experiments.recovery import BARS, true_values
 from experiments.truth import truth_log
-from tuning.identification import INSEPARABLE, identify
+from tuning.estimates import reported
+from tuning.identification import COARSE_STEPS, INSEPARABLE, identify
 from tuning.next_motion import candidates, proposals
+from tuning.question import ask
 from tuning.refinement import MOST_STEPS, ROUGH_STEPS
 from tuning.unknowns import unknowns_of
 
@@ -214,7 +216,12 @@ def test_every_open_parameter_gets_a_motion_that_determines_it(one_way, proposed
             assert "second load" in one.motion
             continue
         assert one.after < 0.2 * one.before
-        assert one.before > 0.3  # what was open was known to no better than by a third
+        believed = next(
+            row for row in reported(BELIEVED, unknowns_of(BELIEVED, 0.0), frozenset({path})) if row.path == path
+        )
+        assert one.unit == believed.unit
+        if path != "delay":  # what was open was known to no better than by a third
+            assert one.before > 0.3 * abs(float(believed.value))
         assert one.motion.split(":")[0] in ("sine", "triangular")
 
 
@@ -258,29 +265,71 @@ def test_what_is_fixed_stays_and_what_is_bounded_stays_inside(told):
     # the true mass is 101 kg
     assert 96.0 < rows["mass"].value <= 97.0
     assert rows["mass"].status == "at its bound"
+    assert (rows["mass"].lowest, rows["mass"].highest) == pytest.approx((80.0, 97.0))
+    assert rows["viscous.positive"].lowest == pytest.approx(1_000.0)
+    assert rows["breakaway_gap.positive"].lowest == rows["breakaway_gap.positive"].highest
+
+
+def bounds_of(logs, fixed=(), **bounded):
+    """The question's bounds by path, and its notes."""
+    question = ask(logs, BELIEVED, fixed, bounded)
+    return {one.path: (one.low, one.high) for one in question.free}, question.notes
+
+
+def two_loads():
+    log = short_log()
+    return [replace(log, load=np.zeros_like(log.time)), replace(log, load=np.full_like(log.time, 5e3))]
+
+
+def test_bounds_are_given_in_the_names_of_the_drive_file():
+    friction = BELIEVED.friction
+    guide = float(friction.load_coefficient.positive * friction.initial_load)
+    level = float(friction.coulomb_screw.positive) + guide
+    found, _ = bounds_of(two_loads(), coulomb_at_no_load=(50.0, 150.0))
+    assert found["coulomb.positive"] == pytest.approx((50.0, 150.0))
+    found, _ = bounds_of([short_log()], coulomb_screw=(50.0, 150.0))  # one load: load_coefficient is held
+    assert found["coulomb.positive"] == pytest.approx((50.0 + guide, 150.0 + guide))
+    found, notes = bounds_of([short_log()], ("coulomb_screw",), breakaway_gap=(-1.0, 40.0))
+    assert found["breakaway.positive"] == pytest.approx((1 - 1.0 / level, 1 + 40.0 / level))
+    assert not any("F_S / F_C" in note for note in notes)
+    assert any("F_S / F_C" in note for note in bounds_of([short_log()], breakaway_gap=(-1.0, 40.0))[1])
+
+
+def test_bounds_that_make_no_sense_are_refused_with_the_mend():
+    with pytest.raises(ParameterError, match=r"while load_coefficient is free.* bound coulomb_at_no_load"):
+        bounds_of(two_loads(), coulomb_screw=(50.0, 150.0))
+    with pytest.raises(ParameterError, match="mass is both bounded and held"):
+        bounds_of([short_log()], ("mass",), mass=(50.0, 150.0))
+    with pytest.raises(ParameterError, match="coulomb_screw is bounded twice, under two names"):
+        bounds_of([short_log()], coulomb_at_no_load=(50.0, 150.0), coulomb_screw=(50.0, 150.0))
+    for limits in ((-5.0, 150.0), (150.0, 50.0), (50.0, np.inf)):
+        with pytest.raises(ParameterError, match=r"cannot bound mass within .*: not a range of its values"):
+            bounds_of([short_log()], mass=limits)
 
 
 class Stops:
-    """Raises at the first step of the searches that are this long."""
+    """Raises at the first step of the first search that is this long."""
 
-    def __init__(self, most=None):
+    def __init__(self, most):
         self.most = most
         self.steps = []
 
     def __call__(self, step, most, cost):
         self.steps.append((step, most))
-        if self.most is None or most == self.most:
+        if most == self.most:
             raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("most", [None, MOST_STEPS], ids=["at once", "in the first search under the filter"])
+SEARCHES = {"the starts": COARSE_STEPS, "the first search": ROUGH_STEPS, "a search under the filter": MOST_STEPS}
+
+
+@pytest.mark.parametrize("most", SEARCHES.values(), ids=SEARCHES.keys())
 def test_an_interrupted_identification_returns_the_best_so_far_and_says_so(told, most):
     stops = Stops(most)
     found = identify([short_log()], BELIEVED, **TOLD, progress=stops)
     assert found.status.startswith("interrupted")
-    last = most or ROUGH_STEPS
-    assert stops.steps[-1] == (1, last)  # nothing was begun afterwards
-    assert sum(length == last for _, length in stops.steps) == 1
+    assert stops.steps[-1] == (1, most)  # nothing was begun afterwards
+    assert sum(length == most for _, length in stops.steps) == 1
     check_drive(found.drive)
     rows = by_name(found)
     assert rows.keys() == by_name(told).keys()

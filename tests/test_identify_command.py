@@ -21,9 +21,9 @@ from experiments.checked_logs import read_checked
 from experiments.cli import app
 from experiments.excitation import joined, resting, strokes
 from experiments.forest import forest
-from experiments.friction_along import friction_along, stretches_of
 from experiments.identify import parse_bounds
 from experiments.interruption import at_next_step
+from experiments.modelled_friction import friction_on, stretches_of
 from experiments.report import Report
 from tuning.estimates import Estimate
 
@@ -255,7 +255,7 @@ class _interrupting:  # noqa: N801
 def test_friction_along_a_motion_is_that_of_the_simulation():
     drive = TRUE.drive
     run = simulate(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
-    found = friction_along(drive, run.log(), run.velocity)
+    found = friction_on(drive, run.log(), run.velocity)
     damping = np.where(run.velocity >= 0, drive.plant.damping.positive, drive.plant.damping.negative) * run.velocity
     assert np.sqrt(np.mean((found - run.friction - damping) ** 2)) < 0.5  # of 100 N
 
@@ -271,11 +271,11 @@ def test_stretches_are_those_of_the_lanes():
 
 def test_a_forest_plot_draws_every_kind_of_row():
     rows = [
-        Estimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, "fitted"),
-        Estimate("far", "N", 1e-3, 5.0, 4.0, 6.0, "at its bound"),
-        Estimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, "fitted"),
-        Estimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, "fitted"),
-        Estimate("left", "N", 2.0, 2.0, 2.0, 2.0, "not determined"),
+        Estimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, "fitted"),
+        Estimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, "at its bound"),
+        Estimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, "fitted"),
+        Estimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, "fitted"),
+        Estimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, "not determined"),
     ]
     figure = forest(rows)
     low, high = figure.axes[0].get_xlim()

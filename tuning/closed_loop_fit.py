@@ -31,18 +31,16 @@ from tuning import inverse_dynamics
 from tuning.fit import FINE_SUBSTEP, sampling_of
 from tuning.inverse_dynamics import LOAD_SPREAD
 from tuning.least_squares import Progress, Search, levenberg_marquardt, silent
-from tuning.question import NAMES, placed
-from tuning.question import value as value_of
+from tuning.ranges import NAMES, inside
 from tuning.regressors import DIRECTIONAL
 from tuning.replay import Given, given, replay
 from tuning.seed import seed_drive
 from tuning.space import Free, Space, space_of
-from tuning.unknowns import Unknowns, bounds, paths, unknowns_of
+from tuning.unknowns import Unknowns, bounds, paths, placed, unknowns_of, value
 
 MOST_STEPS = 25
 TOLERANCE = 1e-3
 PRIOR = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
-EDGE = 0.02  # of its range (of its decades, where it is positive), by which a start is kept off its bounds
 SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 
 
@@ -150,15 +148,9 @@ def _free(start: Drive, whole: int, pieces: Given, held: set[str]) -> tuple[Unkn
     for path in paths(unknowns):
         if path.split(".")[0] in held:
             continue
-        value = value_of(unknowns, path)
-        limits = Free(path, whole, whole + 1.0) if path == "delay" else bounds(path, value, _coulomb(unknowns))
-        if limits.low > 0:
-            margin = (limits.high / limits.low) ** EDGE
-            inside = np.clip(value, limits.low * margin, limits.high / margin)
-        else:
-            margin = EDGE * (limits.high - limits.low)
-            inside = np.clip(value, limits.low + margin, limits.high - margin)
-        unknowns = placed(unknowns, path, float(inside))
+        start = value(unknowns, path)
+        limits = Free(path, whole, whole + 1.0) if path == "delay" else bounds(path, start, _coulomb(unknowns))
+        unknowns = placed(unknowns, path, inside(start, limits))
         free.append(limits)
     return unknowns, tuple(free)
 

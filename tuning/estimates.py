@@ -11,13 +11,14 @@ from diffdrive.parameters import Drive, Scalar
 from tuning.fit import Innovations, Problem
 from tuning.space import Space
 from tuning.uncertainty import Covariance
-from tuning.unknowns import Unknowns, paths
+from tuning.unknowns import Unknowns, paths, placed
 
 
 class Estimate(NamedTuple):
     """One parameter as found, between `low` and `high` with 95 % confidence.
 
-    Both are `value` where it was not fitted, and NaN where it ended at its bound.
+    Both are `value` where it was not fitted, and NaN where it ended at its bound. The search was free to move it from
+    `lowest` to `highest`, the others as found; both are `value` where it was not free.
     """
 
     name: str  # as in the drive file, with .positive or .negative where the directions differ
@@ -26,6 +27,8 @@ class Estimate(NamedTuple):
     value: float
     low: float
     high: float
+    lowest: float
+    highest: float
     status: str  # "fitted", "fixed", "not determined", or "at its bound"
 
 
@@ -98,6 +101,7 @@ def estimates(
     point = jnp.asarray(y)
     found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
     widths = covariance.quantile * np.sqrt(np.einsum("qk,kj,qj->q", slope, covariance.matrix, slope))
+    ends = _ends(point, innovations, problem, together)
     at_bound = set(Space(innovations.free, problem.origin).near_bound(y))
     table = []
     for row, value, width, direction in zip(before, found, widths, slope, strict=True):
@@ -113,5 +117,27 @@ def estimates(
             low, high = value - width, value + width
         else:
             low, high = value * np.exp(-width / value), value * np.exp(width / value)
-        table.append(Estimate(row.name, row.unit, float(row.value), float(value), float(low), float(high), status))
+        lowest, highest = ends.get(row.path, {}).get(row.name, (value, value))
+        table.append(
+            Estimate(
+                row.name, row.unit, float(row.value), float(value), float(low), float(high), lowest, highest, status
+            )
+        )
     return table
+
+
+def _ends(
+    y: Float[Array, " k"], innovations: Innovations, problem: Problem, together: frozenset[str]
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """For each free path the bounds of what is reported of it, by name, the other unknowns as found."""
+    unknowns = innovations.unpack(y, problem)[1]
+
+    def at(path: str, end: float) -> dict[str, float]:
+        there = placed(unknowns, path, end)
+        return {row.name: float(row.value) for row in reported(there.drive(problem.believed), there, together)}
+
+    found = {}
+    for path, low, high in innovations.free:
+        lowest, highest = at(path, low), at(path, high)
+        found[path] = {name: (lowest[name], highest[name]) for name in lowest}
+    return found

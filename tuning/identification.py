@@ -83,7 +83,8 @@ def identify(
     question = ask(logs, drive, fixed, bounded or {})
     problem, free, rate = question.problem, question.free, question.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
-    y, costs = _scattered(coarse, problem, starts, seed, progress)
+    y, costs, stopped = _scattered(coarse, problem, starts, seed, progress)
+    progress = _stop if stopped else progress
     wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress)
     lost = _undetermined(wide)
     fit = wide
@@ -115,14 +116,22 @@ def identify(
 
 def _scattered(
     coarse: Innovations, problem: Problem, starts: int, seed: int, progress: Progress
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"]]:
-    """The best of several coarse searches; the first starts where the problem says, the others around it."""
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
+    """The best of several coarse searches, their costs, and whether they were interrupted.
+
+    The first starts where the problem says, the others around it.
+    """
     loose = np.array([free.path.split(".")[0] in SCATTERED for free in coarse.free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
     points = np.vstack([np.zeros(len(loose)), noise])
     points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
-    found, costs = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
-    return found[int(np.argmin(costs))], costs
+    found, costs, stopped = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
+    return found[int(np.argmin(costs))], costs, stopped
+
+
+def _stop(*_: object) -> None:
+    """A progress that ends a search with its first step, when the starts before it were interrupted."""
+    raise KeyboardInterrupt
 
 
 @eqx.filter_jit

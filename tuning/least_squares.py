@@ -3,7 +3,6 @@
 From one start, or from many in one vmapped program.
 """
 
-import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -203,21 +202,24 @@ def many_starts(
     *,
     steps: int,
     progress: Progress = silent,
-) -> tuple[Float[np.ndarray, "s k"], Float[np.ndarray, " s"]]:
+) -> tuple[Float[np.ndarray, "s k"], Float[np.ndarray, " s"], bool]:
     """`steps` steps from each start, all starts as lanes of one program: the best point of each, and its cost.
 
     The cost is the root of the sum of squares; infinite where a start never had a finite one. Interrupted (Ctrl-C), it
-    returns the best so far.
+    returns the best so far and says so, with True at the end.
     """
     solver = _LevenbergMarquardt(rtol=0.0, atol=0.0)
     points = jnp.asarray(starts)
     units, state = _begin_lanes(residuals, solver, points, args)
     best, costs = np.asarray(points), START_NORM * np.nan_to_num(np.asarray(units), nan=np.inf)
-    with contextlib.suppress(KeyboardInterrupt):
+    interrupted = False
+    try:
         for count in range(1, steps + 1):
             points, state, cost = _step_lanes(residuals, solver, points, units, args, state)
             now = np.asarray(cost)
             better = np.isfinite(now) & (now < costs)
             best, costs = np.where(better[:, None], points, best), np.where(better, now, costs)
             progress(count, steps, float(costs.min()))
-    return best, costs
+    except KeyboardInterrupt:
+        interrupted = True
+    return best, costs, interrupted

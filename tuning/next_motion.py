@@ -16,16 +16,17 @@ import scipy.stats
 from jaxtyping import Array, Float
 
 from diffdrive import motion
-from diffdrive.controllers import Controller
+from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import MotionError
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Frame, Inputs, inputs_of, rollout
 from diffdrive.smooth import smooth
+from tuning.estimates import Reported, reported
 from tuning.filtering import track
 from tuning.identification import Identified
 from tuning.prediction import Lanes
-from tuning.refinement import linearised
+from tuning.refinement import Fit, linearised
 from tuning.uncertainty import LEVEL
 
 DURATION = 3.0  # s, of each candidate
@@ -37,8 +38,9 @@ class Proposal(NamedTuple):
 
     parameter: str  # path in the search space
     motion: str  # what to run, in the form that `diffdrive simulate --motion` takes; "" where none of them helps
-    before: float  # half-width of the 95 % interval of the parameter's logarithm, with the logs at hand
-    after: float  # with that motion logged as well
+    unit: str
+    before: float  # half-width of the 95 % interval, with the logs at hand; infinite where they say nothing
+    after: float  # with that motion logged as well; NaN where that was not simulated
 
 
 def candidates(drive: Drive, limits: Limits, rate: float) -> dict[str, Motion]:
@@ -82,17 +84,18 @@ def proposals(
 ) -> list[Proposal]:
     """For each parameter that the logs do not determine, the candidate that would determine it best.
 
-    A coefficient of load needs no search: any sliding motion under a second load.
+    A coefficient of load needs no search: any sliding motion under a second load. For the others a motion must be
+    simulated, and without a controller none can be.
     """
     wide = identified.wide
     found = [
-        Proposal(path, "any sliding motion under a second load", np.inf, np.nan)
+        Proposal(path, "any sliding motion under a second load", "1", np.inf, np.nan)
         for path in sorted(identified.undetermined)
         if path.startswith("load_coefficient")
     ]
     open_ones = [(k, free) for k, free in enumerate(wide.residuals.free) if free.path in identified.undetermined]
     motions = candidates(identified.drive, limits, sampling.rate)
-    if not open_ones or not motions:
+    if not open_ones or not motions or isinstance(controller, UnknownController):
         return found
     width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))
     known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(wide.problem)), 1)[0]
@@ -100,10 +103,22 @@ def proposals(
     for k, free in open_ones:
         before, *after = (_width(information, k) for information in (known, *(known + more for more in offered)))
         best = int(np.argmin(np.where(np.isfinite(after), after, np.inf)))
-        # from the search vector to the parameter's logarithm, at the middle of its range
-        scale = width * 0.25 * (np.log(free.high / free.low) if free.low > 0 else 1.0)
-        found.append(Proposal(free.path, list(motions)[best], scale * before, scale * after[best]))
+        unit, slope = _slope(wide, free.path, k)
+        scale = width * abs(slope)
+        found.append(Proposal(free.path, list(motions)[best], unit, scale * before, scale * after[best]))
     return found
+
+
+def _slope(wide: Fit, path: str, k: int) -> tuple[str, float]:
+    """Unit of what is reported of an unknown, and its derivative along the k-th coordinate of the search."""
+
+    def row(y: Float[Array, " k"]) -> Reported:
+        drive, unknowns = wide.residuals.unpack(y, wide.problem)
+        together = frozenset({path} if "." not in path else ())
+        return next(row for row in reported(drive, unknowns, together) if row.path == path)
+
+    y = jnp.asarray(wide.search.y).at[k].set(0.0)  # where it started, not where an open search wandered to
+    return row(y).unit, float(jax.grad(lambda y: row(y).value)(y)[k])
 
 
 def _width(information: Float[np.ndarray, "k k"], k: int) -> float:

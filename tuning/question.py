@@ -2,36 +2,23 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from diffdrive.errors import DiffdriveError, LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.parameters import Directional, Drive, check_drive
+from diffdrive.parameters import Drive, check_drive
 from tuning import inverse_dynamics
 from tuning.fit import Problem, lanes_of, noise_floor
 from tuning.inverse_dynamics import LOAD_SPREAD
 from tuning.prediction import LONGEST_DELAY, constant_gains
+from tuning.ranges import NAMES, free_space
 from tuning.regressors import DIRECTIONAL
 from tuning.seed import seed_drive
-from tuning.space import Free, space_of
-from tuning.unknowns import Unknowns, bounds, paths, unknowns_of
+from tuning.space import Free
+from tuning.unknowns import paths, unknowns_of
 
-NAMES = {  # in the drive file -> in the search
-    "mass": "mass",
-    "constant_force": "constant_force",
-    "coulomb_screw": "coulomb",
-    "load_coefficient": "load_coefficient",
-    "breakaway_gap": "breakaway",
-    "stribeck_velocity": "stribeck_velocity",
-    "viscous": "viscous",
-    "bristle_stiffness": "bristle_stiffness",
-    "bristle_damping": "bristle_damping",
-    "delay": "delay",
-}
 SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
 SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
@@ -85,8 +72,8 @@ def ask(
         notes.append(
             "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
         )
-    problem, free = _space(_without(problem, held), held, bounded)
-    return Question(problem, free, rate, noise, unasked, tuple(notes))
+    problem, free, said = free_space(_without(problem, held), held, bounded)
+    return Question(problem, free, rate, noise, unasked, (*notes, *said))
 
 
 def _one_rate(logs: Sequence[Log]) -> float:
@@ -140,63 +127,3 @@ def _without(problem: Problem, held: set[str]) -> Problem:
     before = problem.believed_unknowns
     values = {name: getattr(before, name) for name in held} | ({"breakaway": None} if "breakaway" in held else {})
     return problem._replace(unknowns=dataclasses.replace(problem.unknowns, **values))
-
-
-def value(unknowns: Unknowns, path: str) -> float:
-    """The value at `path`; of a pair that is the same in both directions, that one."""
-    node = attrgetter(path)(unknowns)
-    return float(node.positive if isinstance(node, Directional) else node)
-
-
-def _space(
-    problem: Problem, held: set[str], bounded: Mapping[str, tuple[float, float]]
-) -> tuple[Problem, tuple[Free, ...]]:
-    """What is free, within bounds about what was believed, and the problem with its starts inside them."""
-    for name in bounded:
-        if name not in NAMES:
-            raise ParameterError(f"cannot bound '{name}'; known: {', '.join(NAMES)}")
-    own = {NAMES[name]: limits for name, limits in bounded.items()}
-    before, unknowns, free = problem.believed_unknowns, problem.unknowns, []
-    for path in paths(unknowns):
-        stem = path.split(".")[0]
-        if stem in held:
-            continue
-        believed, seeded = value(before, path), value(unknowns, path)
-        # about the belief, unless inverse dynamics says that it is far off: the same bounds for like machines
-        trusted = 0.2 < believed / seeded < 5.0 if seeded > 0 else True
-        limits = bounds(path, believed if trusted else seeded, value(before, "coulomb"))
-        if stem in own:
-            low, high = own[stem]
-            if stem == "breakaway":  # given as a gap
-                level = value(before, path.replace("breakaway", "coulomb"))
-                low, high = max(1e-2, 1 + low / level), 1 + high / level
-            if stem == "coulomb":  # given as the screw's share
-                guide = value(before, path.replace("coulomb", "load_coefficient")) * float(
-                    problem.believed.friction.initial_load
-                )
-                low, high = max(1e-3, low + guide), high + guide
-            if not (np.isfinite([low, high]).all() and low < high and (low > 0 or limits.low <= 0)):
-                raise ParameterError(
-                    f"cannot bound {path.split('.')[0]} within {low:g} to {high:g}: not a range of its values"
-                )
-            limits = limits._replace(low=low, high=high)
-        reach = limits.high / limits.low if limits.low > 0 else np.nan
-        edge = 1e-3 * (limits.high - limits.low) if np.isnan(reach) else 0.0
-        inner = (
-            (limits.low + edge, limits.high - edge)
-            if np.isnan(reach)
-            else (limits.low * reach**0.02, limits.high * reach**-0.02)
-        )
-        inside = float(np.clip(value(unknowns, path), *inner))
-        unknowns = placed(unknowns, path, inside)
-        free.append(limits)
-    if not free:
-        raise ParameterError("every parameter is fixed: leave at least one free")
-    return problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin), tuple(free)
-
-
-def placed(unknowns: Unknowns, path: str, value: float) -> Unknowns:
-    """The unknowns with `value` at `path`, in both directions where the path names a pair."""
-    node = attrgetter(path)(unknowns)
-    new = Directional(value, value) if isinstance(node, Directional) else value
-    return eqx.tree_at(attrgetter(path), unknowns, new)

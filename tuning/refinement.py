@@ -16,8 +16,8 @@ from tuning.filtering import PROCESSES, Likeliest, likeliest, track
 from tuning.fit import FINEST_SUBSTEP, Innovations, Problem, sampling_of
 from tuning.least_squares import Progress, Search, levenberg_marquardt
 from tuning.prediction import Predicted
-from tuning.question import placed, value
 from tuning.uncertainty import Covariance, sandwich
+from tuning.unknowns import placed, value
 
 MOST_STEPS, ROUGH_STEPS = 40, 80  # of each search
 MOST_ROUNDS = 15  # of filtering and searching

@@ -19,12 +19,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.friction import bristle_at, friction_force, slide, steady_friction
+from diffdrive.friction import steady_friction
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays, check_drive, require_double_precision
 from tuning import inverse_dynamics
 from tuning.curves import stribeck_curves
 from tuning.evolution import BLOCK, Budget, Evolution, Population, evolve, origin_share, point
+from tuning.friction_along import friction_along
 from tuning.inverse_dynamics import DYNAMICS
 from tuning.least_squares import levenberg_marquardt
 from tuning.measured_friction import MeasuredFriction, measured_friction, passes
@@ -164,24 +165,11 @@ def _misfits(
     way: _Way,
 ) -> Float[Array, " s"]:
     def one(y: Float[Array, " k"]) -> Float[Array, ""]:
-        friction = _along(Space(free, origin).insert(unknowns, y).drive(drive), way)
+        there = Space(free, origin).insert(unknowns, y).drive(drive)
+        friction = friction_along(there, way.velocity, way.load, way.period)
         return jnp.sum(way.counts * (friction - way.friction) ** 2)
 
     return lax.map(one, points, batch_size=BLOCK)
-
-
-def _along(drive: Drive, way: _Way) -> Float[Array, " n"]:
-    """Friction and damping (N) of `drive` along a measured motion, the bristle relaxed at its start."""
-
-    def body(deflection: Float[Array, ""], at: tuple[Float[Array, ""], ...]) -> tuple[Float[Array, ""], ...]:
-        now, ahead, load = at
-        force = friction_force(bristle_at(drive.friction, now, deflection, load), now, deflection)
-        mean = 0.5 * (now + ahead)
-        rate = bristle_at(drive.friction, mean, deflection, load).rate
-        return slide(deflection, mean, rate, way.period), force + drive.plant.damping.towards(now) * now
-
-    ahead = jnp.concatenate([way.velocity[1:], way.velocity[-1:]])
-    return lax.scan(body, jnp.zeros(()), (way.velocity, ahead, way.load))[1]
 
 
 def _way(along: MeasuredFriction, drive: Drive) -> _Way:

@@ -7,6 +7,7 @@ the sum acts. So a drive becomes `Unknowns`, these are fitted, and they become a
 
 import dataclasses
 from collections.abc import Callable
+from operator import attrgetter
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -124,3 +125,16 @@ def bounds(path: str, start: float, friction: float) -> Free:
         return Free(path, float(EARLIEST_DELAY), float(LONGEST_DELAY))
     middle = max(start, LEAST.get(path.split(".")[0], 0.0))
     return Free(path, middle / WIDTH, middle * WIDTH)
+
+
+def value(unknowns: Unknowns, path: str) -> float:
+    """The value at `path`; of a pair that is the same in both directions, that one."""
+    node = attrgetter(path)(unknowns)
+    return float(node.positive if isinstance(node, Directional) else node)
+
+
+def placed(unknowns: Unknowns, path: str, value: float) -> Unknowns:
+    """The unknowns with `value` at `path`, in both directions where the path names a pair."""
+    node = attrgetter(path)(unknowns)
+    new = Directional(value, value) if isinstance(node, Directional) else value
+    return eqx.tree_at(attrgetter(path), unknowns, new)

@@ -33,19 +33,29 @@ def _mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> N
     write_mat(path, columns, units)
 
 
-WRITERS: dict[str, Write] = {".csv": write_csv, ".parquet": _parquet, ".mat": _mat}
+def _mat73(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    from diffdrive.logs.mat73_file import write_mat73
+
+    write_mat73(path, columns, units)
+
+
+# by the end of the name, the longer first
+WRITERS: dict[str, Write] = {".csv": write_csv, ".parquet": _parquet, ".73.mat": _mat73, ".mat": _mat}
 
 
 def write_log(path: str | Path, log: Log) -> None:
     """Write a log by the path's extension, in SI units; `name` and `notes` are not kept.
 
+    A `.mat` file is of version 5, one that ends in `.73.mat` of version 7.3.
+
     Raises `LogError` for an unknown extension or a folder that cannot be written to.
     """
     path = Path(path)
-    if path.suffix.lower() not in WRITERS:
+    write = next((write for ending, write in WRITERS.items() if path.name.lower().endswith(ending)), None)
+    if write is None:
         raise LogError(f"{path}: cannot write '{path.suffix}'; known: {', '.join(WRITERS)}")
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in log.channels.items()}
     try:
-        WRITERS[path.suffix.lower()](path, columns, {name: CHANNELS[name].unit for name in columns})
+        write(path, columns, {name: CHANNELS[name].unit for name in columns})
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None

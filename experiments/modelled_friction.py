@@ -1,20 +1,18 @@
-"""The friction that a drive would have shown along a measured motion, to be laid beside the measured friction."""
+"""A model's friction and hysteresis along logged motions, to be laid beside what was measured."""
 
 import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from diffdrive.friction import bristle_at, friction_force, slide
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, Scalar, as_arrays
+from diffdrive.parameters import Drive, as_arrays
 from experiments.gaps import delay_of
 from tuning.curves import HysteresisCurves, hysteresis_curves
 from tuning.fit import SHORTEST
+from tuning.friction_along import friction_along
 
 
 def stretches_of(logs: Sequence[Log]) -> list[Log]:
@@ -26,20 +24,10 @@ def stretches_of(logs: Sequence[Log]) -> list[Log]:
     ]
 
 
-@eqx.filter_jit
-def _along(drive: Drive, velocity: Float[Array, " n"], load: Float[Array, " n"], period: Scalar) -> Float[Array, " n"]:
-    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-        now, ahead, applied = at
-        force = friction_force(bristle_at(drive.friction, now, deflection, applied), now, deflection)
-        mean = 0.5 * (now + ahead)
-        rate = bristle_at(drive.friction, mean, deflection, applied).rate
-        return slide(deflection, mean, rate, period), force + drive.plant.damping.towards(now) * now
-
-    ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
-    return lax.scan(body, jnp.zeros(()), (velocity, ahead, load))[1]
+_along = eqx.filter_jit(friction_along)
 
 
-def friction_along(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def friction_on(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Friction and damping (N) of `drive` at these velocities (m/s) of a stretch, the bristle relaxed at the start."""
     load = np.zeros_like(velocity) if stretch.load is None else stretch.load
     given = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
@@ -66,7 +54,7 @@ def _command(
     drive: Drive, reference: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
     """The force (N) over each period, given as early as the delay of `reference` asks."""
-    friction = friction_along(drive, stretch, velocity)
+    friction = friction_on(drive, stretch, velocity)
     sample = np.arange(len(velocity))
     mean = np.append(0.5 * (friction[1:] + friction[:-1]), friction[-1])
     inertia = float(reference.plant.mass) * stretch.rate * np.append(np.diff(velocity), 0.0)
