@@ -1,32 +1,48 @@
 """Logs as a command takes them: read through the drive file's mapping, at its rate, and looked over before use."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive.drive_file import DriveDescription
-from diffdrive.errors import LogError
+from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.plausibility import examine
+from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
+from experiments.scenario import number
 
-RATE_TOLERANCE = 1e-3  # clocks drift by less, and what is more is another rate
+UNUSED = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
 
 def read_checked(
-    paths: Sequence[Path], description: DriveDescription, report: Report, *, name: str, force: bool
+    paths: Sequence[Path],
+    description: DriveDescription,
+    report: Report,
+    *,
+    name: str,
+    force: bool,
+    loads: Mapping[str, float] | None = None,
 ) -> tuple[Log, ...]:
     """Read logs, say what the reader repaired and what is implausible (the table `name`), and refuse what is fatal.
 
-    Raises `LogError` for a log at another rate than the drive file's and, without `force`, for a fatal finding.
+    `loads` (N) by file name: what was on the table where no column says it. Raises `LogError` for a log at another rate
+    than the drive file's and, without `force`, for a fatal finding.
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
         logs = read_logs(paths, description.mapping, description.sampling.rate)
         for path, log in zip(paths, logs, strict=True):
             _require_rate(path, log, description.sampling.rate)
+        logs = tuple(_under(log, (loads or {}).get(path.name)) for path, log in zip(paths, logs, strict=True))
         found = [(log.name, finding) for log in logs for finding in examine(log, description)]
     for log in logs:
         for note in log.notes:
             report.say(f"{log.name}: {note}")
+        unused = [channel for channel in UNUSED if getattr(log, channel) is not None]
+        if unused:
+            report.say(f"{log.name}: {', '.join(unused)}: read and checked, but identification does not use it.")
     if found:
         report.table(
             name,
@@ -44,6 +60,33 @@ def read_checked(
     if fatal:
         report.say("FORCED over fatal findings: what follows is wrong as far as they are right.")
     return logs
+
+
+def parse_loads(texts: Sequence[str], paths: Sequence[Path]) -> dict[str, float]:
+    """Loads (N) by file name from `LOG=FORCE`; raises `ParameterError` for a log that is not there, or named twice."""
+    names = [path.name for path in paths]
+    loads: dict[str, float] = {}
+    for text in texts:
+        name, equals, force = text.rpartition("=")
+        name = Path(name.strip()).name
+        if not equals or name not in names:
+            raise ParameterError(
+                f"--load {text}: write LOG=FORCE, such as {names[0]}=8kN; the logs are {', '.join(names)}"
+            )
+        if name in loads or names.count(name) > 1:
+            raise ParameterError(f"--load {text}: {name} is not one log, or is named twice")
+        loads[name] = number(force.strip(), "N", f"--load {text}")
+    return loads
+
+
+def _under(log: Log, load: float | None) -> Log:
+    if load is None:
+        return log
+    if log.load is not None:
+        raise LogError(
+            f"{log.name}: has a load of its own, in its column 'load': leave out --load, or map it elsewhere"
+        )
+    return replace(log, load=np.full(len(log.time), load))
 
 
 def _require_rate(path: Path, log: Log, rate: float) -> None:

@@ -136,6 +136,12 @@ def identify(
     bound: Annotated[
         list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
     ] = None,
+    load: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable."
+        ),
+    ] = None,
     starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the inverse dynamics' answer.")] = 6,
     seed: Annotated[int, typer.Option(help="Seed of the other starts.")] = 0,
     held_out: Annotated[
@@ -155,8 +161,8 @@ def identify(
     from experiments.identify import identify_drive
 
     converged = identify_drive(
-        logs, drive, out, columns=column or (), units=unit or (), fixed=fix or (), bounds=bound or (), starts=starts,
-        seed=seed, held_out=held_out or (), force=force,
+        logs, drive, out, columns=column or (), units=unit or (), fixed=fix or (), bounds=bound or (), loads=load or (),
+        starts=starts, seed=seed, held_out=held_out or (), force=force,
     )  # fmt: skip
     if not converged:
         raise typer.Exit(3)

@@ -223,7 +223,8 @@ def ripple(
     def amplitude(there: np.ndarray) -> float:
         return float(np.hypot(*np.linalg.lstsq(columns[there], missing[there], rcond=None)[0][:2]))
 
-    return amplitude(velocity > RIPPLE_SPEED), amplitude(velocity < -RIPPLE_SPEED)
+    known = np.isfinite(missing)
+    return amplitude(known & (velocity > RIPPLE_SPEED)), amplitude(known & (velocity < -RIPPLE_SPEED))
 
 
 def _friction_figure(report: Report, drives: Mapping[str, Drive], log: Log) -> None:

@@ -21,7 +21,7 @@ from experiments import emps
 from experiments.report import Report, new_figure
 from tuning.evolution import POPULATION, Budget, Evolution, Visit, evolve, norms, origin_share
 from tuning.fit import COARSE_SUBSTEP, Innovations, sampling_of
-from tuning.identification import COARSE_EVERY, COARSE_STEPS, SCATTERED
+from tuning.identification import COARSE_EVERY, COARSE_STEPS, scattered
 from tuning.least_squares import levenberg_marquardt, many_starts
 from tuning.question import ask
 from tuning.replay import closed_loop
@@ -73,9 +73,7 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
 
         return visit
 
-    loose = np.array([free.path.split(".")[0] in SCATTERED for free in residuals.free])
-    scattered = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
-    points = np.vstack([np.zeros(len(loose)), scattered])
+    points = scattered(residuals.free, starts, seed)
     before = 0
     found, costs, _ = many_starts(residuals, points, args, steps=steps, progress=visited(starts * each))
     before = starts * steps * each

@@ -44,7 +44,8 @@ def _mark(axis: Any, k: int, one: Estimate) -> float:
     """Draw one row; returns the ratio, or its inverse, to which it reaches."""
     if one.believed == 0 or one.value / one.believed <= 0:
         return 1.0
-    low, ratio, high = sorted(np.array([one.low, one.value, one.high]) / one.believed)
+    known = [one.low, one.value, one.high] if np.isfinite([one.low, one.high]).all() else [one.value] * 3
+    low, ratio, high = sorted(np.array(known) / one.believed)
     middle, left, right = (float(np.clip(value, 1.0 / WIDEST, WIDEST)) for value in (ratio, low, high))
     shape = "o" if one.status in COLOURS else "x"
     if middle != ratio:
@@ -55,5 +56,6 @@ def _mark(axis: Any, k: int, one: Estimate) -> float:
 
 
 def _numbers(one: Estimate) -> str:
-    found = f"{one.value:.6g} [{one.low:.6g}, {one.high:.6g}] {one.unit}" if one.status in COLOURS else one.status
+    interval = f"[{one.low:.6g}, {one.high:.6g}] {one.unit}" if one.status == "fitted" else f"{one.unit}, {one.status}"
+    found = f"{one.value:.6g} {interval}" if one.status in COLOURS else one.status
     return f"{found}  (file: {one.believed:.4g})"

@@ -2,16 +2,18 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, quantities
-from experiments.checked_logs import read_checked
+from experiments.checked_logs import parse_loads, read_checked
 from experiments.gaps import gap_table
 from experiments.identify_figures import draw
 from experiments.interruption import at_next_step
@@ -20,8 +22,8 @@ from experiments.scenario import number
 from tuning import inverse_dynamics
 from tuning.fit import lanes_of
 from tuning.identification import Identified, identify
+from tuning.inverse_dynamics import SLOWEST
 from tuning.next_motion import proposals
-from tuning.question import SLOWEST
 from tuning.ranges import BOUNDABLE, NAMES
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
@@ -37,6 +39,7 @@ def identify_drive(
     units: Sequence[str] = (),
     fixed: Sequence[str] = (),
     bounds: Sequence[str] = (),
+    loads: Sequence[str] = (),
     starts: int = 6,
     seed: int = 0,
     held_out: Sequence[Path] = (),
@@ -44,16 +47,18 @@ def identify_drive(
 ) -> bool:
     """`diffdrive identify`; False if the search did not converge.
 
-    `columns`, `units`, `fixed` and `bounds` are texts as on the command line. Raises `DriveFileError`, `LogError` and
-    `ParameterError`, one line each.
+    `columns`, `units`, `fixed`, `bounds` and `loads` are texts as on the command line. Raises `DriveFileError`,
+    `LogError` and `ParameterError`, one line each.
     """
     description = read_drive(drive)
     description = replace(description, mapping=description.mapping.overridden(columns, units))
     bounded = parse_bounds(bounds, description.drive)
     _require_known(fixed, "--fix", NAMES)
+    applied = parse_loads(loads, [*paths, *held_out])
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
-        logs = read_checked(paths, description, report, name="findings", force=force)
-        others = read_checked(held_out, description, report, name="findings_held_out", force=force) if held_out else ()
+        checked = partial(read_checked, description=description, report=report, force=force, loads=applied)
+        logs = checked(paths, name="findings")
+        others = checked(held_out, name="findings_held_out") if held_out else ()
         if others:
             lanes_of(list(others))  # too short a log is better refused before the search than after it
         _inverse_dynamics(report, logs, others)
@@ -180,10 +185,16 @@ def _next_motions(report: Report, found: Identified, description: DriveDescripti
         return
     with report.working("looking for the motions that would determine them"):
         offers = proposals(found, description.controller, description.sampling, description.limits)
-    if not offers:
+    if isinstance(description.controller, UnknownController):
         report.say("No motion is proposed: without a controller none can be simulated.")
+    elif len(offers) < len(found.undetermined):
+        report.say("No motion is proposed: the axis limits leave none of those that would be tried.")
+    if not offers:
         return
-    rows = [[_named(one.parameter), one.unit, _finite(one.before), _finite(one.after), one.motion] for one in offers]
+    rows = [
+        [_named(one.parameter), one.unit, _finite(one.before), _finite(one.after), one.motion or "none of those tried"]
+        for one in offers
+    ]
     report.table(
         "next_motions",
         ("parameter", "unit", "+- now", "+- then", "log this motion too"),

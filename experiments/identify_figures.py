@@ -21,7 +21,6 @@ from tuning.uncertainty import autocorrelation
 
 LAGS = 100
 MOST_POINTS = 20_000  # of a signal in a figure
-STARTED = 0.05  # s, in which a filter finds the velocity at a beginning; no scale of an axis comes from there
 
 
 def draw(report: Report, found: Identified, before: Drive, logs: Sequence[Log]) -> None:
@@ -132,7 +131,7 @@ def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
     begin, largest = 0.0, 0.0
     for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing, found.velocity, strict=True)):
         force, speed = missing[: len(one.time)], velocity[: len(one.time)]
-        largest = max(largest, float(np.max(np.abs(force[round(STARTED * one.rate) :]), initial=0.0)))
+        largest = max(largest, float(np.max(np.abs(force[np.isfinite(force)]), initial=0.0)))
         step = max(1, len(force) * len(stretches) // MOST_POINTS)
         time = begin + one.time - one.time[0]
         begin = time[-1] + 1.0 / one.rate
@@ -149,7 +148,7 @@ def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
     axes[1].set(ylabel="missing force, N", xlabel="time, s")
     axes[2].set(ylabel="missing force, N", xlabel="position, mm")
     for axis in axes[1:]:
-        axis.set_ylim(-1.1 * largest, 1.1 * largest)
+        axis.set_ylim(-1.1 * (largest or 1.0), 1.1 * (largest or 1.0))
     axes[0].tick_params(labelbottom=False)
     axes[2].legend(fontsize=8, markerscale=6, loc="upper right")
     return figure

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive.controllers import Gains
+from diffdrive.errors import DiffdriveError
 from diffdrive.load import ramp
 from diffdrive.parameters import Drive
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -44,6 +45,7 @@ def true_values(drive: Drive, believed: Drive) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()} | {"delay": 0.0}
 
 
+JUDGED = ("fitted", "at its bound", "failed")  # not what was held, nor what was said to be undetermined
 PER_DIRECTION = ("coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous")
 
 
@@ -60,17 +62,22 @@ def draw(number: int) -> dict[str, Any]:
     load = ramp(motion.time, start=LOADED[0], end=LOADED[1], to=LOAD)
     log = truth_log(drive, gains, motion, load, seed=number)
     began = time.perf_counter()
-    found = identify([log], believed)
     truth = true_values(drive, believed)
-    rows = [
-        {"name": e.name, "true": truth[e.name], "value": e.value, "low": e.low, "high": e.high, "status": e.status}
-        for e in found.estimates
-    ]
+    try:
+        found = identify([log], believed)
+        status, simulations = found.status, found.simulations
+        rows = [
+            {"name": e.name, "true": truth[e.name], "value": e.value, "low": e.low, "high": e.high, "status": e.status}
+            for e in found.estimates
+        ]
+    except DiffdriveError as problem:  # a result too: nothing was found
+        status, simulations = f"failed: {problem}", 0
+        rows = [{"name": name, "true": value, "status": "failed"} for name, value in truth.items()]
     return {
         "draw": number,
-        "status": found.status,
+        "status": status,
         "seconds": round(time.perf_counter() - began, 2),
-        "simulations": found.simulations,
+        "simulations": simulations,
         "rows": rows,
     }
 
@@ -111,7 +118,7 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
         rows = summary(done)
         columns = (
             "parameter", "values", "median error, %", "95 %", "worst", "bar, %", "within it, %", "covered, %",
-            "not determined",
+            "not determined", "at its bound",
         )  # fmt: skip
         report.table("recovery", columns, rows, "Error of the estimate and coverage of the 95 % interval")
         covered, total = coverage(done)
@@ -124,6 +131,10 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
             median_seconds=float(np.median([one["seconds"] for one in done])),
         )
         report.figure("recovery", _figure(done))
+
+
+def _holds(row: dict[str, Any]) -> bool:
+    return row["status"] == "fitted" and row["low"] <= row["true"] <= row["high"]
 
 
 def _stem(name: str) -> str:
@@ -142,19 +153,20 @@ def summary(done: list[dict[str, Any]]) -> list[list[Any]]:
         rows = [row for one in done for row in one["rows"] if _stem(row["name"]) == stem]
         fitted = [row for row in rows if row["status"] == "fitted"]
         errors = [_relative(row) for row in fitted if row["true"] != 0.0]
-        inside = [row["low"] <= row["true"] <= row["high"] for row in fitted]
+        stopped = sum(row["status"] == "at its bound" for row in rows)
+        inside = [_holds(row) for row in rows if row["status"] in JUDGED]
         quantiles = [float(np.quantile(errors, q)) for q in (0.5, 0.95, 1.0)] if errors else [None] * 3
         lost = sum(row["status"] == "not determined" for row in rows)
         bar = BARS.get(stem)
-        met = None if bar is None or not errors else 100.0 * float(np.mean(np.array(errors) <= bar))
+        met = None if bar is None or not inside else 100.0 * float(np.sum(np.array(errors) <= bar)) / len(inside)
         covered = 100.0 * float(np.mean(inside)) if inside else None
-        table.append([stem, len(rows), *quantiles, bar, met, covered, lost])
+        table.append([stem, len(rows), *quantiles, bar, met, covered, lost, stopped])
     return table
 
 
 def coverage(done: list[dict[str, Any]]) -> tuple[int, int]:
-    """How many of the intervals of fitted parameters hold the truth, and how many there are."""
-    inside = [r["low"] <= r["true"] <= r["high"] for one in done for r in one["rows"] if r["status"] == "fitted"]
+    """How many of the intervals hold the truth, and how many there are; what ran to its bound has one that does not."""
+    inside = [_holds(row) for one in done for row in one["rows"] if row["status"] in JUDGED]
     return sum(inside), len(inside)
 
 

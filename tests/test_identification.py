@@ -21,11 +21,13 @@ from experiments.excitation import FAST, MEDIUM, SLOW, identification_motion, jo
 from experiments.random_drive import random_drive
 from experiments.recovery import BARS, true_values
 from experiments.truth import truth_log
-from tuning.estimates import reported
+from tuning.estimates import estimates, reported
+from tuning.fit import Innovations
 from tuning.identification import COARSE_STEPS, INSEPARABLE, identify
 from tuning.next_motion import candidates, proposals
 from tuning.question import ask
 from tuning.refinement import MOST_STEPS, ROUGH_STEPS
+from tuning.uncertainty import Covariance
 from tuning.unknowns import unknowns_of
 
 RATE = 2_000.0
@@ -293,6 +295,28 @@ def test_bounds_are_given_in_the_names_of_the_drive_file():
     assert found["breakaway.positive"] == pytest.approx((1 - 1.0 / level, 1 + 40.0 / level))
     assert not any("F_S / F_C" in note for note in notes)
     assert any("F_S / F_C" in note for note in bounds_of([short_log()], breakaway_gap=(-1.0, 40.0))[1])
+
+
+def test_narrow_bounds_are_no_prior_and_leave_nothing_undetermined():
+    """The prior, and what counts as determined, are those of the usual bounds: a factor of 30 either way."""
+    free = ask([short_log()], BELIEVED, (), {"mass": (94.0, 96.0)})
+    prior = dict(zip((one.path for one in free.free), free.problem.prior, strict=True))
+    assert prior["mass"] == pytest.approx(np.log(96 / 94) / np.log(900))
+    assert prior["delay"] == prior["viscous.positive"] == 1.0
+
+
+def test_a_drive_file_with_more_damping_than_the_machine_is_told():
+    """Friction that grows less with speed than the file's damping leaves no viscous friction to speak of."""
+    damped = replace(BELIEVED, plant=replace(BELIEVED.plant, damping=Directional(1e4, 1e4)))
+    question = ask([short_log()], damped, (), {})
+    paths = [one.path for one in question.free]
+    y = np.zeros(len(paths))
+    y[paths.index("viscous.positive")] = -1.0
+    innovations = Innovations(question.free, Sampling(RATE))
+    covariance = Covariance(np.eye(len(y)), 100, 1.0)
+    found = {row.name: row for row in estimates(y, innovations, question.problem, covariance, set())}
+    assert (found["viscous.positive"].value, found["viscous.positive"].status) == (0.0, "at its bound")
+    assert found["viscous.negative"].status == "fitted"
 
 
 def test_bounds_that_make_no_sense_are_refused_with_the_mend():

@@ -143,6 +143,9 @@ FAULTS = {
     "half a bound": (("--bound", "mass=80"), r"--bound mass=80: write NAME=LOW:HIGH"),
     "bounds reversed": (("--bound", "mass=120:80"), r"--bound mass=120:80: the lower end must be below"),
     "bounded twice": (("--bound", "mass=8:9", "--bound", "mass=9:10"), r"mass is bounded twice"),
+    "load of no log": (("--load", "lop.csv=8kN"), r"--load lop.csv=8kN: write LOG=FORCE, such as lap.csv=8kN"),
+    "load without a number": (("--load", "lap.csv=heavy"), r"--load lap.csv=heavy: "),
+    "loaded twice": (("--load", "lap.csv=8kN", "--load", "lap.csv=9kN"), r"lap.csv is not one log, or is named twice"),
     "no such channel": (("--column", "positon=qm"), r"positon: no such channel; did you mean 'position'"),
     "no such column": (("--column", "position=qm"), r"qm"),
 }
@@ -154,6 +157,18 @@ def test_bad_options_are_refused_in_one_line(name, folder):
     with pytest.raises((ParameterError, LogError), match=said) as caught:
         run(folder / "lap.csv", "--drive", folder / "drive.toml", *options)
     assert "\n" not in str(caught.value)
+
+
+def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
+    with Report("loads", tmp_path) as report:
+        given = {"other.csv": 8e3}
+        paths = [folder / "lap.csv", folder / "other.csv"]
+        lap, other = read_checked(paths, TRUE, report, name="findings", force=False, loads=given)
+        assert lap.load is None
+        assert np.all(other.load == 8e3)
+        write_log(tmp_path / "loaded.csv", other)
+        with pytest.raises(LogError, match="has a load of its own"):
+            read_checked([tmp_path / "loaded.csv"], TRUE, report, name="more", force=False, loads={"loaded.csv": 1.0})
 
 
 def test_a_bound_may_carry_its_unit():

@@ -232,7 +232,7 @@ def problem_at(delay):
     )
     origin = space_of(believed, free).origin
     gains = track(DELAYED, delay, 1.0, NOISE, lanes, SAMPLING).gains
-    problem = Problem(DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin)
+    problem = Problem(DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin, np.ones_like(origin))
     return Innovations(free, SAMPLING), as_arrays(problem)
 
 

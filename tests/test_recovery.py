@@ -28,18 +28,18 @@ DONE = [
 
 def test_the_summary_counts_errors_coverage_and_what_stayed_open():
     table = {name: rest for name, *rest in recovery.summary(DONE)}
-    draws, median, most, worst, bar, met, inside, lost = table["mass"]
-    assert (draws, lost) == (3, 0)
+    draws, median, most, worst, bar, met, inside, lost, stopped = table["mass"]
+    assert (draws, lost, stopped) == (3, 0, 0)
     assert median == pytest.approx(3.0)
     assert worst == pytest.approx(10.0)
     assert median < most < worst
     assert (bar, met) == (2.0, pytest.approx(100.0 / 3))
     assert inside == pytest.approx(100.0 * 2 / 3)
-    draws, median, _, worst, _, met, inside, lost = table["viscous"]  # both directions together
+    draws, median, _, worst, _, met, inside, lost, _ = table["viscous"]  # both directions together
     assert (draws, lost) == (5, 1)
     assert (median, worst, met) == (pytest.approx(4.0), pytest.approx(10.0), 0.0)
     assert inside == pytest.approx(100.0 * 2 / 3)
-    draws, median, *_, inside, _ = table["delay"]  # a truth of zero has no error in percent
+    draws, median, *_, inside, _, _ = table["delay"]  # a truth of zero has no error in percent
     assert (draws, median, inside) == (1, None, 100.0)
 
 
@@ -48,10 +48,20 @@ def test_coverage_is_over_fitted_parameters_alone():
 
 
 def test_a_parameter_that_was_never_fitted_has_neither_error_nor_coverage():
-    ((name, draws, *errors, _, _, inside, lost),) = recovery.summary([made_up(0, row("mass", status="not determined"))])
+    only = made_up(0, row("mass", status="not determined"))
+    ((name, draws, *errors, _, _, inside, lost, _),) = recovery.summary([only])
     assert (name, draws, lost) == ("mass", 1, 1)
     assert errors == [None] * 3
     assert inside is None
+
+
+def test_what_ran_to_its_bound_or_failed_counts_against_the_bar_and_the_coverage():
+    failed = {"name": "mass", "true": 10.0, "status": "failed"}
+    done = [made_up(0, row("mass")), made_up(1, row("mass", value=10.01, status="at its bound")), made_up(2, failed)]
+    ((*_, worst, _, met, inside, lost, stopped),) = recovery.summary(done)
+    assert (worst, lost, stopped) == (0.0, 0, 1)
+    assert (met, inside) == (pytest.approx(100.0 / 3), pytest.approx(100.0 / 3))
+    assert recovery.coverage(done) == (1, 3)
 
 
 def test_what_should_be_found_is_the_drive_itself_with_the_believed_damping():

@@ -133,9 +133,12 @@ def test_a_parameter_of_which_the_data_say_nothing_keeps_the_error_of_its_prior(
     rng = np.random.default_rng(4)
     columns = regressors(rng)
     columns[:, 1] = 0.0
-    errors = np.sqrt(np.diag(sandwich(white(rng, columns)[None], columns[None], RATE).matrix))
+    residual = white(rng, columns)[None]
+    errors = np.sqrt(np.diag(sandwich(residual, columns[None], RATE).matrix))
     assert errors[1] == pytest.approx(1.0, rel=1e-9)
     assert max(errors[0], errors[2]) < 0.05
+    weak = np.array([1.0, 0.02, 1.0])
+    assert sandwich(residual, columns[None], RATE, weak).matrix[1, 1] == pytest.approx(50.0**2, rel=1e-9)
 
 
 def test_the_autocorrelation_of_an_autoregression_is_its_coefficients_powers():
@@ -159,6 +162,15 @@ def autoregression(foretold, seed):
     """White noise through 1 / (1 - a q^-1): the share a^2 of its variance is foretold by its past."""
     rng = np.random.default_rng(seed)
     return scipy.signal.lfilter([1.0], [1.0, -np.sqrt(foretold)], rng.normal(size=NOTHING.shape), axis=1)
+
+
+def test_a_log_too_short_to_judge_is_not_said_to_miss_nothing():
+    innovation = np.random.default_rng(6).normal(size=NOTHING.shape)
+    verdict = judged(innovation, gain=1e6, force=np.nan)
+    assert verdict.structured
+    assert "too short" in verdict.says
+    partly = np.where(np.arange(NOTHING.shape[1]) < 15_000, np.nan, 3.0)[None]
+    assert adequacy(innovation, 1e6, partly, FRICTION).missing == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -46,6 +46,8 @@ class Adequacy(NamedTuple):
     @property
     def says(self) -> str:
         """In plain words."""
+        if np.isnan(self.missing):
+            return "the logs are too short, or too torn, to say whether a force is missing"
         force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
         if self.coloured and not self.lacking:
             return (
@@ -68,7 +70,10 @@ class Adequacy(NamedTuple):
 def adequacy(
     innovation: Float[np.ndarray, "lanes n"], gain: float, missing: Float[np.ndarray, "lanes n"], friction: float
 ) -> Adequacy:
-    """Judge normalised innovations (zeros, the padding, do not count) and the missing force (N) over `friction` (N)."""
+    """Judge normalised innovations (zeros, the padding, do not count) and the missing force (N) over `friction` (N).
+
+    Where the missing force is NaN it was not looked at.
+    """
     counted = int(np.count_nonzero(innovation))
     lags = min(LAGS, innovation.shape[1] // 10)
     rho = autocorrelation(innovation, lags)
@@ -79,5 +84,6 @@ def adequacy(
     foretold = (
         float(weights @ rho) - lags / counted
     )  # what fitting so many weights to white noise would seem to foretell
-    force = float(np.sqrt(np.sum(missing**2) / max(1, counted)))
+    judged = np.isfinite(missing) & (innovation != 0.0)
+    force = float(np.sqrt(np.mean(missing[judged] ** 2))) if judged.any() else float("nan")
     return Adequacy(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, foretold), force, force / friction, gain)

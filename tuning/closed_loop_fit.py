@@ -29,7 +29,7 @@ from diffdrive.parameters import (
 from diffdrive.smooth import smooth
 from tuning import inverse_dynamics
 from tuning.fit import FINE_SUBSTEP, sampling_of
-from tuning.inverse_dynamics import LOAD_SPREAD
+from tuning.inverse_dynamics import LOAD_SPREAD, SLOWEST
 from tuning.least_squares import Progress, Search, levenberg_marquardt, silent
 from tuning.ranges import NAMES, inside
 from tuning.regressors import DIRECTIONAL
@@ -41,7 +41,6 @@ from tuning.unknowns import Unknowns, bounds, paths, placed, unknowns_of, value
 MOST_STEPS = 25
 TOLERANCE = 1e-3
 PRIOR = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
-SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 
 
 class Problem(NamedTuple):

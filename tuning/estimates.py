@@ -52,6 +52,7 @@ class Reported(NamedTuple):
         return f"{self.unknown}.{self.side}" if self.side else self.unknown
 
 
+OPEN = 50.0  # half-width in the logarithm, beyond which an interval is simply open
 LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
 
 
@@ -107,16 +108,17 @@ def estimates(
     for row, value, width, direction in zip(before, found, widths, slope, strict=True):
         if row.path in undetermined:
             status = "not determined"
-        elif not np.any(direction != 0.0):
-            status = "fixed"
+        elif row.path in at_bound or (row.path in ends and not np.any(direction)):
+            status = "at its bound"  # its own, or that of what a drive file can say (no viscous friction below zero)
         else:
-            status = "at its bound" if row.path in at_bound else "fitted"
+            status = "fitted" if np.any(direction) else "fixed"
         if status == "at its bound":
             low, high = np.nan, np.nan  # the optimum may lie beyond: no interval describes that
         elif row.key in LINEAR or value <= 0:
             low, high = value - width, value + width
         else:
-            low, high = value * np.exp(-width / value), value * np.exp(width / value)
+            factor = np.exp(min(width / value, OPEN))
+            low, high = value / factor, value * factor
         lowest, highest = ends.get(row.path, {}).get(row.name, (value, value))
         table.append(
             Estimate(

@@ -69,14 +69,15 @@ class Problem(NamedTuple):
     lanes: Lanes
     gains: Gains
     origin: Float[np.ndarray, " free"]  # of the search space
+    prior: Float[np.ndarray, " free"]  # how many units of belief (a factor of five) one unit of y is; 1 in usual bounds
 
 
 @dataclass(frozen=True)
 class Innovations:
     """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
 
-    Innovations over their expected scatter, each `every`-th, then the distance of y from its start. That is a prior of
-    a factor of five (one unit in y): next to nothing where the log says something about a parameter, and what keeps
+    Innovations over their expected scatter, each `every`-th, then the distance of y from its start in units of belief.
+    That is a prior of a factor of five: next to nothing where the log says something about a parameter, and what keeps
     it at its start where the log says nothing.
     """
 
@@ -97,7 +98,7 @@ class Innovations:
     def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
         innovation = self.predict(y, problem).innovation
         weighed = (innovation * problem.lanes.counts / problem.gains.scatter)[:, :: self.every] * np.sqrt(self.every)
-        return jnp.concatenate([weighed.ravel(), y])
+        return jnp.concatenate([weighed.ravel(), problem.prior * y])
 
 
 def sampling_of(rate: float, substep: float) -> Sampling:

@@ -29,7 +29,7 @@ SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_dam
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
 DELAYS = 19  # that are tried before, over the range of the delay
-UNDETERMINED = 0.25  # standard error in units of the prior: the value is not known to a factor of two
+UNDETERMINED = 0.25  # standard error in units of belief: the value is not known to a factor of two
 LEAST_DELAY = 0.01  # control periods, below which a delay is none
 INSEPARABLE = 0.95  # correlation
 
@@ -83,7 +83,7 @@ def identify(
     question = ask(logs, drive, fixed, bounded or {})
     problem, free, rate = question.problem, question.free, question.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
-    y, costs, stopped = _scattered(coarse, problem, starts, seed, progress)
+    y, costs, stopped = _many_starts(coarse, problem, starts, seed, progress)
     progress = _stop if stopped else progress
     wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress)
     lost = _undetermined(wide)
@@ -114,16 +114,21 @@ def identify(
     )
 
 
-def _scattered(
+def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+    """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
+    loose = np.array([one.path.split(".")[0] in SCATTERED for one in free])
+    noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
+    return np.vstack([np.zeros(len(loose)), noise])
+
+
+def _many_starts(
     coarse: Innovations, problem: Problem, starts: int, seed: int, progress: Progress
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
     """The best of several coarse searches, their costs, and whether they were interrupted.
 
     The first starts where the problem says, the others around it.
     """
-    loose = np.array([free.path.split(".")[0] in SCATTERED for free in coarse.free])
-    noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
-    points = np.vstack([np.zeros(len(loose)), noise])
+    points = scattered(coarse.free, starts, seed)
     points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
     found, costs, stopped = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
     return found[int(np.argmin(costs))], costs, stopped
@@ -155,7 +160,7 @@ def _best_delay(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"
 
 def _undetermined(fit: Fit) -> set[str]:
     """What the logs hardly narrow; not what they push against its bound, where the search vector has no more effect."""
-    free, errors = fit.residuals.free, np.sqrt(np.diag(fit.covariance.matrix))
+    free, errors = fit.residuals.free, fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
     pushed = Space(free, fit.problem.origin).near_bound(fit.search.y)
     return {one.path for one, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
 
@@ -180,6 +185,13 @@ def _drive(fit: Fit) -> tuple[Drive, tuple[str, ...]]:
     whole = int(delay)
     fraction = delay - whole
     actuator = replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)
+    for side in ("positive", "negative"):
+        damping, believed = (getattr(one.plant.damping, side) for one in (drive, fit.problem.believed))
+        if damping < believed:
+            remarks.append(
+                f"damping.{side} lowered from {float(believed):.4g} to {damping:.4g} N s/m: the friction found grows "
+                "less with speed than the file's damping alone"
+            )
     friction = drive.friction
     if min(friction.coulomb_screw.positive, friction.coulomb_screw.negative) < 0:
         slope, level = friction.load_coefficient, unknowns.coulomb

@@ -32,6 +32,7 @@ from tuning.zero_phase import decimate, differentiate, kept
 Signal = Float[np.ndarray, " n"]
 
 DYNAMICS = 20.0  # Hz
+SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 BOTH_ENDS = (1.0, 1.0)
 BENCHMARK_BORDERS = (1.0, 0.0)
 LOAD_SPREAD = 0.05  # of the largest load: smaller differences say nothing about the slope

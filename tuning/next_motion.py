@@ -24,7 +24,7 @@ from diffdrive.simulate import Frame, Inputs, inputs_of, rollout
 from diffdrive.smooth import smooth
 from tuning.estimates import Reported, reported
 from tuning.filtering import track
-from tuning.identification import Identified
+from tuning.identification import UNDETERMINED, Identified
 from tuning.prediction import Lanes
 from tuning.refinement import Fit, linearised
 from tuning.uncertainty import LEVEL
@@ -101,11 +101,14 @@ def proposals(
     known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(wide.problem)), 1)[0]
     offered = _offered(identified, controller, sampling, list(motions.values()))
     for k, free in open_ones:
-        before, *after = (_width(information, k) for information in (known, *(known + more for more in offered)))
+        informed = (known, *(known + more for more in offered))
+        before, *after = (_width(information, wide.problem.prior, k) for information in informed)
         best = int(np.argmin(np.where(np.isfinite(after), after, np.inf)))
         unit, slope = _slope(wide, free.path, k)
         scale = width * abs(slope)
-        found.append(Proposal(free.path, list(motions)[best], unit, scale * before, scale * after[best]))
+        helps = wide.problem.prior[k] * after[best] < UNDETERMINED
+        name = list(motions)[best] if helps else ""
+        found.append(Proposal(free.path, name, unit, scale * before, scale * after[best]))
     return found
 
 
@@ -121,8 +124,8 @@ def _slope(wide: Fit, path: str, k: int) -> tuple[str, float]:
     return row(y).unit, float(jax.grad(lambda y: row(y).value)(y)[k])
 
 
-def _width(information: Float[np.ndarray, "k k"], k: int) -> float:
-    return float(np.sqrt(np.linalg.inv(information + np.eye(len(information)))[k, k]))
+def _width(information: Float[np.ndarray, "k k"], prior: Float[np.ndarray, " k"], k: int) -> float:
+    return float(np.sqrt(np.linalg.inv(information + np.diag(prior**2))[k, k]))
 
 
 def _information(value: Array, slope: Array, lanes: int) -> Float[np.ndarray, "lanes k k"]:

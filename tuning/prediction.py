@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from diffdrive import plant
 from diffdrive.actuator import limited
+from diffdrive.friction import stribeck_level
 from diffdrive.parameters import Drive, Sampling, Scalar, require_double_precision
 
 LONGEST_DELAY = 8  # control periods
@@ -81,11 +82,8 @@ def acting_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]
 
 def moving(drive: Drive, lane: Lanes) -> plant.PlantState:
     """Where one lane begins: where it is measured, at its velocity, the bristle bent as that velocity bends it."""
-    friction = drive.friction
-    level = friction.coulomb_screw.towards(lane.velocity) + friction.load_coefficient.towards(lane.velocity) * (
-        friction.initial_load + lane.load[0]
-    )
-    bent = level / friction.bristle_stiffness.towards(lane.velocity)
+    stiffness = drive.friction.bristle_stiffness.towards(lane.velocity)
+    bent = stribeck_level(drive.friction, lane.velocity, lane.load[0]) / stiffness
     return plant.PlantState(lane.position[0], lane.velocity, bent * jnp.tanh(lane.velocity / SLIDING))
 
 

@@ -11,7 +11,7 @@ from diffdrive.logs import Log
 from diffdrive.parameters import Drive, check_drive
 from tuning import inverse_dynamics
 from tuning.fit import Problem, lanes_of, noise_floor
-from tuning.inverse_dynamics import LOAD_SPREAD
+from tuning.inverse_dynamics import LOAD_SPREAD, SLOWEST
 from tuning.prediction import LONGEST_DELAY, constant_gains
 from tuning.ranges import NAMES, free_space
 from tuning.regressors import DIRECTIONAL
@@ -20,7 +20,6 @@ from tuning.space import Free
 from tuning.unknowns import paths, unknowns_of
 
 SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
-SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
 
 
@@ -57,6 +56,7 @@ def ask(
         lanes=lanes,
         gains=constant_gains(_rough_bandwidth(drive, rate), noise, lanes, 1.0 / rate),
         origin=np.zeros(0),
+        prior=np.zeros(0),
     )
     held, unasked = _held(fixed), frozenset[str]()
     if "coulomb" in held and "load_coefficient" not in held and not _one_load(problem):

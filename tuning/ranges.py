@@ -45,7 +45,14 @@ def free_space(
         free.append(limits)
     if not free:
         raise ParameterError("every parameter is fixed: leave at least one free")
-    return problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin), tuple(free), notes
+    prior = np.array([_reach(one) / _reach(_usual(problem, one.path)) for one in free])
+    within = problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin, prior=prior)
+    return within, tuple(free), notes
+
+
+def _reach(limits: Free) -> float:
+    """How far bounds are apart, in the coordinate in which the parameter moves."""
+    return float(np.log(limits.high / limits.low)) if limits.low > 0 else limits.high - limits.low
 
 
 def _usual(problem: Problem, path: str) -> Free:
@@ -77,6 +84,8 @@ def _given(
             if path.split(".")[0] != stem:
                 continue
             shift, unit = 0.0, 1.0
+            if name == "viscous":  # only the sum with the damping acts
+                shift = value(problem.believed.plant, path.replace("viscous", "damping"))
             if name == "coulomb_screw":
                 slope = value(before, path.replace("coulomb", "load_coefficient"))
                 shift = slope * float(friction.initial_load)

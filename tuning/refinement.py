@@ -93,14 +93,24 @@ def _alternated(
         likelier = then.deviance < best.deviance - LIKELIER
         if likelier:
             y, best = fit.search.y, then
-        if process == best.process or kept is None:
-            kept = fit  # the gains of the last word are those of the likeliest process
-        if interrupted(fit.search) or (not likelier and process == best.process):
+        if likelier or process == best.process or kept is None:
+            kept = fit  # in the end the one whose gains are those of the likeliest process
+        if interrupted(fit.search):
+            kept = _ended(kept, fit.search.status)
+            break
+        if not likelier and process == best.process:
             break
         if not likelier:
             boldness = 1.0  # it was too bold: not again
+    else:
+        kept = _ended(kept, f"stopped after {MOST_ROUNDS} rounds of filtering")
     assert kept is not None
     return kept._replace(process=best.process, gain=best.gain, steps=steps)
+
+
+def _ended(fit: Fit | None, status: str) -> Fit:
+    assert fit is not None  # no round passes without one
+    return fit._replace(search=dataclasses.replace(fit.search, status=status))
 
 
 def interrupted(search: Search) -> bool:
@@ -152,7 +162,8 @@ def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem)
     shape = problem.lanes.position.shape
     value, slope = (np.asarray(one) for one in linearised(fine, jnp.asarray(y), as_arrays(problem)))
     samples = shape[0] * shape[1]
-    return sandwich(value[:samples].reshape(shape), slope[:samples].reshape(*shape, -1), fine.sampling.rate)
+    residual, jacobian = value[:samples].reshape(shape), slope[:samples].reshape(*shape, -1)
+    return sandwich(residual, jacobian, fine.sampling.rate, np.asarray(problem.prior))
 
 
 def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, " k"], Problem]:
@@ -174,21 +185,23 @@ def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, "
             believed = 1.0 + float(gap) / value(level, f"coulomb.{side}")
         unknowns = placed(unknowns, path, float(np.clip(believed, low, high)))
     smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, kept)))
-    return smaller, fit.search.y[kept], problem._replace(unknowns=unknowns, origin=np.asarray(problem.origin)[kept])
+    origin, prior = np.asarray(problem.origin)[kept], np.asarray(problem.prior)[kept]
+    return smaller, fit.search.y[kept], problem._replace(unknowns=unknowns, origin=origin, prior=prior)
 
 
 def missing_force(fit: Fit) -> Float[np.ndarray, "lanes n"]:
     """The force (N) that the filter's corrections of the velocity stand for, averaged over `SMOOTHING`.
 
-    Zero during `SETTLING`, while the filter finds the velocity and the bristle that the log began with.
+    NaN where there is no log, and during `SETTLING`, while the filter finds the velocity and the bristle that the log
+    began with.
     """
     drive, _ = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)
     sampling = fit.residuals.sampling
     force = float(drive.plant.mass) * sampling.rate * np.asarray(fit.problem.gains.velocity) * fit.innovation
     width = max(1, round(SMOOTHING * sampling.rate))
     smooth = scipy.ndimage.uniform_filter1d(force, width, axis=1)
-    smooth[:, : round(SETTLING * sampling.rate)] = 0.0
-    return smooth
+    smooth[:, : round(SETTLING * sampling.rate)] = np.nan
+    return np.where(np.asarray(fit.problem.lanes.counts) > 0, smooth, np.nan)
 
 
 def friction_of(fit: Fit) -> float:

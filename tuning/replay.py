@@ -17,15 +17,13 @@ from jaxtyping import Array, Bool, Float
 from diffdrive.actuator import ActuatorState, limited
 from diffdrive.controllers import Controller, Reference
 from diffdrive.errors import LogError, ParameterError
-from diffdrive.friction import stribeck_level
 from diffdrive.logs import Log
 from diffdrive.motion import from_array
 from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
-from diffdrive.plant import PlantState
 from diffdrive.run import Status
 from diffdrive.simulate import Inputs, LoopState, rollout
 from tuning.fit import FINE_SUBSTEP, SHORTEST, lanes_of, sampling_of
-from tuning.prediction import SLIDING, Gains, Lanes, predict
+from tuning.prediction import Gains, Lanes, moving, predict
 
 PAST = 10  # samples before the log over which the controller is warmed up
 FIRST = 5e-3  # s, and PAST samples at least: through so much the parabola at the first sample is laid
@@ -88,17 +86,14 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
     samples of table and reference extrapolated backwards, under the first command: that fills difference quotients and
     short filters. What a controller remembers for longer, an integral or a slow observer, begins as at rest.
     """
-    friction, lane = drive.friction, at.lanes
-    level = stribeck_level(friction, lane.velocity, lane.load[0]) / friction.bristle_stiffness.towards(lane.velocity)
-    table = PlantState(lane.position[0], lane.velocity, level * jnp.tanh(lane.velocity / SLIDING))
-    force = limited(drive.actuator, lane.command[0])
+    force = limited(drive.actuator, at.lanes.command[0])
 
     def before(state: Any, sample: tuple[Reference, Scalar]) -> tuple[Any, None]:
         return controller.step(state, *sample, force, period)[0], None
 
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
     under_way = ActuatorState((force,) * drive.actuator.delay_samples, force, force)
-    return LoopState(table, under_way, warm, jnp.zeros((), jnp.uint32))
+    return LoopState(moving(drive, at.lanes), under_way, warm, jnp.zeros((), jnp.uint32))
 
 
 def replay(drive: Drive, controller: Controller, given: Given, sampling: Sampling) -> Replayed:

@@ -26,10 +26,9 @@ from tuning import inverse_dynamics
 from tuning.curves import stribeck_curves
 from tuning.evolution import BLOCK, Budget, Evolution, Population, evolve, origin_share, point
 from tuning.friction_along import friction_along
-from tuning.inverse_dynamics import DYNAMICS
+from tuning.inverse_dynamics import DYNAMICS, SLOWEST
 from tuning.least_squares import levenberg_marquardt
 from tuning.measured_friction import MeasuredFriction, measured_friction, passes
-from tuning.question import SLOWEST
 from tuning.regressors import DIRECTIONAL
 from tuning.seed import seed_drive
 from tuning.space import Free, Space, space_of

@@ -53,18 +53,21 @@ def autocorrelation(residual: Float[np.ndarray, "lanes n"], lags: int) -> Float[
 
 
 def sandwich(
-    residual: Float[np.ndarray, "lanes n"], jacobian: Float[np.ndarray, "lanes n k"], rate: float
+    residual: Float[np.ndarray, "lanes n"],
+    jacobian: Float[np.ndarray, "lanes n k"],
+    rate: float,
+    prior: Float[np.ndarray, " k"] | float = 1.0,
 ) -> Covariance:
     """Covariance of y from residuals (any unit) and their derivative with respect to y.
 
-    A unit prior on y (tuning.fit.Innovations) is part of both H and W: where the data say nothing the standard error is
-    one.
+    The `prior` on y, one over its standard deviation (tuning.fit.Innovations), is part of both H and W: where the data
+    say nothing, that is the standard error.
     """
     lanes, samples, count = jacobian.shape
     # what diverges from a bad point would overflow when squared
     largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
-    jacobian, prior = jacobian / largest, np.diag(largest**-2.0)
-    information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + prior
+    jacobian, believed = jacobian / largest, np.diag((prior / largest) ** 2)
+    information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + believed
     enough = lanes * samples // (FEWEST_BLOCKS_PER_PARAMETER * count)
     block = min(samples, max(round(BLOCK * rate), min(2 * memory(residual), enough)))
     filled = -(-samples // block) * block  # the last block of a lane may be short
@@ -77,7 +80,7 @@ def sandwich(
     inverse = np.linalg.inv(scaled)
     if blocks > count:
         # each fitted parameter has taken a block's worth of scatter out of the sums
-        scatter = (sums.T @ sums * (blocks / (blocks - count)) + prior) / np.outer(scale, scale)
+        scatter = (sums.T @ sums * (blocks / (blocks - count)) + believed) / np.outer(scale, scale)
         # a few blocks can agree by chance: no variance below that of white residuals
         matrix = _at_least(inverse @ scatter @ inverse, _variance(residual, 0) * inverse)
     else:
