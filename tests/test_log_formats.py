@@ -87,6 +87,14 @@ DIALECTS = {
     "units as suffix": "time_ms,reference_mm,position_um,command_kN\n" + rows(columns=in_units()),
     "unit row": NAMES + "\nms,mm,um,kN\n" + rows(columns=in_units()),
     "unit row in brackets": NAMES + "\n[ms],[mm],[um],[kN]\n" + rows(columns=in_units()),
+    "unit row with a unit of no channel": NAMES + ",speed\nms,mm,um,kN,rpm\n" + rows(columns=(*in_units(), TIME)),
+    "unit row, mostly of no channel": NAMES
+    + ",a,b,c,d,e\nms,mm,um,kN,rpm,%,bar,Nm,inc\n"
+    + rows(columns=(*in_units(), *5 * [TIME])),
+    "unit row with a label": "," + NAMES + '\nunit,"ms","mm","um","kN"\n,' + rows(end="\n,", columns=in_units())[:-1],
+    "label above the row numbers": "signal," + NAMES + "\n[unit],ms,mm,um,kN\n" + rows(columns=(TIME, *in_units())),
+    "unit row longer by its label": NAMES + "\nUnits:,ms,mm,um,kN\n" + rows(columns=in_units()),
+    "preamble as wide as the table": "Machine,Axis X,s,kN\n" + NAMES + "\n" + rows(),
     "a text column": NAMES + ",state\n" + rows(end=",RUN\n"),
     "EOF mark": NAMES + "\n" + rows() + "EOF\n",
 }
@@ -143,7 +151,14 @@ def test_columns_without_a_header_are_numbered(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stamp", "first"), [("2024-05-01T12:00:0{:.3f}", "2024-05-01"), ("12:00:0{:.3f}", "12:00:00.000")]
+    ("stamp", "first"),
+    [
+        ("2024-05-01T12:00:0{:.3f}", "2024-05-01"),
+        ("12:00:0{:.3f}", "12:00:00.000"),
+        ("9:00:0{:.3f}", "9:00:00.000"),
+        ("26.03.2024 12:00:0{:.3f}", "26.03.2024 12:00:00.000"),
+        ("1.3.2024 9:59:5{:.3f}", "1.3.2024 9:59:50.000"),
+    ],
 )
 def test_dates_and_times_of_day_count_from_the_first(stamp, first, tmp_path):
     path = tmp_path / "log.csv"
@@ -161,6 +176,16 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path):
     log = read_log(path)
     assert_is_the_log(log)
     assert log.notes == (f"line {N + 2}, the last, is cut off and was left out",)
+
+
+def test_stamps_may_begin_late_and_end_in_commas(tmp_path):
+    path = tmp_path / "log.csv"
+    texts = ["", *(f"26.03.2024 9:00:0{t:.3f}".replace(".", ",").replace(",", ".", 2) for t in TIME[1:])]
+    body = "\n".join(f"{t};{r!r};{p!r};{c!r}" for t, r, p, c in zip(texts, *COLUMN_LISTS, strict=True))
+    path.write_text(NAMES.replace(",", ";") + "\n" + body)
+    log = read_log(path)
+    np.testing.assert_allclose(log.time, TIME[1:] - TIME[1], atol=1e-12)
+    assert "time is counted from its first stamp, 26.03.2024 9:00:00,001" in log.notes
 
 
 # --- MAT --------------------------------------------------------------------------------------------------------------
@@ -256,6 +281,23 @@ def write_v73(path, variables: dict) -> None:
         file.write(header.ljust(124, b" ") + b"\x00\x02IM")
 
 
+@pytest.mark.parametrize("version", ["5", "7.3"])
+@pytest.mark.parametrize("shape", [(1, 2), (2, 1), (2, 2), (500, 2)])
+def test_simulink_matrices_have_time_last(shape, version, tmp_path):
+    path = tmp_path / "log.mat"
+    axis = np.zeros((*shape, N))
+    first, last = (0, 0), tuple(size - 1 for size in shape)
+    axis[first], axis[last] = REFERENCE, POSITION
+    signals = [(axis, "axis", 2.0), (COMMAND.reshape(1, 1, N), "command", 1.0)]
+    held = {"time": TIME.reshape(-1, 1), "signals": np.array(signals, dtype=simulink()["signals"].dtype)}
+    if version == "7.3":
+        write_v73(path, {"out": held})
+    else:
+        scipy.io.savemat(path, {"out": held})
+    names = [f"axis({i + 1},{j + 1})" if min(shape) > 1 else f"axis({max(i, j) + 1})" for i, j in (first, last)]
+    assert_is_the_log(read_log(path, Mapping(dict(zip(("reference", "position"), names, strict=True)))))
+
+
 @pytest.mark.parametrize("version", ["4", "5", "7.3"])
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_mat_structures(structure, version, tmp_path):
@@ -314,6 +356,70 @@ BAD_CSV = {
     "thousands": (
         NAMES.replace(",", ";") + "\n" + rows(";", ",").replace("\n", "\n0,0005;1.234,5;0,0;0,0\n", 1),
         "line 3, column 'reference': '1.234,5' is not a number",
+    ),
+    **{
+        f"thousands, {name}": (
+            delimiter.join(["time", "position", "command"]) + "\n"
+            + rows(delimiter, decimal, columns=(TIME, TIME, COMMAND))
+            + last,
+            f"line {N + 2}, column 'position': '{cell}' is not a number where the decimal sign is '{decimal}'; "
+            "remove the thousands separators",
+        )
+        for name, delimiter, decimal, cell, last in (
+            ("points beside decimal commas", ";", ",", "1.004", "0,4;1.004;7\n"),
+            ("points beside decimal commas, tabs", "\t", ",", "-1.004", "0,4\t-1.004\t7\n"),
+            ("commas beside decimal points", ";", ".", "1,004", "0.4;1,004;7\n"),
+            ("commas in quotes", ",", ".", "12,004", '0.4,"12,004",7\n'),
+            ("commas and a decimal point", ";", ".", "1,004.5", "0.4;1,004.5;7\n"),
+            ("millions", ";", ",", "1.004.000", "0,4;1.004.000;7\n"),
+        )
+    },
+    "thousands in all rows of one column": (
+        "time;position;command\n" + "".join(f"{k}.5;1,{k:03};{k}\n" for k in range(100, 200)),
+        "line 2, column 'position': '1,100' is not a number where the decimal sign is '.'; remove the thousands",
+    ),
+    "thousands in all rows of two columns": (
+        "time;position;command\n" + "".join(f"{k},5;1.{k:03};2.{k:03}\n" for k in range(100, 200)),
+        "line 2, column 'position': '1.100' is not a number where the decimal sign is ','; remove the thousands",
+    ),
+    "thousands, all but some with decimals": (
+        "time;position;command\n" + "".join(f"{k};1.{k},5;1.{k}\n" for k in range(100, 200)),
+        "line 2, column 'position': '1.100,5' is not a number where the decimal sign is ','; remove the thousands",
+    ),
+    "two decimal signs": (
+        "time;position;command\n" + rows(";", columns=(TIME, POSITION, COMMAND)) + "0.4;0,5;7\n",
+        f"line {N + 2}, column 'position': '0,5' is not .* write decimals with one sign",
+    ),
+    "decimal comma without quotes": (NAMES + "\n" + rows(",", ","), "decimal comma without quotes; export with semico"),
+    "decimal comma without quotes, whole times": (
+        "time,position,command\n" + rows(columns=(TIME, POSITION, COMMAND)).replace("0.0,", "0,").replace(".", ","),
+        "cells below the 3 names in line 1: decimal comma without quotes",
+    ),
+    "decimal comma without quotes, one column": (
+        "time,position,command\n" + "".join(f"{k},{k % 7},0,{k:03}\n" for k in range(50)),
+        "line 2 has 4 cells below the 3 names in line 1: decimal comma without quotes; export with semicolons or",
+    ),
+    "a header that is too short": ("time,position,command\n" + rows(), "no column is called"),
+    "a unit of no channel": (
+        NAMES + "\ns,mm,um,%\n" + rows(),
+        r"column 'command': '%' is no unit of the command; correct .* \[units\] command = \"0\.05 N\"",
+    ),
+    "a label for a unit": (NAMES + "\nunit,mm,um,N\n" + rows(), r"column 'time': 'unit' is no .* time = \"ms\""),
+    "stamps of another form": (
+        NAMES + "\n" + "".join(f"3/26/24 9:00:00.{k:03},0.1,0.2,{k}\n" for k in range(100)),
+        r"line 2, column 'time': '3/26/24 9:00:00\.000' is no time that can be read; export it as .* 26\.03\.2024",
+    ),
+    "minutes and seconds": (
+        NAMES + "\n" + "".join(f"00:00.{k:03},0.1,0.2,{k}\n" for k in range(100)),
+        r"'00:00\.000' is no time that can be read; export it as seconds or counts, 9:00:00\.000, ",
+    ),
+    "a stamp that is none": (
+        NAMES + "\n9:00:00.000,0,0,0\n9:00:00.001,0,0,0\n9:00:0o.002,0,0,0\n9:00:00.003,0,0,0\n",
+        r"line 4, column 'time': '9:00:0o\.002' is no time like '9:00:00\.000'; correct or empty this cell",
+    ),
+    "a day that is none": (
+        NAMES + "\n28.02.2023 9:00:00,0,0,0\n29.02.2023 9:00:00,0,0,0\n1.3.2023 9:00:00,0,0,0\n",
+        r"line 3, column 'time': '29\.02\.2023 9:00:00' is no time like '28\.02\.2023",
     ),
     "short row": (spoilt(57, "0.055,0.1"), "line 57 has 2 columns, the other rows have 4"),
     "long row": (spoilt(57, "0.055,0.1,0,0,0"), "line 57 has 5 columns, the other rows have 4"),

@@ -176,6 +176,36 @@ def test_time_must_increase(stamps, unit, says, read):
         read(stamps, mapping=Mapping(units={"time": f"{unit!r} s"}))
 
 
+# --- several clocks ---------------------------------------------------------------------------------------------------
+
+MS = np.arange(400)
+CLOCKS = {
+    "half the rate": (
+        2 * MS,
+        r"line 5: the command's .* is 1 ms ahead of 'time', with 2 ms per row beside 1 ms; export",
+    ),
+    "twice the rate": (0.5 * MS, r"line 5: .* is 0\.5 ms behind 'time', with 0\.5 ms per row beside 1 ms"),
+    "half the rows": ([*map(str, 2 * MS[:200]), *200 * [""]], r"line 5: .* is 1 ms ahead of 'time', with 2 ms per row"),
+    "part of a sample": (MS + 0.3, r"line 4: .* is 0\.3 ms ahead of 'time'; export channels of one task"),
+    "samples and a half": (MS - 2.5, r"line 4: .* is 2\.5 ms behind 'time'; export"),
+    "drift": (MS * 1.001, r"line 55: .* is 0\.051 ms ahead of 'time'; export"),
+    "a restart": (MS + 5 * (MS > 300), r"line 305: .* is 5 ms ahead of 'time'; export"),
+    "another recording": (MS + 5000, r"line 4: .* is 5000 ms ahead of 'time'; export"),
+}
+
+
+@pytest.mark.parametrize(("clock", "says"), CLOCKS.values(), ids=CLOCKS.keys())
+def test_channels_on_another_clock_are_refused(clock, says, tmp_path):
+    """TwinCAT Scope writes a clock for each channel: read by rows, the command would be late or compressed in time."""
+    path = tmp_path / "scope.csv"
+    rows = "".join(f"{k}\t{k}\t{own}\t{k if str(own) else ''}\n" for k, own in zip(MS, clock, strict=True))
+    path.write_text("Name\tposition\tName\tcommand\nUnit\tmm\tUnit\tN\n\n" + rows)
+    with pytest.raises(LogError, match=says) as error:
+        read_log(path, rate=RATE)
+    assert str(error.value).startswith(f"{path}: line")
+    assert "'command.clock'" in str(error.value)
+
+
 # --- rate -------------------------------------------------------------------------------------------------------------
 
 

@@ -3,13 +3,14 @@
 import csv
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from diffdrive.logs.table import MISSING, NUMBER
+from diffdrive.logs.table import GROUPED, MISSING, is_of_either_style
 
-# a decimal comma before a comma as delimiter is only possible in quotes; white space comes last, as others have it too
-_CANDIDATES = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (",", ","), (" ", "."), (" ", ","))
+_DELIMITERS = (";", "\t", ",", " ")  # white space comes last, as others have it too
 _SAMPLED = 100  # lines at the end of the file: the preamble is at its beginning
+_SPREAD = 1000  # lines all over the file, for the decimal sign: at rest a log may end in whole numbers
+_LAST_SIGN = re.compile(r"[.,](?!.*[.,])")
 
 
 @dataclass(frozen=True)
@@ -27,43 +28,51 @@ class Dialect:
             return [cell.strip('"') for cell in line.split()]
         return [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])]
 
-    def is_number(self, cell: str) -> bool:
-        """Whether the cell is a number in this dialect; an empty one is not."""
-        return NUMBER.fullmatch(self.plain(cell)) is not None
-
-    def plain(self, cell: str) -> str:
-        """The cell with a decimal point; one that holds a point beside its decimal comma is left as it is."""
-        return cell.replace(",", ".") if self.decimal == "," and "." not in cell else cell
-
     def is_data(self, line: str) -> bool:
         """Whether a line is a row of the table: not a header, nor a line such as 'SampleTime[ms];2;SampleTime[ms];2'.
 
-        One bad cell among good ones does not make a row a header.
+        One bad cell among good ones does not make a row a header, nor does a number with the other decimal sign.
         """
         cells = self.split(line)
         if len(cells) != self.width:
             return False
-        numbers = [self.is_number(cells[k]) or (k > 0 and cells[k].casefold() in MISSING) for k in self.numeric]
+        numbers = [is_of_either_style(cells[k]) or (k > 0 and cells[k].casefold() in MISSING) for k in self.numeric]
         share = sum(numbers) / len(numbers)
         return share > 0.5 or (share == 0.5 and numbers[0])
 
 
 def dialect_of(lines: list[str]) -> Dialect | None:
-    """The dialect in which most cells of the last lines are numbers, in the same columns; None if none are."""
+    """The dialect in which most cells of the last lines are numbers, in the same columns; None if none are.
+
+    A decimal comma before a comma as delimiter is only possible in quotes.
+    """
     sample = [line for line in lines[-_SAMPLED:] if line]
     best, most = None, 0.0
-    for delimiter, decimal in _CANDIDATES:
-        trial = Dialect(delimiter, decimal, 0, ())
+    for delimiter in _DELIMITERS:
+        trial = Dialect(delimiter, ".", 0, ())
         rows = [trial.split(line) for line in sample]
         [(width, alike)] = Counter(map(len, rows)).most_common(1)
         if width < 2:
             continue
-        counts = [sum(trial.is_number(row[k]) for row in rows if len(row) == width) for k in range(width)]
+        counts = [sum(is_of_either_style(row[k]) for row in rows if len(row) == width) for k in range(width)]
         numeric = tuple(k for k, count in enumerate(counts) if count >= 0.5 * alike)
         score = sum(counts) / len(rows)
         if numeric and score > most:
-            best, most = Dialect(delimiter, decimal, width, numeric), score
-    return best
+            best, most = Dialect(delimiter, ".", width, numeric), score
+    return best and replace(best, decimal=_decimal(lines, best))
+
+
+def _decimal(lines: list[str], dialect: Dialect) -> str:
+    """The decimal sign of most numbers; those that may be thousands in groups count only where there are no others."""
+    spread = (dialect.split(line) for line in lines[:: max(1, len(lines) // _SPREAD)])
+    cells = [cell for row in spread if len(row) == dialect.width for cell in row if is_of_either_style(cell)]
+    sure, doubtful = Counter(), Counter()
+    for cell in cells:
+        if sign := _LAST_SIGN.search(cell):
+            of_two = "." in cell and "," in cell  # in 1.004,5 the comma is the decimal sign for sure
+            (doubtful if GROUPED.fullmatch(cell) and not of_two else sure)[sign[0]] += 1
+    counted = sure or doubtful
+    return "," if counted[","] > counted["."] else "."
 
 
 def first_row(lines: list[str], dialect: Dialect) -> int | None:
@@ -82,6 +91,7 @@ def header_cells(line: str, dialect: Dialect) -> list[str] | None:
     cells = dialect.split(line)
     while len(cells) > dialect.width and not cells[-1]:
         cells.pop()
-    if len(cells) == dialect.width - 1 and dialect.delimiter != " ":  # rows may end in a delimiter, headers not
+    ends_empty = dialect.delimiter != " " and dialect.width - 1 not in dialect.numeric
+    if len(cells) == dialect.width - 1 and ends_empty:  # rows may end in a delimiter, headers not
         cells.append("")
     return cells if len(cells) == dialect.width else None

@@ -10,6 +10,7 @@ import numpy as np
 from diffdrive.errors import LogError
 from diffdrive.logs.csv_dialect import Dialect, dialect_of, first_row
 from diffdrive.logs.csv_header import header_of
+from diffdrive.logs.csv_unquoted import refuse_unquoted
 from diffdrive.logs.table import Table
 
 _COMMENTS = ("#", "%")
@@ -36,6 +37,7 @@ def read_csv(path: Path) -> Table:
             f"{path}: has no rows of numbers, only text such as '{next(filter(None, lines))[:60]}'; a log needs "
             "columns of numbers below one header line"
         )
+    refuse_unquoted(str(path), kept, start, dialect)
     begin = kept[start][0]
     # a header may itself be a comment, as numpy.savetxt writes it
     preamble = [line.lstrip("".join(_COMMENTS) + " ") for line in lines[: begin - 1] if line]
@@ -45,7 +47,8 @@ def read_csv(path: Path) -> Table:
     columns = {name: _column(column, dialect) for name, column in zip(header.names, cells, strict=True)}
     named = {name: values for name, values in columns.items() if not _is_trailing(name, values)}
     units = {name: unit for name, unit in header.units.items() if name in named}
-    return Table(str(path), named, units, np.array([number for number, _ in rows]), tuple(notes))
+    numbers = np.array([number for number, _ in rows])
+    return Table(str(path), named, units, numbers, tuple(notes), dialect.decimal, header.clocks)
 
 
 def _decoded(path: Path, raw: bytes) -> str:
@@ -94,12 +97,13 @@ def _cells(lines: list[str], dialect: Dialect) -> Iterable[tuple[str, ...]]:
 
 
 def _column(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
-    """Whole numbers, numbers, or text for `Table.numbers` to judge."""
-    plain = cells if dialect.decimal == "." else [*map(dialect.plain, cells)]
-    for kind in (np.int64, np.float64):
+    """Whole numbers, numbers, or text for `Table.numbers` to judge, such as points beside decimal commas."""
+    mixed = dialect.decimal == "," and any("." in cell for cell in cells)
+    plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]
+    for kind in () if mixed else (np.int64, np.float64):
         with contextlib.suppress(ValueError, OverflowError):
             return np.array(plain, dtype=kind)
-    return np.array([cell.strip() for cell in plain], dtype=object)
+    return np.array([cell.strip() for cell in cells], dtype=object)
 
 
 def _is_trailing(name: str, values: np.ndarray) -> bool:

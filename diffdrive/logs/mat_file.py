@@ -1,7 +1,7 @@
 """Reads MAT files, v4 to v7.3, and writes v5: variables, nested structures, dSPACE recordings, Simulink logs.
 
 A column is called by its path: 'qm', 'rig.axis.position', 'dspace.Y.pos', 'out.label', 'data(2)' for a matrix's second
-column. Single values and texts are no columns.
+column, 'data(1,2)' for an element of matrices in time. Single values and texts are no columns.
 """
 
 import warnings
@@ -89,11 +89,11 @@ def _simulink(path: str, held: dict[str, Any]) -> Iterator[Column]:
     """'Structure with time': time, signals(i).values and signals(i).label."""
     for name, values in _signals(f"{path}.time", held.get("time")):
         yield name, values, None
-    signals = held["signals"]
+    signals, count = held["signals"], np.size(held.get("time"))
     values, labels = _listed(signals["values"]), _listed(signals.get("label", []))
     for k, data in enumerate(values):
         label = labels[k] if k < len(labels) and isinstance(labels[k], str) and labels[k] else f"signals({k + 1})"
-        for name, column in _signals(f"{path}.{label}", data):
+        for name, column in _signals(f"{path}.{label}", data, count):
             yield name, column, None
 
 
@@ -102,13 +102,21 @@ def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _signals(path: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """A vector as it is, a matrix column by column, signals in time along its longer side."""
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.size < 2 or value.ndim > 2:
+def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[str, np.ndarray]]:
+    """A vector as it is, a matrix column by column, signals in time along its longer side, or the one of `count`.
+
+    In an array of three dimensions time is the last one, as Simulink writes matrices.
+    """
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.size < 2 or value.ndim > 3:
         return
     if value.ndim == 1:
         yield path, value
-        return
-    upright = value if value.shape[0] >= value.shape[1] else value.T
-    for k in range(upright.shape[1]):
-        yield f"{path}({k + 1})", upright[:, k]
+    elif value.ndim == 3:
+        for i, j in np.ndindex(value.shape[:2]):
+            yield f"{path}({i + 1},{j + 1})", value[i, j]
+    else:
+        rows, columns = value.shape
+        lies = columns == count if count in value.shape and rows != columns else rows < columns
+        upright = value.T if lies else value
+        for k in range(upright.shape[1]):
+            yield f"{path}({k + 1})", upright[:, k]

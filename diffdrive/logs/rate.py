@@ -3,7 +3,8 @@
 from diffdrive.errors import LogError
 from diffdrive.logs.grid import Grid
 
-RATE_TOLERANCE = 1e-3  # relative: crystals agree far better, wrong settings far worse
+# relative, for whoever compares rates: crystals agree far better, wrong settings far worse
+RATE_TOLERANCE = 1e-3
 _TOLD = 0.01  # periods of drift over the log
 LARGEST_FACTOR = 50  # of decimation or oversampling
 _UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns", 60.0: "min"}

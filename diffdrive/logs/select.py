@@ -7,13 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.column_unit import FORCES, Conversion, split
+from diffdrive.logs.clocks import onto_time
+from diffdrive.logs.column_unit import FORCES, Conversion, fits, split
 from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.stamps import integer_seconds, text_seconds
 from diffdrive.logs.table import Table
 
 _LISTED = 30  # columns named in an error
+_EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
 
 def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conversion, list[str]]:
@@ -39,7 +41,8 @@ def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conve
             notes += said
         else:
             signals[channel] = to_si(table.numbers(column))
-    return signals, clock, notes
+    signals, said = onto_time(table, chosen, signals, clock)
+    return signals, clock, notes + said
 
 
 def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
@@ -117,6 +120,11 @@ def _conversion(table: Table, mapping: Mapping, channel: str, column: str) -> tu
                 f'or N; write [units] {channel} = "V", "A" or "N"'
             )
         return Conversion(1.0), []
+    if ordered is None and not fits(channel, said):
+        raise LogError(
+            f"{where}: '{said}' is no unit of the {channel}; correct the file's header, or write what one unit of the "
+            f'column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'
+        )
     if ordered is None:
         return mapping.conversion(channel, said, where), []
     chosen = mapping.conversion(channel, ordered, where)
@@ -131,7 +139,7 @@ def _conversion(table: Table, mapping: Mapping, channel: str, column: str) -> tu
 
 def _seconds(table: Table, column: str, to_si: Conversion) -> tuple[np.ndarray, Conversion, list[str]]:
     values = table.columns[column]
-    if values.dtype.kind == "O" and (parsed := text_seconds(values)) is not None:
+    if (parsed := text_seconds(table, column)) is not None:
         return parsed[0], Conversion(1.0), [parsed[1]]
     if values.dtype.kind in "iu" and (counted := integer_seconds(values)) is not None:
         return to_si(counted[0]), to_si, [counted[1]]

@@ -8,6 +8,8 @@ import numpy as np
 from diffdrive.errors import LogError
 
 NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?\s*")
+# one to three digits, then groups of three: 1.004 may mean 1004, but 0.004 and 1.5 are no thousands
+GROUPED = re.compile(r"\s*[-+]?(?!0+[.,])\d{1,3}(\.\d{3})+(,\d*)?\s*|\s*[-+]?(?!0+[.,])\d{1,3}(,\d{3})+(\.\d*)?\s*")
 MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-nan", "inf", "-inf", "+inf", "infinity", "-infinity")
 
 
@@ -15,7 +17,8 @@ MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-nan", "inf", "-inf"
 class Table:
     """Columns by name, one-dimensional: numbers, or text where some cell is no number; `source` names the file.
 
-    `units` are those that the file itself states, by column; `lines` the line of each row in a text file.
+    `units` are those that the file itself states, by column; `lines` the line of each row in a text file, `decimal` its
+    decimal sign; `clocks` the column of each column's own time stamps, where a file has several clocks.
     """
 
     source: str
@@ -23,6 +26,8 @@ class Table:
     units: dict[str, str] = field(default_factory=dict)
     lines: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    decimal: str = "."
+    clocks: dict[str, str] = field(default_factory=dict)
 
     def where(self, row: int) -> str:
         """Row `row` as an engineer finds it in the file: its line, or its number counted from 1."""
@@ -34,18 +39,33 @@ class Table:
         if values.dtype.kind in "fiub":
             return values.astype(np.float64)
         cells = [str(cell).strip() for cell in values]
-        bad = next((k for k, cell in enumerate(cells) if not _numeric(cell)), None)
+        bad = next((k for k, cell in enumerate(cells) if not numeric(cell, self.decimal)), None)
         if bad is None:
             return np.array([_value(cell) for cell in cells])
         raise LogError(
-            f"{self.source}: {self.where(bad)}, column '{name}': '{cells[bad]}' is not a number; "
-            "correct or empty this cell"
+            f"{self.source}: {self.where(bad)}, column '{name}': '{cells[bad]}' is not a number"
+            f"{_mend(cells[bad], self.decimal)}"
         )
 
 
-def _numeric(cell: str) -> bool:
-    return cell.casefold() in MISSING or NUMBER.fullmatch(cell) is not None
+def numeric(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number with this decimal sign, or stands for a missing one."""
+    if cell.casefold() in MISSING:
+        return True
+    # a point beside a decimal comma separates thousands, or is a decimal sign too: nobody can say which
+    return not (decimal == "," and "." in cell) and NUMBER.fullmatch(cell.replace(decimal, ".")) is not None
+
+
+def is_of_either_style(cell: str) -> bool:
+    """Whether a cell is a number with a decimal point or comma, or with thousands in groups."""
+    return NUMBER.fullmatch(cell.replace(",", ".")) is not None or GROUPED.fullmatch(cell) is not None
+
+
+def _mend(cell: str, decimal: str) -> str:
+    if not is_of_either_style(cell):
+        return "; correct or empty this cell"
+    return f" where the decimal sign is '{decimal}'; remove the thousands separators, and write decimals with one sign"
 
 
 def _value(cell: str) -> float:
-    return np.nan if cell.casefold() in MISSING else float(cell.replace("D", "E").replace("d", "e"))
+    return np.nan if cell.casefold() in MISSING else float(re.sub("[dD]", "e", cell.replace(",", ".")))

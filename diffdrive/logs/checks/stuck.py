@@ -146,7 +146,7 @@ def frozen_command(log: Log) -> Iterator[Finding]:
     lengths = sorted(run.length for run in runs)
     for run in sorted(runs, key=lambda run: -run.length)[:1]:
         travel = float(np.ptp(log.position[run.start : run.stop]))
-        # it must outlast the other standing stretches tenfold, and the table must be on the move meanwhile
+        # it must outlast the other standing stretches three times, and the table must be on the move meanwhile
         ordinary = lengths[-2] if len(lengths) > 1 else 1
         if run.length < max(20, 3 * ordinary) or travel < 0.1 * fast * run.length * mean_step(log):
             continue
