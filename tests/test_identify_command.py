@@ -12,7 +12,7 @@ from sound_log import RATE, described, logged
 from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive, write_drive
-from diffdrive.errors import LogError, ParameterError
+from diffdrive.errors import LogError, MotionError, ParameterError
 from diffdrive.logs import write_log
 from diffdrive.logs.write import write_csv
 from diffdrive.simulate import simulate
@@ -154,7 +154,7 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_bad_options_are_refused_in_one_line(name, folder):
     options, said = FAULTS[name]
-    with pytest.raises((ParameterError, LogError), match=said) as caught:
+    with pytest.raises((ParameterError, LogError, MotionError), match=said) as caught:
         run(folder / "lap.csv", "--drive", folder / "drive.toml", *options)
     assert "\n" not in str(caught.value)
 

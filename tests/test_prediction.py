@@ -301,7 +301,8 @@ def by_hand(drive, delay, process, lanes, samples):
     position, loads, friction = np.asarray(lanes.position[0]), np.asarray(lanes.load[0]), drive.friction
     level = friction.coulomb_screw.positive + friction.load_coefficient.positive * (friction.initial_load + loads[0])
     stiffness, velocity = friction.bristle_stiffness.positive, float(lanes.velocity[0])
-    state = np.array([position[0], velocity, level / stiffness * np.tanh(velocity / 1e-3)])
+    gap = friction.breakaway_gap.positive * np.exp(-velocity / friction.stribeck_velocity.positive)
+    state = np.array([position[0], velocity, (level + gap) / stiffness * np.tanh(velocity / 1e-3)])
     spread = np.diag([NOISE**2, 1e-3**2, (0.5 * level / stiffness) ** 2])
     added = np.diag([0.0, (process * period / drive.plant.mass) ** 2, 0.0])
     sees = np.array([[1.0, 0.0, 0.0]])
