@@ -106,7 +106,8 @@ class Report:
         """Print a table with so many significant digits, keep its rows as records, and write it as CSV."""
         drawn = Table(title=caption or name, title_justify="left", header_style="")
         for k, column in enumerate(columns):
-            drawn.add_column(column, justify="left" if k == 0 else "right")
+            # a name that is cut off says nothing: it goes on in the next line
+            drawn.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
         for row in rows:
             drawn.add_row(*(_shown(value, digits) for value in row))
         self.console.print(drawn)
@@ -176,5 +177,5 @@ def new_figure(
 
 def plain_logarithmic(axis: Any) -> None:
     """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten."""
-    axis.set_major_formatter(matplotlib.ticker.LogFormatter(labelOnlyBase=False))
+    axis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
     axis.set_minor_formatter(matplotlib.ticker.LogFormatter(labelOnlyBase=False))
