@@ -1,77 +1,92 @@
-"""What a controller is tuned for: following the reference under every load, quietly, with a true load estimate."""
+"""What a controller is tuned for: one number from the signals of an ensemble, by parts and aggregation chosen by name.
 
+    signals -> per lane: RMS and peak of the tracking error, load error -> weighed -> over the lanes: mean, worst, CVaR
+
+For a least-squares search the number becomes a sum of squares with the same gradient at the point at hand: each sample
+is weighed by how much the number grows with its square (iteratively reweighted least squares).
+"""
+
+from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.controllers import Controller
-from diffdrive.motion import Motion
-from diffdrive.parameters import Drive, Sampling, Sensor, as_arrays
-from diffdrive.simulate import Inputs, inputs_of, rollout
-from diffdrive.smooth import smooth
+from diffdrive.errors import ParameterError
+from diffdrive.metrics import safe_sqrt
+from diffdrive.parameters import Scalar
+from tuning.scenarios import Signals
+
+PEAK_NORM = 16  # the p-norm that stands for the largest
+WORST_SHARPNESS = 20.0  # of the smooth maximum over lanes, relative to their mean
+TAIL = 0.25  # of the lanes, that CVaR is the mean of
+TINY = 1e-30
+
+Lanes = Float[Array, " lanes"]
 
 
-class Scales(NamedTuple):
-    """What counts as equally bad: one unit of cost each."""
-
-    error: float = 2e-8  # m of RMS tracking error
-    command_noise: float = 20.0  # N of RMS command noise
-    load_error: float = 1000.0  # N of RMS load error
+def mean(costs: Lanes) -> Scalar:
+    """The mean over the lanes."""
+    return jnp.mean(costs)
 
 
-class Ensemble(eqx.Module):
-    """Scenarios to tune on: one motion under several loads, each with its own noise."""
-
-    drive: Drive
-    inputs: Inputs
-    sampling: Sampling = eqx.field(static=True)
-    settled: int = eqx.field(static=True)
-    scales: Scales = eqx.field(static=True)
-
-    def residuals(self, controller: Controller) -> Float[Array, " m"]:
-        """Residuals whose sum of squares is the mean over the loads of the squared costs.
-
-        Per load and sample, after the first `settled` samples: tracking error, change of the command, load error.
-        """
-
-        def one_load(load: Float[Array, " n"], key: Array) -> Float[Array, " p"]:
-            inputs = self.inputs._replace(load=load)
-            frame = rollout(self.drive, controller, inputs, self.sampling, key)
-            error = inputs.reference.position - frame.position
-            parts = [
-                error[self.settled :] / self.scales.error,
-                jnp.diff(frame.command)[self.settled - 1 :] / (np.sqrt(2) * self.scales.command_noise),
-            ]
-            if frame.estimate is not None and frame.estimate.load is not None:
-                parts.append((frame.estimate.load - load)[self.settled :] / self.scales.load_error)
-            return jnp.concatenate(parts)
-
-        lanes = len(self.inputs.load)
-        stacked = jax.vmap(one_load)(self.inputs.load, jax.random.split(jax.random.key(0), lanes))
-        samples = self.inputs.load.shape[1] - self.settled
-        return (stacked / np.sqrt(lanes * samples)).ravel()
+def worst(costs: Lanes) -> Scalar:
+    """A smooth maximum over the lanes."""
+    scale = lax.stop_gradient(jnp.mean(costs)) / WORST_SHARPNESS + TINY
+    return scale * jax.nn.logsumexp(costs / scale)
 
 
-def ensemble(
-    drive: Drive,
-    motion: Motion,
-    loads: Float[np.ndarray, "lanes n"],
-    sampling: Sampling,
-    *,
-    settle: float,
-    scales: Scales = Scales(),
-) -> Ensemble:
-    """An ensemble on the smooth variant of `drive`; costs count from `settle` (s) on.
+def cvar(costs: Lanes) -> Scalar:
+    """The mean of the worst quarter of the lanes, at least one (conditional value at risk)."""
+    count = max(1, round(TAIL * len(costs)))
+    return jnp.mean(lax.top_k(costs, count)[0])
 
-    The scale's quantiser is replaced by the white noise of the same variance, resolution^2 / 12.
-    """
-    sensor = drive.sensor
-    rounding = 0.0 if sensor.resolution is None else float(sensor.resolution) ** 2 / 12
-    noise = float(np.sqrt(float(sensor.noise) ** 2 + rounding))
-    noisy = eqx.tree_at(lambda d: d.sensor, drive, Sensor(None, noise), is_leaf=lambda leaf: leaf is sensor)
-    inputs = inputs_of(motion, np.asarray(loads))
-    return Ensemble(as_arrays(smooth(noisy)), inputs, sampling, max(1, round(settle * sampling.rate)), scales)
+
+AGGREGATIONS: dict[str, Callable[[Lanes], Scalar]] = {"mean": mean, "worst": worst, "cvar": cvar}
+
+
+class Objective(NamedTuple):
+    """Weights of the parts, each in cost per unit, and the name of the aggregation over the lanes."""
+
+    error: float = 1e6  # per m of RMS tracking error: the cost is then in micrometres
+    peak: float = 0.0  # per m of the smooth maximum of the tracking error
+    load_error: float = 0.0  # per N of RMS load error
+    aggregation: str = "mean"
+
+    def __call__(self, signals: Signals) -> Scalar:
+        """The number."""
+        if self.aggregation not in AGGREGATIONS:
+            raise ParameterError(f"no aggregation '{self.aggregation}'; known: {', '.join(AGGREGATIONS)}")
+        return AGGREGATIONS[self.aggregation](self.of_lanes(signals))
+
+    def of_lanes(self, signals: Signals) -> Lanes:
+        """The cost of each lane."""
+        costs = self.error * rms(signals.error)
+        if self.peak:
+            costs = costs + self.peak * peak(signals.error)
+        if self.load_error and signals.load_error is not None:
+            costs = costs + self.load_error * rms(signals.load_error)
+        return costs
+
+    def weights(self, signals: Signals) -> Signals:
+        """Square roots of the weights with which the squares of the signals have the gradient of the objective."""
+
+        def root(slope: Array, signal: Array) -> Array:
+            safe = jnp.where(jnp.abs(signal) > TINY, signal, 1.0)
+            return safe_sqrt(jnp.where(jnp.abs(signal) > TINY, jnp.maximum(slope / safe, 0.0), 0.0))
+
+        slopes = jax.grad(self)(signals)
+        return jax.tree.map(lambda slope, signal: lax.stop_gradient(root(slope, signal)), slopes, signals)
+
+
+def rms(signal: Float[Array, "lanes n"]) -> Lanes:
+    """Root mean square of each lane."""
+    return safe_sqrt(jnp.mean(signal**2, axis=1))
+
+
+def peak(signal: Float[Array, "lanes n"]) -> Lanes:
+    """A smooth maximum of each lane's magnitude, never below it."""
+    largest = lax.stop_gradient(jnp.max(jnp.abs(signal), axis=1, keepdims=True)) + TINY
+    return largest[:, 0] * jnp.sum((signal / largest) ** PEAK_NORM, axis=1) ** (1.0 / PEAK_NORM)
