@@ -122,12 +122,17 @@ def time_constants(
     return np.where(converges, -period / np.log(np.maximum(kept, 1e-300)), np.inf)
 
 
+def printed_observer(controller: Controller) -> KalmanObserver | None:
+    """The observer with an eq. (20) estimator in this controller, if there is one; its numbers may be traced."""
+    observer = controller.observer if isinstance(controller, FrictionCompensation) else None
+    printed = isinstance(observer, KalmanObserver) and isinstance(observer.load_estimator, InnovationLoad)
+    return observer if printed else None
+
+
 def printed_estimator(controller: Controller) -> KalmanObserver | None:
     """The observer with an eq. (20) estimator in this controller, if there is one and it is switched on."""
-    observer = controller.observer if isinstance(controller, FrictionCompensation) else None
-    if not isinstance(observer, KalmanObserver) or not isinstance(observer.load_estimator, InnovationLoad):
-        return None
-    return observer if float(observer.load_estimator.gain) > 0 else None
+    observer = printed_observer(controller)
+    return None if observer is None or not float(observer.load_estimator.gain) > 0 else observer
 
 
 def divergent_speeds(

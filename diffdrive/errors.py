@@ -35,3 +35,7 @@ class LoadEstimatorWarning(UserWarning):
 
 class LogError(DiffdriveError, ValueError):
     """A log cannot be read, written or used: it names the file, the row or column, and the mend."""
+
+
+class CheckpointError(DiffdriveError, ValueError):
+    """A checkpoint is damaged, or of another problem than the one to go on with."""

@@ -20,7 +20,7 @@ from diffdrive.parameters import Scalar
 
 LOWEST = 0.5  # Hz
 PER_DECADE = 60
-REFINEMENTS, SUBDIVISIONS = 3, 8
+REFINEMENTS, SUBDIVISIONS = 6, 8
 NEUTRAL = 0.2  # 1/s: what grows no faster (a load that is not seen at rest) is not called unstable
 
 
@@ -36,16 +36,17 @@ class Margins(NamedTuple):
 
 
 def frequencies(rate: float) -> Float[np.ndarray, " f"]:
-    """Where margins are looked for (Hz): from `LOWEST` to just below half the control rate."""
+    """Where margins are looked for (Hz): from `LOWEST` to half the control rate, where a response is real."""
     highest = 0.4999 * rate
-    return np.geomspace(LOWEST, highest, int(PER_DECADE * np.log10(highest / LOWEST)))
+    grid = np.geomspace(LOWEST, highest, int(PER_DECADE * np.log10(highest / LOWEST)))
+    return np.append(grid, 0.5 * rate)
 
 
 def margins(loop: OpenLoop) -> Margins:
     """The margins of a loop; pure, differentiable once."""
     critical = lax.stop_gradient(_critical(response(loop, frequencies(1.0 / loop.period))))
     found = response(loop, critical.frequency)
-    value, slope = found.loop, found.slope
+    value, slope = jnp.where(critical.exists, found.loop, 1.0), found.slope
 
     def along(residual: Scalar, rate: Scalar) -> Scalar:
         """How far the crossing lies from the frequency (its logarithm), to first order: zero, with its derivative."""
@@ -79,24 +80,21 @@ class _Critical(NamedTuple):
 def _critical(found: Response) -> _Critical:
     cubic = _Cubic.through(found)
 
-    def nearest(candidates: Float[Array, " i"], distance: Array, share: Array) -> tuple[Scalar, Scalar]:
-        chosen = jnp.argmin(jnp.where(candidates, distance, jnp.inf))
-        return jnp.exp(cubic.start[chosen] + share[chosen] * cubic.step[chosen]), jnp.any(candidates)
+    def nearest(candidates: Bool[Array, " i"], distance: Array, log: Array) -> tuple[Scalar, Scalar]:
+        return jnp.exp(log[jnp.argmin(jnp.where(candidates, distance, jnp.inf))]), jnp.any(candidates)
 
-    share, crosses = _crossings(cubic, jnp.imag, found.loop)  # of the real axis
-    real = -jnp.real(cubic.at(share))
+    share, crosses = _crossings(cubic, jnp.imag, found.loop)  # of the real axis, on which the response ends as well
+    log = jnp.append(cubic.start + share * cubic.step, jnp.log(found.frequency[-1]))
+    real = -jnp.append(jnp.real(cubic.at(share)), jnp.real(found.loop[-1]))
+    crosses = jnp.append(crosses, True)
     up, down = crosses & (real > 0.0) & (real < 1.0), crosses & (real >= 1.0)
-    gain_up, gain_down = nearest(up, -real, share), nearest(down, real, share)
+    gain_up, gain_down = nearest(up, -real, log), nearest(down, real, log)
 
     share, crosses = _crossings(cubic, lambda loop: jnp.log(jnp.abs(loop)), found.loop)
-    phase = nearest(crosses, jnp.abs(jnp.angle(-cubic.at(share))), share)
-    crossover = nearest(crosses, -cubic.start, share)
-
-    shares = jnp.linspace(0.0, 1.0, SUBDIVISIONS, endpoint=False)[:, None]
-    distance = jnp.abs(1.0 + cubic.at(shares))
-    best = jnp.argmin(jnp.min(distance, axis=0))
-    closest = shares[jnp.argmin(distance[:, best]), 0]
-    peak = jnp.exp(cubic.start[best] + closest * cubic.step[best]), jnp.array(True)
+    log = cubic.start + share * cubic.step
+    phase = nearest(crosses, jnp.abs(jnp.angle(-cubic.at(share))), log)
+    crossover = nearest(crosses, -log, log)
+    peak = jnp.exp(_closest(cubic)), jnp.array(True)
     pairs = (gain_up, gain_down, phase, peak, crossover)
     return _Critical(jnp.stack([pair[0] for pair in pairs]), jnp.stack([pair[1] for pair in pairs]))
 
@@ -123,6 +121,28 @@ class _Cubic(NamedTuple):
 
     def at(self, share: Array) -> Complex[Array, "..."]:
         return self.c0 + share * (self.c1 + share * (self.c2 + share * self.c3))
+
+    def slope(self, share: Array) -> Complex[Array, "..."]:
+        return self.c1 + share * (2.0 * self.c2 + 3.0 * share * self.c3)
+
+    def bend(self, share: Array) -> Complex[Array, "..."]:
+        return 2.0 * self.c2 + 6.0 * share * self.c3
+
+
+def _closest(cubic: _Cubic) -> Scalar:
+    """The logarithm of the frequency nearest to -1: the nearest of a finer grid, and Newton's steps from there."""
+    shares = jnp.linspace(0.0, 1.0, SUBDIVISIONS, endpoint=False)[:, None]
+    distance = jnp.abs(1.0 + cubic.at(shares))
+    best = jnp.argmin(jnp.min(distance, axis=0))
+    begin = share = shares[jnp.argmin(distance[:, best]), 0]
+    near = _Cubic(*(part[best] for part in cubic))
+    for _ in range(REFINEMENTS):
+        away, slope = 1.0 + near.at(share), near.slope(share)
+        rise = jnp.real(jnp.conj(away) * slope)  # of half the squared distance
+        bend = jnp.abs(slope) ** 2 + jnp.real(jnp.conj(away) * near.bend(share))
+        step = jnp.where(bend > 0.0, -rise / jnp.where(bend > 0.0, bend, 1.0), 0.0)
+        share = jnp.clip(share + step, begin - 1.0 / SUBDIVISIONS, begin + 1.0 / SUBDIVISIONS)
+    return near.start + share * near.step
 
 
 def _crossings(

@@ -18,7 +18,7 @@ from diffdrive.smooth import smooth
 from experiments import paper
 from experiments.accuracy import REFERENCE, SUBSTEPS, integrator_errors
 from experiments.report import Report
-from experiments.tune import reversal
+from experiments.tuning_cases import reversal
 
 
 def seconds(function: Any, *arguments: Any, repeats: int = 5) -> float:

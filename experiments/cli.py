@@ -1,5 +1,6 @@
 """The `diffdrive` command."""
 
+import math
 import sys
 import warnings
 from collections.abc import Callable
@@ -94,25 +95,88 @@ def tune(
     speed: Annotated[str, typer.Option(help="Speed of the reversal that it is tuned on.")] = "10 mm/s",
     max_load: Annotated[str, typer.Option(help="Highest load; the lowest is none.")] = "12.6 kN",
     loads: Annotated[int, typer.Option(min=2, max=64, help="How many loads, evenly spaced.")] = 4,
-    steps: Annotated[int, typer.Option(min=1, help="Most search steps.")] = 20,
+    machines: Annotated[int, typer.Option(min=1, max=32, help="How many machines; the first is the file's own.")] = 2,
+    spread: Annotated[float, typer.Option(min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")] = 0.03,
+    gain_margin: Annotated[float, typer.Option(min=0.0, help="dB, up and down.")] = 6.0,
+    phase_margin: Annotated[float, typer.Option(min=0.0, max=90.0, help="Degrees.")] = 30.0,
+    sensitivity: Annotated[
+        float | None, typer.Option(min=1.0, help="Largest peak of the sensitivity, Ms; none by default.")
+    ] = None,
+    noise: Annotated[
+        str | None, typer.Option(help="Largest command noise, RMS; by default twice that of the gains as given.")
+    ] = None,
+    load_error: Annotated[
+        str | None, typer.Option(help="Largest RMS load error; by default 1.1 times that of the gains as given.")
+    ] = None,
+    peak: Annotated[float, typer.Option(min=0.0, help="Weight of the peak error beside the RMS error.")] = 0.0,
+    aggregation: Annotated[str, typer.Option(help="Over the scenarios: mean, worst or cvar.")] = "mean",
+    friction: Annotated[
+        bool, typer.Option("--friction", help="Tune the observer's friction parameters along.")
+    ] = False,
+    starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the file's gains.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the machines and of the other starts.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Most search steps from each start.")] = 40,
+    pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
 ) -> None:
-    """Tune the controller's gains by gradient over loads, and verify them on the exact simulator, also held out.
+    """Tune the controller's gains by gradient over loads and machines, within margins, and verify them held out.
 
-    Writes the tuned drive file as tuned.toml, unless a verification run is not ok or the load estimator would not
-    converge: then it ends with code 3. kp and kd move by at most 30 %, since no stability margin is checked
-    here; filter gains by three decades.
+    The gains minimise the tracking error within stability margins (of the linearised loop, delay and observer included,
+    from standstill to twice the speed, both directions, no load and the highest), command noise, force limit and load
+    error. Writes tuned.toml and handover.toml, unless a requirement cannot be kept or a verification run is not ok:
+    then it says which and by how much, and ends with code 3. Interrupted or killed, the same command with the same
+    --out goes on where it stopped.
+
+    Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --starts 4 --out tuned`
     """
     from diffdrive.drive_file import read_drive
     from experiments.report import Report
-    from experiments.scenario import number
+    from experiments.scenario import number, numbers
     from experiments.tune import tune_drive
+    from experiments.tuning_cases import Plan
+    from tuning.objective import Objective
+    from tuning.requirements import Limits
 
     description = read_drive(drive)
-    fastest, heaviest = number(speed, "m/s", "--speed"), number(max_load, "N", "--max-load")
-    with Report(f"{drive.name}: gradient tuning over loads", out) as report:
-        _, accepted = tune_drive(description, report, speed=fastest, max_load=heaviest, loads=loads, max_steps=steps)
+    factor = 10.0 ** (gain_margin / 20.0)
+    limits = Limits(
+        gain_up=factor,
+        gain_down=factor,
+        phase=math.radians(phase_margin),
+        sensitivity=sensitivity,
+        command_noise=None if noise is None else number(noise, "N", "--noise"),
+        load_error=None if load_error is None else number(load_error, "N", "--load-error"),
+    )
+    plan = Plan(
+        speed=number(speed, "m/s", "--speed"), max_load=number(max_load, "N", "--max-load"), loads=loads,
+        spread=spread, machines=machines, seed=seed,
+    )  # fmt: skip
+    objective = Objective(peak=1e6 * peak, aggregation=aggregation)
+    front = numbers(pareto, "N", "--pareto") if pareto else []
+    with Report(f"{drive.name}: gradient tuning over loads and machines", out) as report:
+        _, accepted = tune_drive(
+            description, report, plan=plan, limits=limits, objective=objective, friction=friction, starts=starts,
+            max_steps=steps, pareto=front,
+        )  # fmt: skip
     if not accepted:
         raise typer.Exit(3)
+
+
+@app.command("tuning-study")
+def tuning_study(
+    out: Out = None,
+    evaluations: Annotated[int, typer.Option(min=50, help="Of each derivative-free search.")] = 2550,
+    runs: Annotated[int, typer.Option(min=1, help="Of each derivative-free search.")] = 3,
+    starts: Annotated[int, typer.Option(min=1, help="Random starts of the gradient search.")] = 10,
+) -> None:
+    """The gradient tuner against CMA-ES, Nelder-Mead and random search on one compiled ensemble (docs/tuning.md).
+
+    Cost to come near the best against evaluations, time and number of parameters; random starts; held-out scenarios.
+    """
+    from experiments import tuning_study as study
+    from experiments.report import Report
+
+    with Report("gradient tuning against derivative-free searches", out) as report:
+        study.tuning_study(report, evaluations=evaluations, runs=runs, starts=starts)
 
 
 @app.command()

@@ -17,7 +17,8 @@ from diffdrive.smooth import smooth
 from experiments import emps, emps_study, paper
 from experiments.report import Report
 from experiments.reproduce import table_1
-from experiments.tune import reversal, tune_drive
+from experiments.tune import tune_drive
+from experiments.tuning_cases import reversal
 
 PAPER_DRIVE = Path(__file__).parent / "drives" / "paper.toml"
 
@@ -62,7 +63,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         description = read_drive(PAPER_DRIVE)
         _simulate(report, description)
         _differentiate(report, description)
-        report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN.")
+        report.say("Tuning Kp, Kd, Q and R over loads from 0 to 12.6 kN, within stability margins.")
         tune_drive(description, report, max_steps=5 if quick else 20)
         folder = emps_folder or emps.find_folder()
         if folder is None:

@@ -57,20 +57,24 @@ def number(text: str, unit: str, where: str) -> float:
         raise MotionError(f"{where}: {problem}") from None
 
 
+def numbers(text: str, unit: str, where: str) -> list[float]:
+    """Numbers separated by ;, where a unit behind the last is that of all: `5;10;20 N`."""
+    parts = text.split(";")
+    trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^\d\s].*)", parts[-1])
+    if trailing:
+        parts = [part if re.search(r"[^\d\s.+eE-]", part) else f"{part} {trailing[1]}" for part in parts]
+    return [number(part, unit, where) for part in parts]
+
+
 def _value(text: str, key: str, unit: str, where: str) -> Any:
     """One number; for plural settings a list a;b;c, for cuts a list of pairs from~to."""
     if key in _PAIRS:
         return [tuple(number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
-    parts = text.split(";")
-    trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^\d\s].*)", parts[-1])
-    if trailing and key in _LISTS:  # 1;3;10 mm/s: the unit is that of all
-        parts = [part if re.search(r"[^\d\s.+eE-]", part) else f"{part} {trailing[1]}" for part in parts]
-    numbers = [number(part, unit, where) for part in parts]
     if key in _LISTS:
-        return numbers
-    if len(numbers) != 1:
+        return numbers(text, unit, where)
+    if ";" in text:
         raise MotionError(f"{where}: one number expected, got '{text}'")
-    return numbers[0]
+    return number(text, unit, where)
 
 
 def _arguments(text: str, builder: Callable[..., Any], units: dict[str, str], kind: str) -> dict[str, Any]:

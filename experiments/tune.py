@@ -1,215 +1,255 @@
-"""Tune a drive's controller over loads, and prove it on the exact simulator, also where it was not tuned."""
+"""`diffdrive tune`: gains by gradient within margins, proved on what they were not tuned on."""
 
-import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from diffdrive import metrics
 from diffdrive.controllers import Controller
-from diffdrive.convergence import printed_estimator, require_convergent, time_constants
 from diffdrive.drive_file import DriveDescription, write_drive
-from diffdrive.errors import LoadEstimatorError, LoadEstimatorWarning
-from diffdrive.load import require_possible
-from diffdrive.motion import Motion, require_within, triangular
-from diffdrive.parameters import Drive, Sampling
-from diffdrive.run import Run
-from diffdrive.simulate import simulate
+from diffdrive.margins import Margins
+from diffdrive.parameters import Sampling, as_arrays
+from diffdrive.smooth import smooth
+from experiments.handover import LABELS, handover, worst_margins, write_handover
+from experiments.interruption import at_next_step
 from experiments.report import Report, new_figure
-from tuning.gains import Tuned, tune
-from tuning.objective import ensemble
+from experiments.tuning_cases import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
+from tuning.gains import Tuned, default_space, tune
+from tuning.objective import Objective
+from tuning.requirements import Limits, Requirements, points
+from tuning.scenarios import Ensemble, Scenario, ensemble
 
-OFF_GRID = 1.0137
-HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
-LABELS = {
-    "position": "Q position", "velocity": "Q velocity", "bristle": "Q bristle", "load": "Q load", "measurement": "R",
-    "gain": "K_w",
-}  # fmt: skip
-SETTLE = 0.4  # s: load estimators have found their load by then
-
-
-@dataclass(frozen=True)
-class Case:
-    """One verification scenario: its name, motion, load (N) and noise seed."""
-
-    name: str
-    motion: Motion
-    load: float
-    seed: int
-
-
-def reversal(speed: float, rate: float, duration: float = 1.2) -> Motion:
-    """There and back at `speed` (m/s) with one reversal in the middle, rounded over 0.1 s."""
-    return triangular(
-        speed=speed,
-        stroke=speed * duration / 2,
-        rounding=0.1,
-        duration=duration,
-        rate=rate,
-        first_reversal=duration / 2,
-    )
-
-
-def cases(rate: float, speed: float, loads: np.ndarray) -> tuple[list[Case], list[Case]]:
-    """The scenarios tuned on, and others: loads in between with another seed, a lower and twice the speed.
-
-    All a little off the speed asked for: at a whole number of quanta a period a quantised loop locks on the grid.
-    """
-    speed = OFF_GRID * speed
-    tuned_on = [Case(f"{speed * 1e3:.3g} mm/s, {w / 1e3:.3g} kN", reversal(speed, rate), w, 1) for w in loads]
-    between = (loads[1:] + loads[:-1]) / 2
-    held_out = [Case(f"{speed * 1e3:.3g} mm/s, {w / 1e3:.3g} kN", reversal(speed, rate), w, 2) for w in between]
-    for factor in HELD_OUT_SPEEDS:
-        v = factor * speed
-        held_out.append(Case(f"{v * 1e3:.3g} mm/s, {loads[-1] / 2e3:.3g} kN", reversal(v, rate), loads[-1] / 2, 3))
-    return tuned_on, held_out
-
-
-def judge(drive: Drive, controller: Controller, case: Case, sampling: Sampling) -> tuple[Run, list[float | None]]:
-    """Run one case on the exact simulator: RMS and peak error (um), command noise (N), load error (kN)."""
-    with warnings.catch_warnings():  # the load estimator has its own verdict
-        warnings.simplefilter("ignore", LoadEstimatorWarning)
-        run = simulate(drive, controller, case.motion, case.load, sampling=sampling, seed=case.seed)
-    part = run.between(SETTLE, np.inf)
-    missed = None
-    if run.load_estimate is not None:
-        missed = 1e-3 * float(metrics.rms((run.load_estimate - run.load)[part]))
-    noise = float(metrics.command_noise(run.command[part]))
-    return run, [1e6 * run.rms(SETTLE), 1e6 * run.peak(SETTLE), noise, missed]
+SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s; from 1 on, times the speed tuned at
+NOISIER, WORSE = 2.0, 1.1  # times the command noise, and the load error, of the gains as given: where no limit is told
+UNITS = {
+    "phase": "phase_deg",
+    "command_noise": "command_noise_N",
+    "load_error": "load_error_N",
+    "settling": "settling_s",
+}
+CHECKPOINT = "tuning.checkpoint.json"
 
 
 def tune_drive(
     description: DriveDescription,
     report: Report,
     *,
-    speed: float = 0.010,
-    max_load: float = 12_600.0,
-    loads: int = 4,
-    max_steps: int = 20,
+    plan: Plan = Plan(),
+    limits: Limits = Limits(command_noise=None),
+    objective: Objective = Objective(),
+    friction: bool = False,
+    starts: int = 1,
+    max_steps: int = 40,
+    pareto: Sequence[float] = (),
 ) -> tuple[Tuned, bool]:
-    """Tune over `loads` loads from 0 to `max_load` (N) at `speed` (m/s); figures, tables and tuned.toml go to `report`.
+    """Tune the file's controller as planned; figures, tables, tuned.toml and handover.toml go to `report`.
 
-    The tuning loop has one more sample of delay than the drive file says, as a reserve of phase. Returns what was tuned
-    and whether it is accepted: every verification run is ok, and an eq. (20) estimator converges at all of its speeds
-    and loads. Only then is tuned.toml written.
+    Without a limit on the command noise, tuned gains may make `NOISIER` times that of the gains as given. Returns what
+    was tuned and whether it is accepted: every requirement kept, and every verification run ok. Only then are the files
+    written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
     """
-    drive, sampling = description.drive, description.sampling
-    weights = np.linspace(0.0, max_load, loads)
-    tuned_on, held_out = cases(sampling.rate, speed, weights)
-    for case in (*tuned_on, *held_out):
-        require_within(case.motion, description.limits)
-        require_possible(drive, np.full(len(case.motion.time), case.load), case.motion.time)
-    delayed = eqx.tree_at(
-        lambda d: d.actuator,
-        drive,
-        replace(drive.actuator, delay_samples=drive.actuator.delay_samples + 1),
-        is_leaf=lambda leaf: leaf is drive.actuator,
-    )
-    motion = tuned_on[0].motion
-    coarse = Sampling(sampling.rate, max(2, sampling.plant_steps // 2))
-    scenarios = ensemble(delayed, motion, np.outer(weights, np.ones(len(motion.time))), coarse, settle=SETTLE)
-    with report.progress("tuning by gradient", max_steps) as advance:
-        tuned = tune(description.controller, scenarios, max_steps=max_steps, progress=advance)
-    search = tuned.search
-    report.values(
-        "tuning", status=search.status, steps=search.steps, cost_before=search.cost_before, cost_after=search.cost,
-        seconds=round(search.seconds, 1),
-    )  # fmt: skip
-    report.table(
-        "gains", ("gain", "before", "after", "ratio"),
-        [
-            [LABELS.get(n, n), float(b), float(a), float(a / b)]
-            for n, b, a in zip(tuned.names, tuned.before, tuned.after, strict=True)
-        ],
-        "Gains, SI units",
-    )  # fmt: skip
-    if tuned.at_bound:
-        report.say(f"At the bound of its range: {', '.join(tuned.at_bound)}.")
-    runs = _verify(report, drive, description.controller, tuned.controller, tuned_on, held_out, sampling)
-    report.figure("tuning", _figure(search.history, runs))
-    accepted = all(new.status.ok for _, _, new in runs) and _converges(
-        report, tuned.controller, speed, weights, sampling
-    )
+    on, off = tuned_on(description, plan), held_out(description, plan)
+    coarse = Sampling(description.sampling.rate, max(2, description.sampling.plant_steps // 2))
+    lanes = ensemble(on, coarse, settle=SETTLE)
+    limits = _told(report, description, limits, on)
+    speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]
+    at = points([description.drive], speeds, (0.0, plan.max_load))
+    requirements = Requirements(limits, at, coarse)
+    space = default_space(description.controller, friction=friction)
+    checkpoint = None if report.out is None else report.out / CHECKPOINT
+    with (
+        report.progress("tuning by gradient", max_steps) as advance,
+        at_next_step(advance, report.say) as progress,
+    ):
+        tuned = tune(
+            description.controller, lanes, requirements, space, objective=objective, starts=starts, seed=plan.seed,
+            max_steps=max_steps, checkpoint=checkpoint, progress=progress,
+        )  # fmt: skip
+    _result(report, tuned)
+    margins = _margins_table(report, description, tuned.controller, plan)
+    runs = _verify(report, description.controller, tuned.controller, on, off, description.sampling)
+    report.figure("tuning", _figure(tuned, runs))
+    if pareto:
+        _pareto(report, description, lanes, requirements, objective, pareto, off)
+    done = not tuned.status.startswith("interrupted")
+    accepted = done and tuned.feasible and all(now.run.status.ok for _, _, now in runs)
     report.values("verdict", accepted=accepted)
     if accepted and report.out is not None:
         write_drive(report.out / "tuned.toml", replace(description, controller=tuned.controller))
+        conditions = _conditions(plan, limits, speeds, description)
+        write_handover(report.out / "handover.toml", handover(description, tuned, margins, conditions))
+        (report.out / CHECKPOINT).unlink(missing_ok=True)
     return tuned, accepted
 
 
-def _converges(report: Report, controller: Controller, speed: float, loads: np.ndarray, sampling: Sampling) -> bool:
-    """Whether an eq. (20) estimator converges at the speeds and loads of the verification; true if there is none."""
-    observer = printed_estimator(controller)
-    if observer is None:
-        return True
-    speeds = [factor * speed for factor in (HELD_OUT_SPEEDS[0], 1.0, HELD_OUT_SPEEDS[1])]
-    slowest = [max(time_constants(observer, speeds, sampling.period, w)) for w in (loads[0], loads[-1])]
-    report.values("load_estimator", slowest_time_constant_s=float(max(slowest)))
-    try:
-        require_convergent(observer, speeds, sampling.period, (loads[0], loads[-1]))
-    except LoadEstimatorError as error:
-        report.say(f"REJECTED, no drive file written: {error}")
-        return False
-    return True
+def _told(report: Report, description: DriveDescription, limits: Limits, on: list[Scenario]) -> Limits:
+    """Limits that were not given, from what the gains as given do."""
+    was = [judge(description.controller, one, description.sampling) for one in on]
+    if limits.command_noise is None:
+        noise = NOISIER * max(one.command_noise for one in was)
+        limits = limits._replace(command_noise=noise)
+        report.say(f"Command noise is limited to {NOISIER:g} times that of the gains as given: {noise:.3g} N.")
+    if limits.load_error is None and was[0].load_error is not None:
+        errors = np.array([1e3 * WORSE * one.load_error for one in was if one.load_error is not None])
+        limits = limits._replace(load_error=errors)
+        report.say(f"The load error in each scenario is limited to {WORSE:g} times that of the gains as given.")
+    return limits
+
+
+def _result(report: Report, tuned: Tuned) -> None:
+    standing = tuned.found.standing
+    report.values(
+        "tuning", status=tuned.status, steps=standing.steps, evaluations=standing.evaluations,
+        linearisations=standing.linearisations, objective_before=float(tuned.began.objective),
+        objective=float(tuned.point.objective), missed_before=float(tuned.began.missed), feasible=tuned.feasible,
+        seconds=round(standing.seconds, 1),
+    )  # fmt: skip
+    rows = [
+        [LABELS.get(name, name), float(b), float(a), float(a / b), float(t)]
+        for name, b, a, t in zip(tuned.names, tuned.before, tuned.after, tuned.tolerance, strict=True)
+    ]
+    columns = ("gain", "before", "after", "ratio", "factor for 5 %")
+    report.table("gains", columns, rows, "Gains, SI units; the last column costs 5 % of the objective, alone")
+    if tuned.at_bound:
+        report.say(f"At the bound of its range: {', '.join(tuned.at_bound)}.")
+    for one in tuned.binding:
+        report.say(f"Held back by the {one.name}: 1 % more of it would gain {one.worth:.2g} % of the objective.")
+    for name, share in tuned.missed.items():
+        report.say(f"NOT KEPT: {name}, missed by {100 * share:.3g} %. No gains near these keep it; relax it.")
+    if len(tuned.starts) > 1:
+        report.values("starts", objective=[float(one) for one in tuned.starts])
+
+
+@eqx.filter_jit
+def _margins(requirements: Requirements, controller: Controller) -> Margins:
+    return requirements.margins(controller)
+
+
+def _margins_table(report: Report, description: DriveDescription, tuned: Controller, plan: Plan) -> Margins:
+    """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
+    drive, rate = description.drive, Sampling(description.sampling.rate, description.sampling.plant_steps)
+    other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
+    speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]
+    between = [0.3e-3, 0.5 * plan.speed, 100e-3 if plan.speed < 50e-3 else 2.0 * plan.speed]
+    tuned_at = points([drive], speeds, (0.0, plan.max_load))
+    others = points([other, drive], between, (0.25 * plan.max_load, 0.75 * plan.max_load))
+    count = len(tuned_at.velocity)
+    everywhere = Requirements(Limits(), jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others), rate)
+    rows: list[list[Any]] = []
+    with report.working("linearising"):
+        for name, controller in (("given", description.controller), ("tuned", tuned)):
+            found = _margins(everywhere, as_arrays(smooth(controller)))
+            for place, part in (("as tuned", slice(None, count)), ("held out", slice(count, None))):
+                worst = worst_margins(jax.tree.map(lambda values, part=part: values[part], found))
+                rows.append([f"{place}, {name}", *(worst.get(key) for key in WORST)])
+    rows.sort(key=lambda row: row[0])
+    columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
+    report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
+    return jax.tree.map(lambda values: values[:count], found)
+
+
+WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")
 
 
 def _verify(
     report: Report,
-    drive: Drive,
     before: Controller,
     after: Controller,
-    tuned_on: list[Case],
-    held_out: list[Case],
+    on: list[Scenario],
+    off: list[Scenario],
     sampling: Sampling,
-) -> list[tuple[Case, Run, Run]]:
+) -> list[tuple[Scenario, Judged, Judged]]:
     rows: list[list[Any]] = []
     runs = []
     with report.working("verifying on the exact simulator"):
-        for role, several in (("tuned on", tuned_on), ("held out", held_out)):
-            for case in several:
-                old, was = judge(drive, before, case, sampling)
-                new, now = judge(drive, after, case, sampling)
-                runs.append((case, old, new))
-                rows.append([case.name, role, *(value for pair in zip(was, now, strict=True) for value in pair)])
-                if not new.status.ok:
-                    report.say(f"{case.name}: {new.status.message}")
-    report.table(
-        "verification",
-        (
-            "scenario",
-            "role",
-            "RMS um",
-            "RMS tuned",
-            "peak um",
-            "peak tuned",
-            "noise N",
-            "noise tuned",
-            "load error kN",
-            "load error tuned",
-        ),
-        rows,
-        "Before and after on the exact (quantised, limited) simulator",
-    )
+        for role, several in (("tuned on", on), ("held out", off)):
+            for one in several:
+                was, now = judge(before, one, sampling), judge(after, one, sampling)
+                runs.append((one, was, now))
+                pairs = ((getattr(was, key), getattr(now, key)) for key in MEASURES)
+                rows.append([one.name, role, *(value for pair in pairs for value in pair)])
+                if not now.run.status.ok:
+                    report.say(f"{one.name}: {now.run.status.message}")
+    names = ("RMS um", "peak um", "noise N", "load error kN")
+    columns = ("scenario", "role", *(f"{name}{which}" for name in names for which in ("", " tuned")))
+    report.table("verification", columns, rows, "Before and after on the exact (quantised, limited) simulator")
     for role in ("tuned on", "held out"):
         part = [row for row in rows if row[1] == role]
         for k, what in ((2, "rms_um"), (6, "command_noise_N"), (8, "load_error_kN")):
             if part[0][k] is not None:
-                before, after = (float(np.mean([row[j] for row in part])) for j in (k, k + 1))
-                report.values(f"mean_{what}_{role.replace(' ', '_')}", before=before, after=after)
+                was, now = (float(np.mean([row[j] for row in part])) for j in (k, k + 1))
+                report.values(f"mean_{what}_{role.replace(' ', '_')}", before=was, after=now)
     return runs
 
 
-def _figure(history: list[float], runs: list[tuple[Case, Run, Run]]) -> Any:
+MEASURES = ("rms", "peak", "command_noise", "load_error")
+
+
+def _pareto(
+    report: Report, description: DriveDescription, lanes: Ensemble, requirements: Requirements,
+    objective: Objective, noises: Sequence[float], off: list[Scenario],
+) -> None:  # fmt: skip
+    """Tracking error against command noise: the gains tuned again under each limit, from the ones found."""
+    rows: list[list[Any]] = []
+    space = default_space(description.controller)
+    with report.progress("Pareto front", len(noises)) as advance:
+        for k, noise in enumerate(sorted(noises)):
+            limits = requirements.limits._replace(command_noise=noise)
+            limited = Requirements(limits, requirements.points, lanes.sampling)
+            found = tune(description.controller, lanes, limited, space, objective=objective)
+            judged = [judge(found.controller, one, description.sampling) for one in off]
+            rows.append(
+                [
+                    float(noise), float(found.point.objective), found.feasible,
+                    float(np.mean([one.command_noise for one in judged])), float(np.mean([one.rms for one in judged])),
+                ]
+            )  # fmt: skip
+            advance(k + 1, len(noises), rows[-1][1])
+    columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
+    report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
+    figure, axis = new_figure()
+    kept = [row for row in rows if row[2]]
+    axis.plot([row[0] for row in kept], [row[1] for row in kept], "o-", label="tuned on: objective at its limit")
+    axis.plot([row[3] for row in kept], [row[4] for row in kept], "s--", label="held out: mean RMS, um")
+    axis.set(xlabel="command noise, N", ylabel="tracking error, um", title="what quietness costs", ylim=(0, None))
+    axis.legend()
+    report.figure("pareto", figure)
+
+
+def _conditions(plan: Plan, limits: Limits, speeds: Sequence[float], description: DriveDescription) -> dict[str, Any]:
+    """What the gains rest on."""
+    asked = {
+        UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
+        for name, value in limits._asdict().items()
+        if value is not None
+    }
+    return {
+        "loads_N": [0.0, plan.max_load],
+        "reversal_speed_m_per_s": plan.speed,
+        "margins_at_speeds_m_per_s": [float(speed) for speed in speeds],
+        "parameter_uncertainty": plan.spread,
+        "control_rate_Hz": float(description.sampling.rate),
+        "delay_samples": int(description.drive.actuator.delay_samples),
+        "required": asked,
+    }
+
+
+def _figure(tuned: Tuned, runs: list[tuple[Scenario, Judged, Judged]]) -> Any:
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
-    left.plot(history, "o-", ms=3)
-    left.set(xlabel="step", ylabel="cost, in units of the scales", title="search", ylim=(0, None))
-    case, old, new = runs[-3]
-    right.plot(old.time, 1e6 * old.error, lw=0.8, label="before")
-    right.plot(new.time, 1e6 * new.error, lw=0.8, label="tuned")
-    right.set(xlabel="time, s", ylabel="tracking error, um", title=f"held out: {case.name}", xlim=(SETTLE, None))
-    after = new.time > SETTLE
-    most = 1.2e6 * max(np.abs(old.error[after]).max(), np.abs(new.error[after]).max())
+    history = tuned.found.standing.history
+    left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
+    left.set(xlabel="linearisations", ylabel="objective", title="search", ylim=(0, None))
+    scenario, old, new = runs[-3]
+    right.plot(old.run.time, 1e6 * old.run.error, lw=0.8, label="given")
+    right.plot(new.run.time, 1e6 * new.run.error, lw=0.8, label="tuned")
+    title = f"held out: {scenario.name}"
+    right.set(xlabel="time, s", ylabel="tracking error, um", title=title, xlim=(SETTLE, None))
+    after = new.run.time > SETTLE
+    most = 1.2e6 * max(np.abs(old.run.error[after]).max(), np.abs(new.run.error[after]).max())
     right.set_ylim(-most, most)
     right.legend()
     return figure

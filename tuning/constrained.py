@@ -1,13 +1,8 @@
-"""Gains within requirements, by least squares: an augmented Lagrangian around Levenberg-Marquardt.
+"""Gains within requirements: the objective and every requirement at a point, with what a Gauss-Newton step needs.
 
-    minimise  objective(signals(y))   subject to   g(y) <= 0
-
-One round minimises the objective, written as a sum of squares about the point at hand (tuning.objective), plus
-mu/2 max(0, g + lambda/mu)^2 for each requirement; after it the multipliers become max(0, lambda + mu g) (Hestenes 1969,
-Powell 1969, Rockafellar 1973). The multipliers say what each requirement costs.
+y -> controller -> scenarios -> signals -> objective, and requirements g(y) <= 0.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,6 +20,7 @@ from tuning.scenarios import Ensemble, Signals
 from tuning.space import Free, Space
 
 PENALTY, HOPELESS = 10.0, 1e6
+ROOM, NEARNESS = 0.1, 1e-3  # of a requirement, and per unit of y
 
 Named = dict[str, Float[Array, " n"]]
 
@@ -33,18 +29,9 @@ class Problem(NamedTuple):
     """The controller to tune (smooth, every number an array), where it is tried, and what it must keep."""
 
     controller: Controller
-    origin: Float[np.ndarray, " k"]  # of the search space
+    origin: Float[Array, " k"]  # of the search space
     scenarios: Ensemble
     requirements: Requirements
-
-
-class Priced(NamedTuple):
-    """A problem with the weights of the squares and the prices of the requirements for one round."""
-
-    problem: Problem
-    weights: Signals
-    multipliers: Named
-    stiffness: Scalar  # mu
 
 
 class Point(NamedTuple):
@@ -52,7 +39,6 @@ class Point(NamedTuple):
 
     objective: Scalar
     kept: Named  # requirements by name; above zero where missed
-    weights: Signals
 
     @property
     def missed(self) -> Scalar:
@@ -71,6 +57,15 @@ class Point(NamedTuple):
         return jnp.where(known, number, HOPELESS * (1.0 + jnp.nan_to_num(jnp.max(self.kept["stability"]), nan=1e3)))
 
 
+class Linearised(NamedTuple):
+    """A point with the derivatives of everything along the search vector."""
+
+    point: Point
+    slope: Float[Array, " k"]  # of the objective
+    curvature: Float[Array, "k k"]  # Gauss-Newton: of the squares that have the objective's gradient here
+    kept_slopes: dict[str, Float[Array, "n k"]]
+
+
 @dataclass(frozen=True)
 class Gains:
     """The search as a function of y; hashed by value, so that the same question is compiled once."""
@@ -78,28 +73,48 @@ class Gains:
     free: tuple[Free, ...]
     objective: Objective
 
-    def controller(self, y: Float[Array, " k"], problem: Problem) -> Controller:
-        """The controller at y."""
-        return Space(self.free, problem.origin).insert(problem.controller, y)
-
-    def requirements(self, controller: Controller, signals: Signals, problem: Problem) -> Named:
-        """All requirements by name."""
-        return problem.requirements.of_loop(controller) | problem.requirements.of_signals(signals)
-
-    def __call__(self, y: Float[Array, " k"], priced: Priced) -> Float[Array, " m"]:
-        """Residuals of one round."""
-        controller = self.controller(y, priced.problem)
-        signals = priced.problem.scenarios.signals(controller)
-        kept = self.requirements(controller, signals, priced.problem)
-        squares = jax.tree.leaves(jax.tree.map(lambda weight, signal: weight * signal, priced.weights, signals))
-        return jnp.concatenate([part.ravel() for part in (*squares, *_penalties(kept, priced))])
+    def _seen(self, y: Float[Array, " k"], problem: Problem) -> tuple[Signals, Named]:
+        controller = Space(self.free, problem.origin).insert(problem.controller, y)
+        signals = problem.scenarios.signals(controller)
+        return signals, problem.requirements.of_loop(controller) | problem.requirements.of_signals(signals)
 
     def at(self, y: Float[Array, " k"], problem: Problem) -> Point:
         """The point's worth."""
-        controller = self.controller(y, problem)
-        signals = problem.scenarios.signals(controller)
-        kept = self.requirements(controller, signals, problem)
-        return Point(self.objective(signals), kept, self.objective.weights(signals))
+        signals, kept = self._seen(y, problem)
+        return Point(self.objective(signals), kept)
+
+    def linearised(self, y: Float[Array, " k"], problem: Problem) -> Linearised:
+        """The point's worth with derivatives, in one forward pass for all parameters."""
+
+        def along(direction: Array) -> tuple[tuple[Signals, Named], tuple[Signals, Named]]:
+            return jax.jvp(lambda y: self._seen(y, problem), (y,), (direction,))
+
+        (signals, kept), (slopes, kept_slopes) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(y)))
+        weights = self.objective.weights(signals)
+        root = [
+            (weight * signal, weight * slope)
+            for weight, signal, slope in zip(
+                *(jax.tree.leaves(each) for each in (weights, signals, slopes)), strict=True
+            )
+        ]
+        return Linearised(
+            point=Point(self.objective(signals), kept),
+            slope=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
+            curvature=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
+            kept_slopes={name: slope.T for name, slope in kept_slopes.items()},
+        )
+
+
+@eqx.filter_jit
+def worth(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Point:
+    """`Gains.at`, compiled."""
+    return gains.at(y, problem)
+
+
+@eqx.filter_jit
+def linearised(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Linearised:
+    """`Gains.linearised`, compiled."""
+    return gains.linearised(y, problem)
 
 
 @dataclass(frozen=True)
@@ -115,30 +130,6 @@ class Stability:
         return jnp.concatenate([*missed, NEARNESS * y])
 
 
-ROOM, NEARNESS = 0.1, 1e-3  # of the requirement, and per unit of y
-
-
-def _penalties(kept: Named, priced: Priced) -> list[Array]:
-    stiffness = priced.stiffness
-    return [
-        jnp.sqrt(stiffness) * jnp.maximum(values + priced.multipliers[name] / stiffness, 0.0)
-        for name, values in kept.items()
-    ]
-
-
-@eqx.filter_jit
-def worth(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Point:
-    """`Gains.at`, compiled."""
-    return gains.at(y, problem)
-
-
-class Round(NamedTuple):
-    """Where the search stands after a round, all that it needs to go on."""
-
-    number: int
-    y: Float[np.ndarray, " k"]
-    multipliers: dict[str, Float[np.ndarray, " n"]]
-    history: tuple[tuple[int, float, float, float], ...]  # evaluations, s, objective, missed; one for each round
-
-
-Keep = Callable[[Round], None]
+def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Requirements) -> Problem:
+    """The problem of tuning `controller` (smooth, as arrays) in `space`."""
+    return Problem(controller, jnp.asarray(np.asarray(space.origin)), scenarios, requirements)

@@ -1,31 +1,50 @@
-"""Gradient tuning of a controller's gains on the residuals of an ensemble of scenarios."""
+"""The auto-tuner: gains by gradient over an ensemble of scenarios, within stability margins and other requirements.
 
+starts -> unstable ones made stable, side by side -> searched, the most promising first -> the best
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from diffdrive.controllers import DOBVSC, Cascade, Controller, FrictionCompensation, PDFeedforwardDOB
 from diffdrive.load_estimator import InnovationLoad
 from diffdrive.observer import LoadStateObserver
 from diffdrive.parameters import as_arrays, check, require_double_precision
 from diffdrive.smooth import smooth
-from tuning.least_squares import Progress, Search, levenberg_marquardt, silent
-from tuning.objective import Ensemble
+from tuning.checkpoint import Checkpoint
+from tuning.constrained import Gains, Point, Problem, Stability, problem_of, worth
+from tuning.least_squares import Progress, many_starts, silent
+from tuning.objective import Objective
+from tuning.requirements import Requirements
+from tuning.scenarios import Ensemble
+from tuning.sequential import KEPT, Found, Standing, search
 from tuning.space import Space, around
 
-FEEDBACK_FACTOR = 1.3  # kp and kd stay near the commissioned loop: no stability margin holds them back here
+FEEDBACK_FACTOR = 30.0  # margins hold kp and kd back, not these bounds
 FILTER_FACTOR = 1e3
+FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
+STABLE_STEPS = 12
+SCATTER = 1.0  # units of y
+SENSITIVE = 0.05  # share of the objective
 
 
-def default_space(controller: Controller) -> Space:
-    """The gains that this kind of controller is tuned by, and how far each may move from where it is."""
+def default_space(controller: Controller, *, friction: bool = False) -> Space:
+    """The gains that this kind of controller is tuned by, and how far each may move from where it is.
+
+    `friction` frees the friction parameters that an observer believes in as well, in each direction.
+    """
     near, far = FEEDBACK_FACTOR, FILTER_FACTOR
     if isinstance(controller, Cascade):
         return around(controller, {"kp": near, "kv": near, "ki": near})
     factors = {"tracking.gains.kp": near, "tracking.gains.kd": near}
     if isinstance(controller, DOBVSC | PDFeedforwardDOB):
-        factors["observer.cutoff"] = 3.0
+        factors["observer.cutoff"] = 10.0
     if isinstance(controller, DOBVSC):
         factors |= {"reach": 10.0, "layer": 10.0, "slope": 10.0}
     if isinstance(controller, FrictionCompensation):
@@ -36,50 +55,148 @@ def default_space(controller: Controller) -> Space:
         estimator = getattr(controller.observer, "load_estimator", None)
         if isinstance(estimator, InnovationLoad):
             factors["observer.load_estimator.gain"] = far
+        if friction:
+            factors |= {
+                f"observer.friction.{name}.{side}": FRICTION_FACTOR
+                for name in (
+                    "coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous",
+                    "bristle_stiffness", "bristle_damping",
+                )
+                for side in ("positive", "negative")
+            }  # fmt: skip
     return around(controller, factors)
 
 
 @dataclass(frozen=True)
+class Binding:
+    """A requirement that holds the objective back: what a relaxation of 1 % would gain, in percent of the objective."""
+
+    name: str
+    worth: float
+
+
+@dataclass(frozen=True)
 class Tuned:
-    """The tuned controller, each gain before and after, those that ended at a bound, and the search behind them."""
+    """The tuned controller, each gain before and after, and what stood in the way of better ones."""
 
     controller: Controller
     names: list[str]
-    before: np.ndarray
-    after: np.ndarray
+    before: Float[np.ndarray, " k"]
+    after: Float[np.ndarray, " k"]
     at_bound: list[str]
-    search: Search
+    point: Point  # the objective, and every requirement
+    began: Point  # the same where the controller was given
+    binding: list[Binding]
+    tolerance: Float[np.ndarray, " k"]  # factor by which each gain alone may move for 5 % more of the objective
+    found: Found
+    starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it stayed unstable
+
+    @property
+    def status(self) -> str:
+        """Why the search ended; whether the requirements are kept is `feasible`."""
+        return self.found.standing.status
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every requirement is kept."""
+        return bool(self.point.missed <= KEPT)
+
+    @property
+    def missed(self) -> dict[str, float]:
+        """The requirements that are not kept, and by which share."""
+        return {name: float(jnp.max(v)) for name, v in self.point.kept.items() if not float(jnp.max(v)) <= KEPT}
 
 
 def tune(
     controller: Controller,
     scenarios: Ensemble,
+    requirements: Requirements,
     space: Space | None = None,
     *,
-    max_steps: int = 20,
-    tolerance: float = 1e-3,
+    objective: Objective = Objective(),
+    starts: int = 1,
+    seed: int = 0,
+    max_steps: int = 40,
+    checkpoint: Path | None = None,
     progress: Progress = silent,
 ) -> Tuned:
-    """Tune `controller` on its smooth variant over `scenarios`; verify the result on the exact simulator.
+    """Tune `controller` over `scenarios` within `requirements`; verify the result on the exact simulator.
 
-    The search's cost is the root of the mean squared cost over the loads, in units of `Scales`.
+    The first start is the controller as given, the others are drawn about it. An unstable start is first led to where
+    the loop is stable. With a `checkpoint` the search goes on there where it was stopped, by a kill or by Ctrl-C, and
+    takes the same steps as if it had not been. Raises `ParameterError` for parameters out of bounds and
+    `CheckpointError` for a checkpoint of another problem.
     """
     require_double_precision()
     check(controller)
     space = default_space(controller) if space is None else space
-    search = levenberg_marquardt(
-        lambda y, args: args[1].residuals(space.insert(args[0], y)),
-        np.zeros(len(space.free)),
-        (as_arrays(smooth(controller)), scenarios),
-        max_steps=max_steps,
-        tolerance=tolerance,
-        progress=progress,
-    )
+    gains = Gains(space.free, objective)
+    problem = problem_of(as_arrays(smooth(controller)), space, scenarios, requirements)
+    scattered = _scattered(len(space.free), starts, seed)
+    kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
+    worths = [worth(gains, jnp.asarray(point), problem) for point in scattered]
+    began = worths[0]
+    points = _stable(space, scattered, worths, problem)
+    order = np.argsort([float(one.penalised) for one in worths])
+    results: list[Found] = []
+    ends = np.full(starts, np.inf)
+    for k in order:
+        standing = kept.standing(int(k)) or Standing(tuple(float(one) for one in points[k]))
+        found = search(
+            gains,
+            problem,
+            standing,
+            max_steps=max_steps,
+            progress=progress,
+            keep=lambda now, k=k: kept.keep(int(k), now),
+        )
+        results.append(found)
+        ends[k] = float(found.at.point.objective) if found.at.point.missed <= KEPT else np.inf
+        if found.standing.status.startswith("interrupted"):
+            break
+    best = min(results, key=lambda one: float(one.at.point.penalised))
+    return _tuned(controller, space, best, began, ends)
+
+
+def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+    others = SCATTER * np.random.default_rng(seed).normal(size=(max(0, starts - 1), count))
+    return np.vstack([np.zeros((1, count)), others])
+
+
+def _stable(
+    space: Space, points: Float[np.ndarray, "s k"], worths: Sequence[Point], problem: Problem
+) -> Float[np.ndarray, "s k"]:
+    """The starts, those with an unstable loop moved to where it keeps its margins, as lanes of one program."""
+    lost = np.array([not (float(jnp.max(one.kept["stability"])) <= 0 and np.isfinite(one.objective)) for one in worths])
+    if not lost.any():
+        return points
+    led, points = np.where(lost[:, None], points, points[np.argmax(lost)]), points.copy()
+    points[lost] = many_starts(Stability(space.free), led, problem, steps=STABLE_STEPS)[0][lost]
+    return points
+
+
+def _tuned(controller: Controller, space: Space, found: Found, began: Point, ends: Float[np.ndarray, " s"]) -> Tuned:
+    objective = float(found.at.point.objective)
+    binding = [
+        Binding(name, float(np.sum(prices)) / objective)
+        for name, prices in found.multipliers.items()
+        if float(np.sum(prices)) > 1e-3 * objective
+    ]
+    values = np.asarray(space.values(found.y))
+    curvature = np.diag(np.asarray(found.at.curvature))
+    reach = np.sqrt(2.0 * SENSITIVE * objective / np.maximum(curvature, 1e-300))
+    steps = np.eye(len(values)) * np.minimum(reach, 20.0)
+    moved = np.array([np.asarray(space.values(found.y + step))[k] for k, step in enumerate(steps)])
     return Tuned(
-        controller=jax.tree.map(float, space.insert(as_arrays(controller), search.y)),
+        controller=jax.tree.map(float, space.insert(as_arrays(controller), found.y)),
         names=space.names,
-        before=np.asarray(space.values(np.zeros_like(search.y))),
-        after=np.asarray(space.values(search.y)),
-        at_bound=space.at_bound(search.y),
-        search=search,
+        before=np.asarray(space.values(np.zeros_like(found.y))),
+        after=values,
+        at_bound=space.at_bound(found.y),
+        point=found.at.point,
+        began=began,
+        binding=sorted(binding, key=lambda one: -one.worth),
+        tolerance=moved / values,
+        found=found,
+        starts=ends,
     )

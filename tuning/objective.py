@@ -34,7 +34,7 @@ def mean(costs: Lanes) -> Scalar:
 
 def worst(costs: Lanes) -> Scalar:
     """A smooth maximum over the lanes."""
-    scale = lax.stop_gradient(jnp.mean(costs)) / WORST_SHARPNESS + TINY
+    scale = jnp.mean(costs) / WORST_SHARPNESS + TINY
     return scale * jax.nn.logsumexp(costs / scale)
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.convergence import convergence_gain, printed_estimator
+from diffdrive.convergence import convergence_gain, printed_observer
 from diffdrive.linearise import Operating, open_loop
 from diffdrive.margins import NEUTRAL, Margins, margins
+from diffdrive.observer import KalmanObserver
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.smooth import smooth
 from tuning.objective import rms
@@ -32,7 +33,7 @@ class Limits(NamedTuple):
     phase: float = float(np.radians(30.0))
     sensitivity: float | None = None  # peak of |1 / (1 + L)|
     command_noise: float | None = 20.0  # N, in every lane
-    load_error: float | None = None  # N of RMS, in every lane
+    load_error: float | Float[np.ndarray, " lanes"] | None = None  # N of RMS, in every lane or in each
     settling: float | None = 2.0  # s, in which an eq. (20) estimator forgets an error of the load to 1/e
 
 
@@ -53,9 +54,9 @@ def points(drives: Sequence[Drive], speeds: Sequence[float], loads: Sequence[flo
 
 
 class Requirements(eqx.Module):
-    """Limits, and where they are looked at."""
+    """Limits, and where they are looked at. Every number is an array, so that another limit is no other program."""
 
-    limits: Limits = eqx.field(static=True)
+    limits: Limits = eqx.field(converter=as_arrays)
     points: Points
     sampling: Sampling = eqx.field(static=True)
 
@@ -73,34 +74,31 @@ class Requirements(eqx.Module):
         grows = (found.growth - NEUTRAL) / UNSTABLE
         stable = found.growth < NEUTRAL
 
-        def asked(excess: Array) -> Array:
-            return jnp.where(stable, excess, 0.0)  # the margins of an unstable loop mean nothing
+        def asked(excess: Array, at_most: Array | float) -> Array:
+            # an unstable loop has no margins: it misses them by as much as a loop at the brink of instability
+            return jnp.where(stable, excess, at_most)
 
         kept = {
             "stability": grows,
-            "gain margin up": asked(limits.gain_up / found.gain_up - 1.0),
-            "gain margin down": asked(limits.gain_down / found.gain_down - 1.0),
-            "phase margin": asked(jnp.where(jnp.isinf(found.phase), -1.0, 1.0 - found.phase / limits.phase)),
+            "gain margin up": asked(limits.gain_up / found.gain_up - 1.0, limits.gain_up - 1.0),
+            "gain margin down": asked(limits.gain_down / found.gain_down - 1.0, limits.gain_down - 1.0),
+            "phase margin": asked(jnp.where(jnp.isinf(found.phase), -1.0, 1.0 - found.phase / limits.phase), 1.0),
         }
         if limits.sensitivity is not None:
-            kept["peak sensitivity"] = asked(found.sensitivity / limits.sensitivity - 1.0)
-        observer = printed_estimator(controller)
+            kept["peak sensitivity"] = asked(1.0 - limits.sensitivity / found.sensitivity, 1.0)
+        observer = printed_observer(controller)
         if observer is not None and limits.settling is not None:
             kept["load estimator"] = self._settling(observer)
         return kept
 
-    def _settling(self, observer: eqx.Module) -> Float[Array, " p"]:
+    def _settling(self, observer: KalmanObserver) -> Float[Array, " p"]:
         """Eq. (20) must forget an error within `settling` wherever it is at work (and G be positive for that)."""
-        gate, mu, gain = (
-            observer.load_estimator.min_speed,
-            observer.friction.load_coefficient,
-            observer.load_estimator.gain,
-        )
+        estimator, mu = observer.load_estimator, observer.friction.load_coefficient
         velocity, load = jnp.asarray(self.points.velocity), jnp.asarray(self.points.load)
-        at_work = jnp.abs(velocity) > gate
+        at_work = jnp.abs(velocity) > estimator.min_speed
         sliding = jnp.where(at_work, velocity, 1.0)
         found = jax.vmap(lambda v, w: convergence_gain(observer, v, self.sampling.period, w))(sliding, load)
-        per_step = gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
+        per_step = estimator.gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
         return jnp.where(at_work, 1.0 - per_step * self.limits.settling / self.sampling.period, -1.0)
 
     def of_signals(self, signals: Signals) -> dict[str, Float[Array, " lanes"]]:
