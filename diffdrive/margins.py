@@ -81,7 +81,8 @@ def _critical(found: Response) -> _Critical:
     cubic = _Cubic.through(found)
 
     def nearest(candidates: Bool[Array, " i"], distance: Array, log: Array) -> tuple[Scalar, Scalar]:
-        return jnp.exp(log[jnp.argmin(jnp.where(candidates, distance, jnp.inf))]), jnp.any(candidates)
+        chosen = jnp.argmin(jnp.where(candidates, distance, jnp.inf))
+        return jnp.exp(jnp.where(candidates, log, 0.0)[chosen]), jnp.any(candidates)  # 1 Hz where there is none
 
     share, crosses = _crossings(cubic, jnp.imag, found.loop)  # of the real axis, on which the response ends as well
     log = jnp.append(cubic.start + share * cubic.step, jnp.log(found.frequency[-1]))
