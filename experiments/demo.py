@@ -64,7 +64,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         _simulate(report, description)
         _differentiate(report, description)
         report.say("Tuning Kp, Kd, Q and R over loads from 0 to 12.6 kN, within stability margins.")
-        tune_drive(description, report, max_steps=5 if quick else 20)
+        tune_drive(description, report)
         folder = emps_folder or emps.find_folder()
         if folder is None:
             report.say(

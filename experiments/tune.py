@@ -11,11 +11,13 @@ import numpy as np
 
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription, write_drive
+from diffdrive.linearise import Operating
 from diffdrive.margins import Margins
 from diffdrive.parameters import Sampling, as_arrays
 from diffdrive.smooth import smooth
 from experiments.handover import LABELS, handover, worst_margins, write_handover
 from experiments.interruption import at_next_step
+from experiments.loop_figures import bode, nyquist, responses
 from experiments.report import Report, new_figure
 from experiments.tuning_cases import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
 from tuning.gains import Tuned, default_space, tune
@@ -71,6 +73,7 @@ def tune_drive(
         )  # fmt: skip
     _result(report, tuned)
     margins = _margins_table(report, description, tuned.controller, plan)
+    _loop_figures(report, description, tuned.controller, plan, limits)
     runs = _verify(report, description.controller, tuned.controller, on, off, description.sampling)
     report.figure("tuning", _figure(tuned, runs))
     if pareto:
@@ -119,7 +122,8 @@ def _result(report: Report, tuned: Tuned) -> None:
     for one in tuned.binding:
         report.say(f"Held back by the {one.name}: 1 % more of it would gain {one.worth:.2g} % of the objective.")
     for name, share in tuned.missed.items():
-        report.say(f"NOT KEPT: {name}, missed by {100 * share:.3g} %. No gains near these keep it; relax it.")
+        mend = "no gains near these keep it: relax it" if tuned.status.startswith("infeasible") else "search on"
+        report.say(f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}.")
     if len(tuned.starts) > 1:
         report.values("starts", objective=[float(one) for one in tuned.starts])
 
@@ -150,6 +154,18 @@ def _margins_table(report: Report, description: DriveDescription, tuned: Control
     columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
     return jax.tree.map(lambda values: values[:count], found)
+
+
+def _loop_figures(report: Report, description: DriveDescription, tuned: Controller, plan: Plan, limits: Limits) -> None:
+    """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
+    at = [Operating(v, w) for v in (0.0, 1e-3, plan.speed) for w in (0.0, plan.max_load)]
+    with report.working("drawing the loops"):
+        panels = {
+            name: responses(description.drive, controller, description.sampling, at)
+            for name, controller in (("given", description.controller), ("tuned", tuned))
+        }
+    report.figure("nyquist", nyquist(panels, limits))
+    report.figure("bode", bode(panels, limits))
 
 
 WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")

@@ -28,6 +28,7 @@ from tuning.gains import Tuned, default_space, tune
 from tuning.objective import Objective
 from tuning.requirements import Limits, Requirements, points
 from tuning.scenarios import Ensemble, Scenario, ensemble
+from tuning.sequential import KEPT
 from tuning.space import Space
 
 RATE = 10_000.0
@@ -124,7 +125,6 @@ def _race(report: Report, bench: Benchmark, space: Space, evaluations: int, runs
     return tuned, best
 
 
-KEPT = 5e-3
 SEARCHES = {"CMA-ES": cma_es, "Nelder-Mead": nelder_mead, "random": random_search}
 
 

@@ -36,7 +36,7 @@ def usual():
 QUESTIONS = {"PD+FC+LS": Objective(), "PD+FC+LE": Objective(peak=2e5, load_error=1e-5, aggregation="worst")}
 
 
-@pytest.mark.parametrize("name", QUESTIONS)
+@pytest.mark.parametrize("name", ["PD+FC+LS", pytest.param("PD+FC+LE", marks=pytest.mark.slow)])
 def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
     gains, problem, space = question(objective=QUESTIONS[name], name=name)
     y = jnp.asarray(0.2 * np.random.default_rng(1).normal(size=len(space.free)))

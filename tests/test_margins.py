@@ -34,18 +34,16 @@ from diffdrive.plant import PlantState
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.simulate import Inputs, rollout, start
 
+pytestmark = pytest.mark.slow  # two minutes of compiling many loops
 PAPER = paper_drive()
-
-
 MOST_STATES = 15
 
 
 def padded(loop):
-    """The loop with states added that nothing moves: all loops are of one size, and `margins` is compiled once."""
-    more = MOST_STATES - loop.b.shape[-1]
-    last = [(0, 0)] * (loop.b.ndim - 1)
-    a = jnp.pad(loop.a, [*last, (0, more), (0, more)])
-    return OpenLoop(a, jnp.pad(loop.b, [*last, (0, more)]), jnp.pad(loop.c, [*last, (0, more)]), loop.period)
+    """The loops [p] with states added that nothing moves: all loops are of one size, and `margins` is compiled once."""
+    add, no = (0, MOST_STATES - loop.b.shape[-1]), (0, 0)
+    a, b, c = jnp.pad(loop.a, [no, add, add]), jnp.pad(loop.b, [no, add]), jnp.pad(loop.c, [no, add])
+    return OpenLoop(a, b, c, loop.period)
 
 
 all_margins = jax.jit(jax.vmap(margins))
@@ -93,7 +91,7 @@ def test_margins_are_those_of_python_control(name, delay):
     for point in range(len(VELOCITIES)):
         ours = margins_at(name, point, delay)
         theirs = by_python_control(loop_of(name, point, delay))
-        np.testing.assert_allclose((ours.gain_up, ours.gain_down, ours.phase, ours.sensitivity), theirs, rtol=1e-5)
+        np.testing.assert_allclose((ours.gain_up, ours.gain_down, ours.phase, ours.sensitivity), theirs, rtol=1e-6)
 
 
 def test_phase_margins_are_those_of_the_notes():
@@ -138,7 +136,7 @@ def test_gain_margins_are_where_the_first_mode_grows(name):
     for point in range(len(VELOCITIES)):
         found = margins_at(name, point)
         up, down = gains_that_hold(loop_of(name, point))
-        np.testing.assert_allclose((found.gain_up, found.gain_down), (up, down), rtol=1e-3)
+        np.testing.assert_allclose((found.gain_up, found.gain_down), (up, down), rtol=2e-4)
 
 
 def envelope_rate(signal, period):
@@ -198,8 +196,6 @@ def test_pd_is_lost_in_simulation_just_beyond_its_gain_margin(point, side, secon
         ("PD+FC+LS", 0, "gain_up", 0.3),
         ("PD+FC+LS", 4, "gain_up", 0.03),
         ("PD+FC+LS", 4, "gain_down", 1.0),
-        ("DOBVSC", 2, "gain_up", 0.1),
-        ("DOBVSC", 2, "gain_down", 1.0),
     ],
 )
 def test_an_observer_s_loop_is_lost_in_simulation_just_beyond_its_gain_margin(name, point, side, seconds):

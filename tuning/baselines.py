@@ -24,8 +24,8 @@ from jaxtyping import Array, Float, Int
 
 from tuning.constrained import Gains, Problem
 from tuning.evolution import WORST, Budget
+from tuning.sequential import KEPT
 
-FEASIBLE = 5e-3  # of a requirement, that may be missed
 STEP = 0.5  # in y: the first spread of CMA-ES, the edges of the first simplex
 SIMPLEX = 1e-4  # in y: the size of a simplex that has collapsed
 DRAWN = 10  # points of random search at a time
@@ -51,7 +51,7 @@ class Visit(NamedTuple):
     simulations: int
     seconds: float
     cost: float  # penalised
-    feasible: float  # the lowest objective where nothing is missed by more than `FEASIBLE`; infinite where none is yet
+    feasible: float  # the lowest objective where nothing is missed by more than `KEPT`; infinite where none is yet
 
 
 Visited = Callable[[Visit], None]
@@ -103,7 +103,7 @@ class _Trail:
         points = points[:left]
         penalised, objective, missed = self.cost(points)
         penalised = np.where(np.isfinite(penalised), penalised, WORST)
-        kept = np.where(np.isfinite(objective) & (missed <= FEASIBLE), objective, np.inf)
+        kept = np.where(np.isfinite(objective) & (missed <= KEPT), objective, np.inf)
         self._keep(points, penalised, kept)
         self.visited(self.last)
         if self._spent():

@@ -66,7 +66,8 @@ class Checkpoint:
 
 def _standing(fields: dict[str, Any]) -> Standing:
     history = tuple(tuple(entry) for entry in fields["history"])
-    return Standing(**{**fields, "y": tuple(fields["y"]), "history": history})
+    best = None if fields["best"] is None else tuple(fields["best"])
+    return Standing(**{**fields, "y": tuple(fields["y"]), "history": history, "best": best})
 
 
 def _identity(problem: Any) -> str:

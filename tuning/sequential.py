@@ -22,7 +22,7 @@ from tuning.least_squares import Progress, silent
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.5, 2.0, 1e-3  # units of y
 ACCEPTED, GOOD = 0.05, 0.7  # share of the foretold gain
-KEPT = 2e-3  # a requirement missed by less counts as kept
+KEPT = 5e-3  # a requirement missed by less counts as kept
 GAIN = 1e-3  # of the objective, that a step must foretell, and three have gained, to be worth going on
 STALLED_STEPS = 3
 PRICE = 2.0  # of a missed requirement, over its multiplier
@@ -42,6 +42,8 @@ class Standing:
     seconds: float = 0.0
     history: tuple[tuple[int, int, float, float, float], ...] = ()  # evaluations, linearisations, s, objective, missed
     status: str = "running"
+    best: tuple[float, ...] | None = None  # y of the lowest objective with every requirement kept
+    best_objective: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,8 @@ def search(
             now = dataclasses.replace(now, seconds=time.perf_counter() - began)
             entry = (now.evaluations, now.linearisations, now.seconds, *_worth(at.point))
             now = dataclasses.replace(now, history=(*now.history, entry))
+            if entry[4] <= KEPT and entry[3] < now.best_objective:
+                now = dataclasses.replace(now, best=now.y, best_objective=entry[3])
             if now.status == "running" and _stalled(now.history):
                 now = dataclasses.replace(now, status="converged")
             if now.status == "running" and now.steps >= max_steps:
@@ -89,7 +93,11 @@ def search(
             progress(now.steps, max_steps, entry[3])
     except KeyboardInterrupt:
         now = dataclasses.replace(now, status=f"interrupted after {now.steps} steps")
-    if now.status == "converged" and _worth(at.point)[1] > KEPT:
+    missed = _worth(at.point)[1] > KEPT
+    if missed and now.best is not None:  # stopped on the way
+        now = dataclasses.replace(now, y=now.best)
+        at = _linearised(gains, problem, now)
+    elif missed and now.status == "converged":
         now = dataclasses.replace(now, status="infeasible: no step brings it nearer to what is required")
     return Found(now, at, _program(at, max(now.radius, SMALLEST_RADIUS))[1])
 
