@@ -11,14 +11,15 @@ import pytest
 import scipy.ndimage
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from lopsided import LOPSIDED
 
 from diffdrive import actuator, load, plant
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import Gains as PDGains
 from diffdrive.controllers.base import Tracking
 from diffdrive.logs import Log
-from diffdrive.parameters import Actuator, Directional, Drive, Plant, Sensor, as_arrays
-from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.parameters import Actuator, Directional, Sensor, as_arrays
+from diffdrive.presets import PAPER_KD, PAPER_KP
 from diffdrive.simulate import inputs_of, rollout
 from experiments.excitation import joined, resting, strokes
 from tuning.filtering import PROCESSES, likeliest, track
@@ -31,17 +32,6 @@ from tuning.unknowns import bounds, paths, unknowns_of
 
 RATE = 4_000.0
 SAMPLING = sampling_of(RATE, 50e-6)
-PAPER = paper_drive(quantised=False)
-# everything differs between the directions, so that nothing can be taken from the wrong side
-LOPSIDED = Drive(
-    Plant(mass=110.0, damping=Directional(500.0, 200.0), constant_force=12.0),
-    replace(
-        PAPER.friction,
-        load_coefficient=Directional(4e-4, 3e-4),
-        bristle_stiffness=Directional(3e7, 4e7),
-        bristle_damping=Directional(4e3, 6e3),
-    ),
-)
 DELAYED = replace(LOPSIDED, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
 NOISE = 3e-8  # m
 CONTROLLER = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))

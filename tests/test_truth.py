@@ -7,30 +7,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lopsided import LOPSIDED, PAPER
 from scipy.integrate import solve_ivp
 
 from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
-from diffdrive.parameters import Actuator, Directional, Drive, Plant, Sensor, as_arrays
-from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.parameters import Actuator, Sensor, as_arrays
+from diffdrive.presets import PAPER_KD, PAPER_KP
 from diffdrive.simulate import simulate
 from experiments.benchmark import one_kernel
 from experiments.truth import SCALE, Table, advance, run, truth_log, truth_logs
 
 RATE, LOAD = 10_000.0, 5_000.0
 GAINS = Gains(PAPER_KP, PAPER_KD)
-PAPER = paper_drive(quantised=False)
-# everything differs between the directions, so that nothing can be taken from the wrong side
-LOPSIDED = Drive(
-    Plant(mass=110.0, damping=Directional(500.0, 200.0), constant_force=12.0),
-    replace(
-        PAPER.friction,
-        load_coefficient=Directional(4e-4, 3e-4),
-        bristle_stiffness=Directional(3e7, 4e7),
-        bristle_damping=Directional(4e3, 6e3),
-    ),
-)
 LEVEL = replace(LOPSIDED, plant=replace(LOPSIDED.plant, constant_force=0.0))
 DELAYED = replace(LOPSIDED, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
 

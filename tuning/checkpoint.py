@@ -1,6 +1,5 @@
 """Searches that survive a kill: where each start stands, in one file that is never half written."""
 
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -56,12 +55,6 @@ class Checkpoint:
         temporary = self.path.with_suffix(".part")
         temporary.write_text(json.dumps(held), encoding="utf-8")
         os.replace(temporary, self.path)
-
-    def discard(self) -> None:
-        """Delete the file: the tuning is done."""
-        if self.path is not None:
-            with contextlib.suppress(FileNotFoundError):
-                self.path.unlink()
 
 
 def _standing(fields: dict[str, Any]) -> Standing:
