@@ -30,6 +30,7 @@ START = time.monotonic()
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
 VENV = ROOT / ".venv"
+IN_PARALLEL = ["-n", "auto", "--maxprocesses", "8", "--dist", "loadfile"]  # of one file in one process: they share
 STAMP = VENV / "diffdrive-setup.json"
 SCRIPTS, EXE = (VENV / "Scripts", ".exe") if os.name == "nt" else (VENV / "bin", "")
 VENV_PYTHON, VENV_DIFFDRIVE = SCRIPTS / f"python{EXE}", SCRIPTS / f"diffdrive{EXE}"
@@ -226,7 +227,7 @@ def main(arguments: list[str]) -> int:
     verb, rest = (arguments or [""])[0], arguments[1:]
     jobs: dict[str, tuple[list[str], list, Path]] = {
         "demo": ([], [VENV_DIFFDRIVE, "demo", "--out", "results/demo"], ROOT),
-        "test": (["test"], [VENV_PYTHON, "-m", "pytest"], ROOT),
+        "test": (["test"], [VENV_PYTHON, "-m", "pytest", *IN_PARALLEL], ROOT),
         "run": ([], [VENV_DIFFDRIVE], Path.cwd()),
     }
     if verb not in jobs:

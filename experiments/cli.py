@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from experiments.runtime import configure
+from experiments.runtime import configure, keep_compiled
 
 app = typer.Typer(
     help="Simulate, tune and check a machine-tool feed drive with friction compensation.\n\n"
@@ -378,6 +378,7 @@ def main() -> None:
     from diffdrive.errors import DiffdriveError
 
     configure()
+    keep_compiled()
     error = Console(stderr=True, highlight=False)
     warnings.showwarning = _plain_warning(error)
     try:

@@ -5,8 +5,10 @@ The library itself changes no global state; the command line, the studies and th
 
 import contextlib
 import os
+from pathlib import Path
 
 import jax
+import platformdirs
 
 # Without these, jax before 0.12 dispatches each small operation of the loop on its own, five to twenty times slower
 # (docs/numerics.md); from 0.12 on they widen the vectors.
@@ -14,6 +16,9 @@ _XLA_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000,xla_cpu_disable_loop_unrolling",
 )
+
+
+_WORTH_KEEPING = 0.5  # s of compilation
 
 
 def configure() -> None:
@@ -27,3 +32,21 @@ def configure() -> None:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+
+
+def keep_compiled() -> None:
+    """Keep what is compiled in the user's cache folder for the next run: compilation is most of a short command.
+
+    jax recognises programs by content, version, flags and processor. `JAX_COMPILATION_CACHE_DIR` names another folder,
+    `JAX_ENABLE_COMPILATION_CACHE=0` turns it off; where nothing can be written nothing is kept.
+    """
+    if jax.config.jax_compilation_cache_dir is not None or not jax.config.jax_enable_compilation_cache:
+        return
+    folder = Path(platformdirs.user_cache_dir("diffdrive", appauthor=False)) / "compiled"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    if os.access(folder, os.W_OK):
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING)

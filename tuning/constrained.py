@@ -20,7 +20,6 @@ from tuning.scenarios import Ensemble, Signals
 from tuning.space import Free, Space
 
 PENALTY, HOPELESS = 10.0, 1e6
-ROOM, NEARNESS = 0.1, 1e-3  # of a requirement, and per unit of y
 
 Named = dict[str, Float[Array, " n"]]
 
@@ -115,19 +114,6 @@ def worth(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Point:
 def linearised(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Linearised:
     """`Gains.linearised`, compiled."""
     return gains.linearised(y, problem)
-
-
-@dataclass(frozen=True)
-class Stability:
-    """Residuals of the requirements on the loop alone, for a start that does not keep them; hashed by value."""
-
-    free: tuple[Free, ...]
-
-    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
-        """How far each is missed, and a little of the distance to the start."""
-        kept = problem.requirements.of_loop(Space(self.free, problem.origin).insert(problem.controller, y))
-        missed = [jnp.maximum(values + ROOM, 0.0) for values in kept.values()]
-        return jnp.concatenate([*missed, NEARNESS * y])
 
 
 def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Requirements) -> Problem:

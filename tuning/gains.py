@@ -3,7 +3,6 @@
 starts -> unstable ones made stable, side by side -> searched, the most promising first -> the best
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +17,8 @@ from diffdrive.observer import LoadStateObserver
 from diffdrive.parameters import as_arrays, check, require_double_precision
 from diffdrive.smooth import smooth
 from tuning.checkpoint import Checkpoint
-from tuning.constrained import Gains, Point, Problem, Stability, problem_of, worth
-from tuning.least_squares import Progress, many_starts, silent
+from tuning.constrained import Gains, Point, problem_of, worth
+from tuning.least_squares import Progress, silent
 from tuning.objective import Objective
 from tuning.requirements import Requirements
 from tuning.scenarios import Ensemble
@@ -29,7 +28,7 @@ from tuning.space import Space, around
 FEEDBACK_FACTOR = 30.0  # margins hold kp and kd back, not these bounds
 FILTER_FACTOR = 1e3
 FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
-STABLE_STEPS = 12
+STARTS = 4
 SCATTER = 1.0  # units of y
 SENSITIVE = 0.05  # share of the objective
 
@@ -87,7 +86,7 @@ class Tuned:
     point: Point  # the objective, and every requirement
     began: Point  # the same where the controller was given
     binding: list[Binding]
-    tolerance: Float[np.ndarray, " k"]  # factor by which each gain alone may move for 5 % more of the objective
+    tolerance: Float[np.ndarray, " k"]  # factor by which each alone may move for 5 % more of the objective; 1000: any
     found: Found
     starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it stayed unstable
 
@@ -114,7 +113,7 @@ def tune(
     space: Space | None = None,
     *,
     objective: Objective = Objective(),
-    starts: int = 1,
+    starts: int = STARTS,
     seed: int = 0,
     max_steps: int = 40,
     checkpoint: Path | None = None,
@@ -122,9 +121,10 @@ def tune(
 ) -> Tuned:
     """Tune `controller` over `scenarios` within `requirements`; verify the result on the exact simulator.
 
-    The first start is the controller as given, the others are drawn about it. An unstable start is first led to where
-    the loop is stable. With a `checkpoint` the search goes on there where it was stopped, by a kill or by Ctrl-C, and
-    takes the same steps as if it had not been. Raises `ParameterError` for parameters out of bounds and
+    The first start is the controller as given, the others are drawn about it: the landscape has several valleys of
+    nearly the same depth (docs/tuning.md). An unstable start is first led to where the loop is stable. With a
+    `checkpoint` the search goes on there where it was stopped, by a kill or by Ctrl-C, and takes the same steps as if
+    it had not been. Raises `ParameterError` for parameters out of bounds and
     `CheckpointError` for a checkpoint of another problem.
     """
     require_double_precision()
@@ -136,12 +136,11 @@ def tune(
     kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
     worths = [worth(gains, jnp.asarray(point), problem) for point in scattered]
     began = worths[0]
-    points = _stable(space, scattered, worths, problem)
     order = np.argsort([float(one.penalised) for one in worths])
     results: list[Found] = []
     ends = np.full(starts, np.inf)
     for k in order:
-        standing = kept.standing(int(k)) or Standing(tuple(float(one) for one in points[k]))
+        standing = kept.standing(int(k)) or Standing(tuple(float(one) for one in scattered[k]))
         found = search(
             gains,
             problem,
@@ -163,18 +162,6 @@ def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     return np.vstack([np.zeros((1, count)), others])
 
 
-def _stable(
-    space: Space, points: Float[np.ndarray, "s k"], worths: Sequence[Point], problem: Problem
-) -> Float[np.ndarray, "s k"]:
-    """The starts, those with an unstable loop moved to where it keeps its margins, as lanes of one program."""
-    lost = np.array([not (float(jnp.max(one.kept["stability"])) <= 0 and np.isfinite(one.objective)) for one in worths])
-    if not lost.any():
-        return points
-    led, points = np.where(lost[:, None], points, points[np.argmax(lost)]), points.copy()
-    points[lost] = many_starts(Stability(space.free), led, problem, steps=STABLE_STEPS)[0][lost]
-    return points
-
-
 def _tuned(controller: Controller, space: Space, found: Found, began: Point, ends: Float[np.ndarray, " s"]) -> Tuned:
     objective = float(found.at.point.objective)
     binding = [
@@ -183,10 +170,10 @@ def _tuned(controller: Controller, space: Space, found: Found, began: Point, end
         if float(np.sum(prices)) > 1e-3 * objective
     ]
     values = np.asarray(space.values(found.y))
-    curvature = np.diag(np.asarray(found.at.curvature))
+    # a step of y that moves the logarithm of each value by one, and how far that goes for a share of the objective
+    per_log = 1.0 / np.diag(np.asarray(jax.jacobian(lambda y: jnp.log(space.values(y)))(jnp.asarray(found.y))))
+    curvature = np.diag(np.asarray(found.at.curvature)) * per_log**2
     reach = np.sqrt(2.0 * SENSITIVE * objective / np.maximum(curvature, 1e-300))
-    steps = np.eye(len(values)) * np.minimum(reach, 20.0)
-    moved = np.array([np.asarray(space.values(found.y + step))[k] for k, step in enumerate(steps)])
     return Tuned(
         controller=jax.tree.map(float, space.insert(as_arrays(controller), found.y)),
         names=space.names,
@@ -196,7 +183,7 @@ def _tuned(controller: Controller, space: Space, found: Found, began: Point, end
         point=found.at.point,
         began=began,
         binding=sorted(binding, key=lambda one: -one.worth),
-        tolerance=moved / values,
+        tolerance=np.exp(np.minimum(reach, np.log(FILTER_FACTOR))),
         found=found,
         starts=ends,
     )

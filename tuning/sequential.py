@@ -19,6 +19,7 @@ from jaxtyping import Float
 from tuning.constrained import Gains, Linearised, Point, Problem, linearised, worth
 from tuning.least_distance import quadratic_program
 from tuning.least_squares import Progress, silent
+from tuning.restoration import simulates, stabilising_step
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.5, 2.0, 1e-3  # units of y
 ACCEPTED, GOOD = 0.05, 0.7  # share of the foretold gain
@@ -75,11 +76,9 @@ def search(
     """
     now, began = begin, time.perf_counter() - begin.seconds
     at = _linearised(gains, problem, now)
-    if not np.isfinite(float(at.point.objective)):
-        now = dataclasses.replace(now, status="the loop diverges where the search starts")
     try:
         while now.status == "running":
-            now, at = _step(gains, problem, now, at)
+            now, at = (_step if simulates(at.point) else _stabilise)(gains, problem, now, at)
             now = dataclasses.replace(now, seconds=time.perf_counter() - began)
             entry = (now.evaluations, now.linearisations, now.seconds, *_worth(at.point))
             now = dataclasses.replace(now, history=(*now.history, entry))
@@ -99,7 +98,8 @@ def search(
         at = _linearised(gains, problem, now)
     elif missed and now.status == "converged":
         now = dataclasses.replace(now, status="infeasible: no step brings it nearer to what is required")
-    return Found(now, at, _program(at, max(now.radius, SMALLEST_RADIUS))[1])
+    prices = _program(at, max(now.radius, SMALLEST_RADIUS))[1] if simulates(at.point) else {}
+    return Found(now, at, prices)
 
 
 def _stalled(history: tuple[tuple[int, int, float, float, float], ...]) -> bool:
@@ -123,6 +123,24 @@ def _merit(point: Point, price: float) -> float:
     missed = sum(max(0.0, float(jnp.max(values))) for values in point.kept.values())
     merit = float(point.objective) + price * missed
     return merit if np.isfinite(merit) else np.inf
+
+
+def _stabilise(gains: Gains, problem: Problem, now: Standing, at: Linearised) -> tuple[Standing, Linearised]:
+    """One step of an unstable loop towards a stable one, whatever it does to the objective."""
+    d = stabilising_step(at, now.radius)
+    now = dataclasses.replace(now, steps=now.steps + 1)
+    if d is None:
+        return dataclasses.replace(now, status="unstable: nothing near these gains is stable"), at
+    there_y = tuple(float(one) for one in np.array(now.y) + d)
+    there = worth(gains, jnp.asarray(there_y), problem)
+    now = dataclasses.replace(now, evaluations=now.evaluations + 1)
+    if not float(jnp.max(there.kept["stability"])) < float(jnp.max(at.point.kept["stability"])):
+        radius = 0.3 * min(now.radius, float(np.max(np.abs(d))))
+        status = "running" if radius > SMALLEST_RADIUS else "unstable: no step from here makes the loop more stable"
+        return dataclasses.replace(now, radius=radius, status=status), at
+    now = dataclasses.replace(now, y=there_y, linearisations=now.linearisations + 1)
+    at = _linearised(gains, problem, now)
+    return dataclasses.replace(now, radius=FIRST_RADIUS if simulates(at.point) else LARGEST_RADIUS), at
 
 
 def _step(gains: Gains, problem: Problem, now: Standing, at: Linearised) -> tuple[Standing, Linearised]:

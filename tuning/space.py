@@ -39,8 +39,8 @@ class Space(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """The last part of each path."""
-        return [one.path.split(".")[-1] for one in self.free]
+        """The last part of each path, with what it is the direction of."""
+        return [_short(one.path) for one in self.free]
 
     def values(self, y: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Float[Array, " k"]:
         """The parameters at `y`."""
@@ -69,8 +69,13 @@ class Space(NamedTuple):
         return [free.path for free, s in zip(self.free, share, strict=True) if s < within or s > 1 - within]
 
     def at_bound(self, y: Float[np.ndarray, " k"]) -> list[str]:
-        """The last part of each path in `near_bound`."""
-        return [path.split(".")[-1] for path in self.near_bound(y)]
+        """The names of those in `near_bound`."""
+        return [_short(path) for path in self.near_bound(y)]
+
+
+def _short(path: str) -> str:
+    parts = path.split(".")
+    return ".".join(parts[-2:] if parts[-1] in ("positive", "negative") else parts[-1:])
 
 
 def _value(model: object, path: str) -> float:
