@@ -113,7 +113,7 @@ def tune(
     friction: Annotated[
         bool, typer.Option("--friction", help="Tune the observer's friction parameters along.")
     ] = False,
-    starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the file's gains.")] = 1,
+    starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the file's gains.")] = 4,
     seed: Annotated[int, typer.Option(help="Seed of the machines and of the other starts.")] = 0,
     steps: Annotated[int, typer.Option(min=1, help="Most search steps from each start.")] = 40,
     pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
@@ -126,7 +126,7 @@ def tune(
     then it says which and by how much, and ends with code 3. Interrupted or killed, the same command with the same
     --out goes on where it stopped.
 
-    Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --starts 4 --out tuned`
+    Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --out tuned`
     """
     from diffdrive.drive_file import read_drive
     from experiments.report import Report

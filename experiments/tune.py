@@ -20,7 +20,7 @@ from experiments.interruption import at_next_step
 from experiments.loop_figures import bode, nyquist, responses
 from experiments.report import Report, new_figure
 from experiments.tuning_cases import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
-from tuning.gains import Tuned, default_space, tune
+from tuning.gains import STARTS, Tuned, default_space, tune
 from tuning.objective import Objective
 from tuning.requirements import Limits, Requirements, points
 from tuning.scenarios import Ensemble, Scenario, ensemble
@@ -44,7 +44,7 @@ def tune_drive(
     limits: Limits = Limits(command_noise=None),
     objective: Objective = Objective(),
     friction: bool = False,
-    starts: int = 1,
+    starts: int = STARTS,
     max_steps: int = 40,
     pareto: Sequence[float] = (),
 ) -> tuple[Tuned, bool]:

@@ -72,21 +72,21 @@ class Gains:
     free: tuple[Free, ...]
     objective: Objective
 
-    def _seen(self, y: Float[Array, " k"], problem: Problem) -> tuple[Signals, Named]:
+    def seen(self, y: Float[Array, " k"], problem: Problem) -> tuple[Signals, Named]:
         controller = Space(self.free, problem.origin).insert(problem.controller, y)
         signals = problem.scenarios.signals(controller)
         return signals, problem.requirements.of_loop(controller) | problem.requirements.of_signals(signals)
 
     def at(self, y: Float[Array, " k"], problem: Problem) -> Point:
         """The point's worth."""
-        signals, kept = self._seen(y, problem)
+        signals, kept = self.seen(y, problem)
         return Point(self.objective(signals), kept)
 
     def linearised(self, y: Float[Array, " k"], problem: Problem) -> Linearised:
         """The point's worth with derivatives, in one forward pass for all parameters."""
 
         def along(direction: Array) -> tuple[tuple[Signals, Named], tuple[Signals, Named]]:
-            return jax.jvp(lambda y: self._seen(y, problem), (y,), (direction,))
+            return jax.jvp(lambda y: self.seen(y, problem), (y,), (direction,))
 
         (signals, kept), (slopes, kept_slopes) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(y)))
         weights = self.objective.weights(signals)

@@ -3,6 +3,7 @@
 starts -> unstable ones made stable, side by side -> searched, the most promising first -> the best
 """
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,7 +89,9 @@ class Tuned:
     binding: list[Binding]
     tolerance: Float[np.ndarray, " k"]  # factor by which each alone may move for 5 % more of the objective; 1000: any
     found: Found
-    starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it stayed unstable
+    searches: list[Found]  # one from each start, in the order in which they were made
+    starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it kept not what is required
+    screening: float  # s, in which the starts were looked at
 
     @property
     def status(self) -> str:
@@ -134,8 +137,9 @@ def tune(
     problem = problem_of(as_arrays(smooth(controller)), space, scenarios, requirements)
     scattered = _scattered(len(space.free), starts, seed)
     kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
-    worths = [worth(gains, jnp.asarray(point), problem) for point in scattered]
-    began = worths[0]
+    clock = time.perf_counter()
+    worths = [jax.block_until_ready(worth(gains, jnp.asarray(point), problem)) for point in scattered]
+    screening = time.perf_counter() - clock
     order = np.argsort([float(one.penalised) for one in worths])
     results: list[Found] = []
     ends = np.full(starts, np.inf)
@@ -154,7 +158,7 @@ def tune(
         if found.standing.status.startswith("interrupted"):
             break
     best = min(results, key=lambda one: float(one.at.point.penalised))
-    return _tuned(controller, space, best, began, ends)
+    return _tuned(controller, space, best, worths[0], results, ends, screening)
 
 
 def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
@@ -162,7 +166,10 @@ def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     return np.vstack([np.zeros((1, count)), others])
 
 
-def _tuned(controller: Controller, space: Space, found: Found, began: Point, ends: Float[np.ndarray, " s"]) -> Tuned:
+def _tuned(
+    controller: Controller, space: Space, found: Found, began: Point, searches: list[Found],
+    ends: Float[np.ndarray, " s"], screening: float,
+) -> Tuned:  # fmt: skip
     objective = float(found.at.point.objective)
     binding = [
         Binding(name, float(np.sum(prices)) / objective)
@@ -185,5 +192,7 @@ def _tuned(controller: Controller, space: Space, found: Found, began: Point, end
         binding=sorted(binding, key=lambda one: -one.worth),
         tolerance=np.exp(np.minimum(reach, np.log(FILTER_FACTOR))),
         found=found,
+        searches=searches,
         starts=ends,
+        screening=screening,
     )

@@ -39,7 +39,7 @@ class Search:
     history: list[float]
 
 
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
+class LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's, but its damping falls tenfold after each step that goes at least half as well as foreseen.
 
     The stock one waits for steps that go 99 % as well, which a simulation of friction hardly ever grants.
@@ -143,7 +143,7 @@ def levenberg_marquardt(
         raise DivergenceError(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
         )
-    solver = _LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+    solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
     given = (jnp.asarray(first / START_NORM), args)
     best, cost, history, taken = point, first, [first], [first]
     status, count = f"stopped after {max_steps} steps, still falling", 0
@@ -208,7 +208,7 @@ def many_starts(
     The cost is the root of the sum of squares; infinite where a start never had a finite one. Interrupted (Ctrl-C), it
     returns the best so far and says so, with True at the end.
     """
-    solver = _LevenbergMarquardt(rtol=0.0, atol=0.0)
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0)
     points = jnp.asarray(starts)
     units, state = _begin_lanes(residuals, solver, points, args)
     best, costs = np.asarray(points), START_NORM * np.nan_to_num(np.asarray(units), nan=np.inf)
