@@ -22,7 +22,7 @@ from experiments.report import Report, new_figure
 from experiments.tuning_cases import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
 from tuning.gains import STARTS, Tuned, default_space, tune
 from tuning.objective import Objective
-from tuning.requirements import Limits, Requirements, points
+from tuning.requirements import Limits, Requirements, check_limits, points
 from tuning.scenarios import Ensemble, Scenario, ensemble
 
 SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s; from 1 on, times the speed tuned at
@@ -54,6 +54,7 @@ def tune_drive(
     was tuned and whether it is accepted: every requirement kept, and every verification run ok. Only then are the files
     written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
     """
+    check_limits(limits)
     on, off = tuned_on(description, plan), held_out(description, plan)
     coarse = Sampling(description.sampling.rate, max(2, description.sampling.plant_steps // 2))
     lanes = ensemble(on, coarse, settle=SETTLE)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
 from diffdrive.convergence import convergence_gain, printed_observer
+from diffdrive.errors import ParameterError
 from diffdrive.linearise import Operating, open_loop
 from diffdrive.margins import NEUTRAL, Margins, margins
 from diffdrive.observer import KalmanObserver
@@ -35,6 +36,14 @@ class Limits(NamedTuple):
     command_noise: float | None = 20.0  # N, in every lane
     load_error: float | Float[np.ndarray, " lanes"] | None = None  # N of RMS, in every lane or in each
     settling: float | None = 2.0  # s, in which an eq. (20) estimator forgets an error of the load to 1/e
+
+
+def check_limits(limits: Limits) -> None:
+    """Raises `ParameterError` for limits that no loop can keep or that mean nothing."""
+    for name, value in limits._asdict().items():
+        least = 1.0 if name in ("gain_up", "gain_down", "sensitivity") else 0.0
+        if value is not None and not np.all(np.asarray(value) >= least):
+            raise ParameterError(f"the limit {name} must be at least {least:g}, got {np.min(np.asarray(value)):g}")
 
 
 class Points(NamedTuple):
