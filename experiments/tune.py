@@ -13,7 +13,7 @@ from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription, write_drive
 from diffdrive.linearise import Operating
 from diffdrive.margins import Margins
-from diffdrive.parameters import Sampling, as_arrays
+from diffdrive.parameters import Friction, Sampling, as_arrays
 from diffdrive.smooth import smooth
 from experiments.handover import LABELS, handover, worst_margins, write_handover
 from experiments.interruption import at_next_step
@@ -83,11 +83,23 @@ def tune_drive(
     accepted = done and tuned.feasible and all(now.run.status.ok for _, _, now in runs)
     report.values("verdict", accepted=accepted)
     if accepted and report.out is not None:
-        write_drive(report.out / "tuned.toml", replace(description, controller=tuned.controller))
+        write_drive(report.out / "tuned.toml", _as_tuned(description, tuned.controller))
+        if friction:
+            report.say("tuned.toml holds the friction that the controller is to believe; the machine stays the other file: "
+                       "`diffdrive simulate tuned.toml --machine` and that file.")  # fmt: skip
         conditions = _conditions(plan, limits, speeds, description)
         write_handover(report.out / "handover.toml", handover(description, tuned, margins, conditions))
         (report.out / CHECKPOINT).unlink(missing_ok=True)
     return tuned, accepted
+
+
+def _as_tuned(description: DriveDescription, controller: Controller) -> DriveDescription:
+    """The drive file of the tuned controller: its [friction] is what observers believe, tuned along or not."""
+    observer = getattr(controller, "observer", None)
+    drive = description.drive
+    if isinstance(getattr(observer, "friction", None), Friction):
+        drive = replace(drive, friction=observer.friction)
+    return replace(description, drive=drive, controller=controller)
 
 
 def _told(report: Report, description: DriveDescription, limits: Limits, on: list[Scenario]) -> Limits:

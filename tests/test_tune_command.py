@@ -148,7 +148,7 @@ def test_killed_at_a_random_moment_and_resumed_it_ends_where_it_would_have(drive
         message = process.communicate()[1]
     assert process.returncode == -signal.SIGKILL, (delay, message)
     standings = json.loads((out / CHECKPOINT).read_text())["standings"]
-    assert standings["0"]["steps"] >= 1 or standings["1"]["steps"] >= 1
+    assert sum(one["steps"] for one in standings.values()) >= 1
     resumed = subprocess.run(command, capture_output=True, check=False)
     assert resumed.returncode == 0, resumed.stderr
     ours, theirs = (np.array([row[2] for row in numbers(folder)["tables"]["gains"]["rows"]]) for folder in (out, done))
