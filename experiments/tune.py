@@ -85,8 +85,8 @@ def tune_drive(
     if accepted and report.out is not None:
         write_drive(report.out / "tuned.toml", _as_tuned(description, tuned.controller))
         if friction:
-            report.say("tuned.toml holds the friction that the controller is to believe; the machine stays as it is in the "
-                       "file given: simulate with `--machine` and that file.")  # fmt: skip
+            report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
+            report.say("simulate it with `--machine` and the file that was given.")
         conditions = _conditions(plan, limits, speeds, description)
         write_handover(report.out / "handover.toml", handover(description, tuned, margins, conditions))
         (report.out / CHECKPOINT).unlink(missing_ok=True)

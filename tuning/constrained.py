@@ -63,6 +63,8 @@ class Linearised(NamedTuple):
     slope: Float[Array, " k"]  # of the objective
     curvature: Float[Array, "k k"]  # Gauss-Newton: of the squares that have the objective's gradient here
     kept_slopes: dict[str, Float[Array, "n k"]]
+    # mean products of a limited signal and its derivatives: its RMS is foretold as a root of a quadratic, not as a line
+    products: dict[str, Float[Array, "lanes k1 k1"]]
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,14 @@ class Gains:
             slope=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
             curvature=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
             kept_slopes={name: slope.T for name, slope in kept_slopes.items()},
+            products=_products(problem.requirements, signals, slopes),
         )
+
+
+def _products(requirements: Requirements, signals: Signals, slopes: Signals) -> dict[str, Float[Array, "lanes i j"]]:
+    values, derivatives = requirements.limited(signals), jax.vmap(requirements.limited)(slopes)
+    both = {name: jnp.concatenate([values[name][None], derivatives[name]]) for name in values}
+    return {name: jnp.einsum("iln,jln->lij", one, one) / one.shape[-1] for name, one in both.items()}
 
 
 @eqx.filter_jit

@@ -110,13 +110,18 @@ class Requirements(eqx.Module):
         per_step = estimator.gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
         return jnp.where(at_work, 1.0 - per_step * self.limits.settling / self.sampling.period, -1.0)
 
+    def limited(self, signals: Signals) -> dict[str, Float[Array, "lanes n"]]:
+        """Signals whose RMS is limited, by name, in units of their limits; linear in the signals."""
+        limits, found = self.limits, {}
+        if limits.command_noise is not None:
+            found["command noise"] = signals.change / limits.command_noise
+        if limits.load_error is not None and signals.load_error is not None:
+            found["load error"] = signals.load_error / jnp.reshape(limits.load_error, (-1, 1))
+        return found
+
     def of_signals(self, signals: Signals) -> dict[str, Float[Array, " lanes"]]:
         """Requirements on the simulated signals, by name."""
-        limits, kept = self.limits, {}
-        if limits.command_noise is not None:
-            kept["command noise"] = rms(signals.change) / limits.command_noise - 1.0
-        if limits.load_error is not None and signals.load_error is not None:
-            kept["load error"] = rms(signals.load_error) / limits.load_error - 1.0
+        kept = {name: rms(signal) - 1.0 for name, signal in self.limited(signals).items()}
         if signals.excess is not None:
             kept["force limit"] = rms(signals.excess)  # N: any is too much
         return kept

@@ -26,6 +26,7 @@ ACCEPTED, GOOD = 0.05, 0.7  # share of the foretold gain
 KEPT = 5e-3  # a requirement missed by less counts as kept
 GAIN = 1e-3  # of the objective, that a step must foretell, and three have gained, to be worth going on
 STALLED_STEPS = 3
+CUTS, CUT = 12, 1e-4  # at most, and how far a requirement may bend beyond its line
 PRICE = 2.0  # of a missed requirement, over its multiplier
 RELAXATIONS = (1.0, 0.5, 0.25, 0.0)  # share of what is missed that one step is to mend
 
@@ -183,22 +184,57 @@ def _program(at: Linearised, radius: float) -> tuple[np.ndarray, dict[str, np.nd
     for share in RELAXATIONS:
         room = np.where(values > 0, (1.0 - share) * values, 0.0) - values
         rows = np.vstack([slopes[known], box])
-        solved = quadratic_program(h, g, rows, np.r_[room[known], np.full(2 * count, radius)])
+        ends = np.r_[room[known], np.full(2 * count, radius)]
+        owners = np.r_[np.flatnonzero(known), np.full(2 * count, -1)]
+        solved = quadratic_program(h, g, rows, ends)
+        for _ in range(CUTS):
+            if solved is None:
+                break
+            cuts, limits, owned = _cuts(at, names, solved.d, values + room)
+            if not len(owned):
+                break
+            rows, ends, owners = np.vstack([rows, cuts]), np.r_[ends, limits], np.r_[owners, owned]
+            solved = quadratic_program(h, g, rows, ends)
         if solved is not None:
             break
     else:
         raise AssertionError("no step at all always keeps what is kept")
     prices = np.zeros(len(values))
-    prices[known] = solved.multipliers[: int(known.sum())]
-    ends = np.cumsum([len(at.point.kept[name]) for name in names])[:-1]
-    return np.clip(solved.d, -radius, radius), dict(zip(names, np.split(prices, ends), strict=True))
+    np.add.at(prices, owners[owners >= 0], solved.multipliers[owners >= 0])
+    firsts = np.cumsum([len(at.point.kept[name]) for name in names])[:-1]
+    return np.clip(solved.d, -radius, radius), dict(zip(names, np.split(prices, firsts), strict=True))
+
+
+def _bent(at: Linearised, name: str, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A limited RMS after the step `d`, were its signal linear in d, and the slopes there; convex in d."""
+    products, step = np.asarray(at.products[name]), np.r_[1.0, d]
+    along = products @ step
+    root = np.sqrt(np.maximum(along @ step, 1e-300))
+    return root - 1.0, along[:, 1:] / root[:, None]
+
+
+def _cuts(
+    at: Linearised, names: list[str], d: np.ndarray, allowed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Planes that keep the next step from where a limited RMS bends beyond what is allowed at `d`."""
+    rows, ends, owners, first = [np.zeros((0, len(d)))], [], [], 0
+    for name in names:
+        count = len(at.point.kept[name])
+        if name in at.products:
+            value, slope = _bent(at, name, d)
+            over = np.flatnonzero(value > allowed[first : first + count] + CUT)
+            rows.append(slope[over])
+            ends += list(allowed[first + over] - value[over] + slope[over] @ d)
+            owners += list(first + over)
+        first += count
+    return np.vstack(rows), np.array(ends), np.array(owners, int)
 
 
 def _foretold(at: Linearised, d: np.ndarray, price: float) -> float:
     """The merit after the step `d`, as the quadratic and the lines have it."""
     h, g = np.asarray(at.curvature), np.asarray(at.slope)
-    missed = sum(
-        max(0.0, float(np.max(np.asarray(values) + np.asarray(at.kept_slopes[name]) @ d)))
-        for name, values in at.point.kept.items()
-    )
+    missed = 0.0
+    for name, values in at.point.kept.items():
+        straight = np.asarray(values) + np.asarray(at.kept_slopes[name]) @ d
+        missed += max(0.0, float(np.max(_bent(at, name, d)[0] if name in at.products else straight)))
     return float(at.point.objective) + float(g @ d + 0.5 * d @ h @ d) + price * missed
