@@ -11,12 +11,13 @@ from small_tuning import LIMITS, controller, drive, lanes, question, requirement
 
 from diffdrive.errors import CheckpointError
 from diffdrive.parameters import as_arrays
+from diffdrive.smooth import smooth
 from experiments import paper
-from tuning.constrained import linearised, worth
+from tuning.constrained import Gains, linearised, problem_of, worth
 from tuning.gains import default_space, tune
 from tuning.objective import Objective
 from tuning.requirements import Limits
-from tuning.sequential import KEPT, Standing, search
+from tuning.sequential import CUT, KEPT, Standing, _bent, _program, search
 from tuning.space import space_of
 
 CONTROLLERS = ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS"]
@@ -52,6 +53,44 @@ def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
             np.testing.assert_allclose(
                 found, difference, rtol=loose, atol=loose * max(1e-2, np.max(np.abs(difference)))
             )
+
+
+def test_a_limited_rms_is_foretold_as_the_curve_it_is():
+    """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
+    every = default_space(controller(), friction=True)
+    space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
+    limits = LIMITS._replace(load_error=np.array([100.0, 100.0]))
+    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(limits))
+    gains = Gains(space.free, Objective())
+    at, d = linearised(gains, jnp.zeros(2), problem), np.array([0.3, -0.2])
+    truth = np.asarray(worth(gains, jnp.asarray(d), problem).kept["load error"])
+    straight = np.asarray(at.point.kept["load error"]) + np.asarray(at.kept_slopes["load error"]) @ d
+    curve, slope = _bent(at, "load error", d)
+    assert np.all(np.abs(curve - truth) < 0.3 * np.abs(straight - truth))
+    ahead, behind = (_bent(at, "load error", d + sign * 1e-6 * np.eye(2)[0])[0] for sign in (1.0, -1.0))
+    np.testing.assert_allclose(slope[:, 0], (ahead - behind) / 2e-6, rtol=1e-6)
+
+
+def test_a_step_keeps_a_limited_rms_that_its_line_would_break():
+    """The program's step stays within the foretold curve, which is convex: every cut lies below it."""
+    every = default_space(controller(), friction=True)
+    space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
+    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(LIMITS))
+    at = linearised(Gains(space.free, Objective()), jnp.zeros(2), problem)
+    values = np.asarray(at.point.kept["command noise"])
+    one = np.zeros((len(values), 3, 3))
+    one[:] = np.diag([(1.0 + values[0]) ** 2, 4.0, 4.0])  # flat here, and steep a step away
+    one[:, 0, 0] = (1.0 + values) ** 2
+    bowl = at._replace(
+        slope=jnp.asarray([-10.0, 5.0]),
+        curvature=jnp.eye(2),
+        kept_slopes={**at.kept_slopes, "command noise": jnp.zeros((len(values), 2))},
+        products={**at.products, "command noise": jnp.asarray(one)},
+    )
+    d, prices = _program(bowl, 1.0)
+    assert np.linalg.norm(d) > 0.05
+    assert np.max(_bent(bowl, "command noise", d)[0]) <= 2 * CUT
+    assert np.max(prices["command noise"]) > 0
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
