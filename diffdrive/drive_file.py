@@ -19,6 +19,8 @@ import tomli_w
 
 from diffdrive.controller_file import build_controller, controller_table
 from diffdrive.controllers import Controller
+from diffdrive.effects.base import Effect
+from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
 from diffdrive.motion import Limits
@@ -58,7 +60,7 @@ class Section:
     def __init__(self, source: str, name: str, table: Any) -> None:
         if not isinstance(table, dict):
             raise DriveFileError(f"{source}: [{name}] must be a table, got {table!r}")
-        self.source, self.name, self._left = source, name, dict(table)
+        self.source, self.name, self.table, self._left = source, name, table, dict(table)
         self._known: list[str] = []
 
     def fail(self, key: str, problem: str) -> DriveFileError:
@@ -148,6 +150,18 @@ def _limits(section: Section) -> Limits:
     return Limits(stroke=ends, **most)
 
 
+def _effects(section: Section) -> tuple[Effect, ...]:
+    """[effects.cogging] and its like, in the catalogue's order."""
+    found = []
+    for name, effect in EFFECTS.items():
+        if section.take(name, None) is not None:
+            own = Section(section.source, f"effects.{name}", section.table[name])
+            found.append(own.build(effect))
+            own.done()
+    section.done()
+    return tuple(found)
+
+
 def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescription:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
     root = Section(source, "drive file", tables)
@@ -159,6 +173,7 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
         mapping = parse_mapping(root.take("columns", {}), root.take("units", {}))
     except LogError as error:
         raise DriveFileError(f"{source}: {error}") from None
+    effects = root.take("effects", {})
     root.done()
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
@@ -168,6 +183,7 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
         friction=sections["friction"].build(Friction),
         actuator=sections["actuator"].build(Actuator, delay_samples=delay),
         sensor=sections["sensor"].build(Sensor),
+        effects=_effects(Section(source, "effects", effects)),
     )
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
@@ -229,6 +245,8 @@ def drive_tables(description: DriveDescription) -> dict[str, Any]:
     for name in ("speed", "acceleration"):
         if np.isfinite(getattr(limits, name)):
             tables["limits"][name] = getattr(limits, name)
+    if drive.effects:
+        tables["effects"] = {effect.name: quantity_table(effect) for effect in drive.effects}
     return tables | mapping_tables(description.mapping)
 
 

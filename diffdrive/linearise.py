@@ -23,10 +23,11 @@ from jaxtyping import Array, Complex, Float
 
 from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, FrictionCompensation, Reference
+from diffdrive.effects import acting
 from diffdrive.friction import bristle_at, steady_friction, stribeck_level
 from diffdrive.load_estimator import FixedLoad
 from diffdrive.parameters import Drive, Sampling, Scalar
-from diffdrive.simulate import LoopState, start
+from diffdrive.simulate import LoopState, move, start
 
 SETTLING = 0.3  # s of the motion after which filters have found their gains
 HELD = ("covariance", "count", "known", "started")  # no part of a small motion about the steady one
@@ -61,6 +62,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
     Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are those that it has settled
     to; that they too depend on its state is of second order where its innovation vanishes, and is left out.
     """
+    drive = acting.altered(drive, drive.effects)
     settled = _settled(drive, controller, sampling, at)
     held = (*HELD, "load") if _load_is_assumed(controller) else HELD
     moving, rebuild = _moving(settled, held)
@@ -68,13 +70,15 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
 
     def step(moving: Array, force: Scalar) -> tuple[Array, Scalar]:
         state = rebuild(moving)
-        measured = sensor.measure(drive.sensor, state.plant.position, None)
+        shown = state.plant.position + acting.scale_error(drive.effects, state.plant.position)
+        measured = sensor.measure(drive.sensor, shown, None)
         inside, command = controller.step(
             state.controller, reference, measured, state.actuator.applied, sampling.period
         )
         asked = actuator.step(drive.actuator, state.actuator, command.force)
-        table = plant.advance(drive, state.plant, force, at.load, sampling.period, sampling.plant_steps)
-        return _moving(LoopState(table, asked, inside, state.count), held)[0], asked.applied
+        carried, applied = acting.through(drive.effects, state.effects, asked.applied, sampling.period)
+        table, carried = move(drive, sampling, state._replace(effects=carried), force, at.load)
+        return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied
 
     force = _steady_force(drive, at)
     a, c = jax.jacfwd(step)(moving, force)
@@ -110,7 +114,24 @@ def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: Opera
     inside, _ = lax.scan(body, inside, way)
     table = plant.PlantState(velocity * sampling.period * count, velocity + 0.0 * force, deflection + 0.0 * force)
     under_way = jax.tree.map(lambda _: force, begin.actuator)
-    return LoopState(table, under_way, inside, begin.count)
+    carried = _carried(drive, sampling, at, table, force, count)
+    return LoopState(table, under_way, inside, begin.count, carried)
+
+
+def _carried(
+    drive: Drive, sampling: Sampling, at: Operating, table: plant.PlantState, force: Scalar, count: int
+) -> tuple[Any, ...]:
+    """The effects after as long a steady motion."""
+    begin = acting.at_rest(drive.effects, force)
+    if not drive.effects:
+        return begin
+
+    def body(carried: Any, k: Scalar) -> tuple[Any, None]:
+        position = at.velocity * sampling.period * k
+        seen = acting.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, at.load)
+        return acting.upon(drive.effects, carried, seen, drive, sampling.period)[0], None
+
+    return lax.scan(body, begin, jnp.arange(1.0, count + 1.0))[0]
 
 
 def _load_is_assumed(controller: Controller) -> bool:

@@ -145,6 +145,7 @@ class Drive(eqx.Module):
     friction: Friction
     actuator: Actuator = Actuator()
     sensor: Sensor = Sensor()
+    effects: tuple[Any, ...] = ()  # of the catalogue (diffdrive.effects)
 
 
 class Sampling(eqx.Module):
@@ -183,6 +184,9 @@ def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any
             yield name, field.metadata["quantity"], value
         elif dataclasses.is_dataclass(value):
             yield from quantities(value, name)
+        elif isinstance(value, tuple):
+            for one in value:
+                yield from quantities(one, f"{name}.{one.name}")
 
 
 def _values(value: Any) -> Iterator[tuple[str, Any]]:

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, Reference
 from diffdrive.convergence import advice
+from diffdrive.effects import acting
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import require_possible
@@ -57,40 +58,61 @@ class LoopState(NamedTuple):
     actuator: actuator.ActuatorState
     controller: Any
     count: Scalar
+    effects: tuple[Any, ...] = ()
 
 
 def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
     """Everything at rest at `position` (m)."""
     return LoopState(
-        plant.at_rest(position), actuator.init(drive.actuator), controller.init(position), jnp.zeros((), jnp.uint32)
+        plant.at_rest(position),
+        actuator.init(drive.actuator),
+        controller.init(position),
+        jnp.zeros((), jnp.uint32),
+        acting.at_rest(drive.effects, jnp.zeros(())),
     )
+
+
+def move(
+    drive: Drive, sampling: Sampling, state: LoopState, force: Scalar, load: Scalar
+) -> tuple[plant.PlantState, tuple[Any, ...]]:
+    """The table and the effects one period later, `force` (N) acting on the table; `drive` has been altered."""
+    table, effects = state.plant, drive.effects
+    if not effects:
+        return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), ()
+    time = sampling.period * state.count
+    seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, force, load)
+    carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
+    carried, acts = lax.optimization_barrier((carried, acts))
+    machine = acting.bent(drive, acts)
+    return plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps), carried
 
 
 def step(
     drive: Drive, controller: Controller, sampling: Sampling, key: Array | None, state: LoopState, inputs: Inputs
 ) -> tuple[LoopState, Frame]:
-    """One control period of the closed loop."""
+    """One control period of the closed loop of a drive that has been `altered`."""
     table = state.plant
     normal = None if key is None else jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
-    measured = sensor.measure(drive.sensor, table.position, normal)
+    shown = table.position + acting.scale_error(drive.effects, table.position)
+    measured = sensor.measure(drive.sensor, shown, normal)
     controller_state, command = controller.step(
         state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
     )
     controller_state, command = lax.optimization_barrier((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
-    force = drive_state.applied + inputs.disturbance
-    moved = plant.advance(drive, table, force, inputs.load, sampling.period, sampling.plant_steps)
+    carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
+    moved, carried = move(drive, sampling, state._replace(effects=carried), applied + inputs.disturbance, inputs.load)
     bristle = bristle_at(drive.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,
         velocity=table.velocity,
         measured=measured,
         command=command.force,
-        force=drive_state.applied,
+        force=applied,
         friction=friction_force(bristle, table.velocity, table.bristle),
         estimate=command.estimate,
     )
-    return LoopState(moved, drive_state, controller_state, state.count + 1), frame
+    return LoopState(moved, drive_state, controller_state, state.count + 1, carried), frame
 
 
 # In reverse mode a step keeps its carry alone and is computed again on the way back: a fiftieth of the memory, and
@@ -113,6 +135,7 @@ def rollout(
     `begin` is the state to begin from (see `start`); by default at rest where the reference begins.
     """
     require_double_precision()
+    drive = acting.altered(drive, drive.effects)
 
     @recomputed
     def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
@@ -157,6 +180,7 @@ def running_costs(
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
     require_double_precision()
+    drive = acting.altered(drive, drive.effects)
 
     @recomputed
     def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from diffdrive.actuator import ActuatorState, limited
 from diffdrive.controllers import Controller, Reference
+from diffdrive.effects import acting
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.motion import from_array
@@ -93,7 +94,8 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
 
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
     under_way = ActuatorState((force,) * drive.actuator.delay_samples, force, force)
-    return LoopState(moving(drive, at.lanes), under_way, warm, jnp.zeros((), jnp.uint32))
+    effects = acting.at_rest(drive.effects, force)
+    return LoopState(moving(drive, at.lanes), under_way, warm, jnp.zeros((), jnp.uint32), effects)
 
 
 def replay(drive: Drive, controller: Controller, given: Given, sampling: Sampling) -> Replayed:

@@ -1,0 +1,91 @@
+"""A drive's effects at work: each stage of the control step, with whatever of them belongs there."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+
+from diffdrive.effects.base import Acts, ActuatorEffect, Effect, MachineEffect, ScaleEffect, Seen, TableEffect
+from diffdrive.friction import bristle_at, friction_force
+from diffdrive.parameters import Directional, Drive, Scalar
+
+Effects = tuple[Effect, ...]
+
+
+def altered(drive: Drive, effects: Effects) -> Drive:
+    """The drive with the effects that are other parameters."""
+    for effect in effects:
+        if isinstance(effect, MachineEffect):
+            drive = effect.alter(drive)
+    return drive
+
+
+def at_rest(effects: Effects, force: Scalar) -> tuple[Any, ...]:
+    """The state of every effect at rest, the actuator's after a long time at `force` (N)."""
+    return tuple(_begin(effect, force) for effect in effects)
+
+
+def _begin(effect: Effect, force: Scalar) -> Any:
+    if isinstance(effect, ActuatorEffect):
+        return effect.init(force)
+    return effect.init() if isinstance(effect, TableEffect) else ()
+
+
+def through(effects: Effects, states: tuple[Any, ...], force: Scalar, period: float) -> tuple[tuple[Any, ...], Scalar]:
+    """The force (N) that comes out of the actuator when `force` is asked of it."""
+    ahead = []
+    for effect, state in zip(effects, states, strict=True):
+        if isinstance(effect, ActuatorEffect):
+            state, force = effect.step(state, force, period)
+        ahead.append(state)
+    return tuple(ahead), force
+
+
+def upon(
+    effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
+) -> tuple[tuple[Any, ...], Acts]:
+    """What acts on the table and its friction over the coming period."""
+    ahead, total = [], Acts()
+    for effect, state in zip(effects, states, strict=True):
+        if isinstance(effect, TableEffect):
+            state, acts = effect.step(state, seen, drive, period)
+            total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
+        ahead.append(state)
+    return tuple(ahead), total
+
+
+def scale_error(effects: Effects, position: Scalar) -> Scalar:
+    """How far the scale is off (m)."""
+    errors = [effect.error(position) for effect in effects if isinstance(effect, ScaleEffect)]
+    return sum(errors[1:], errors[0]) if errors else 0.0 * position
+
+
+def bent(drive: Drive, acts: Any) -> Drive:
+    """The drive with its friction as `acts` bends it."""
+
+    def more(pair: Directional, by: Scalar) -> Directional:
+        return Directional(pair.positive + by, pair.negative + by)
+
+    friction = drive.friction
+    return dataclasses.replace(
+        drive,
+        friction=dataclasses.replace(
+            friction,
+            coulomb_screw=more(friction.coulomb_screw, acts.coulomb),
+            breakaway_gap=more(friction.breakaway_gap, acts.gap),
+            viscous=more(friction.viscous, acts.viscous),
+        ),
+    )
+
+
+def resistance(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar) -> Scalar:
+    """All that resists the table (N): friction and damping."""
+    sliding = friction_force(bristle_at(drive.friction, velocity, bristle, load), velocity, bristle)
+    return sliding + drive.plant.damping.towards(velocity) * velocity
+
+
+def seen_by(
+    drive: Drive, time: Scalar, position: Scalar, velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar
+) -> Seen:
+    """The table as effects see it."""
+    return Seen(time, position, velocity, bristle, force, resistance(drive, velocity, bristle, load), jnp.asarray(load))

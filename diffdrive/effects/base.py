@@ -1,0 +1,85 @@
+"""Where an effect enters the drive: four interfaces, by place.
+
+    command -> ActuatorEffect -> force -> TableEffect (adds forces, bends friction) -> table -> ScaleEffect -> measured
+
+and `MachineEffect`, which is a drive with other parameters. An effect is a pytree of its parameters, differentiable, and
+changes nothing at its neutral value. What it carries from one control period to the next is its state. The simulator
+steps effects in its loop; the diagnosis steps the same code along a measured trajectory.
+"""
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+
+from diffdrive.parameters import Drive, Scalar
+
+
+class Seen(NamedTuple):
+    """The table at the beginning of a control period, as an effect sees it."""
+
+    time: Scalar  # s, since the start of the motion
+    position: Scalar  # m
+    velocity: Scalar  # m/s
+    bristle: Scalar  # m
+    force: Scalar  # N, that the actuator applies over the coming period, known disturbances included
+    friction: Scalar  # N, all that resists the table, viscous damping included
+    load: Scalar  # N, on the guides
+
+
+class Acts(NamedTuple):
+    """What effects add over the coming control period."""
+
+    force: Scalar = 0.0  # N, on the table
+    coulomb: Scalar = 0.0  # N, to the Coulomb friction
+    gap: Scalar = 0.0  # N, to the gap between breakaway and Coulomb friction
+    viscous: Scalar = 0.0  # N s/m, to the viscous friction
+
+    def __add__(self, other: Any) -> "Acts":
+        return Acts(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+class Effect(eqx.Module):
+    """One unmodelled effect; `name` is that of the catalogue."""
+
+    name: ClassVar[str]
+
+
+class MachineEffect(Effect):
+    """The same kind of machine with other parameters."""
+
+    @abc.abstractmethod
+    def alter(self, drive: Drive) -> Drive:
+        """The drive with the effect in its parameters."""
+
+
+class ActuatorEffect(Effect):
+    """Between the command and the force."""
+
+    @abc.abstractmethod
+    def init(self, force: Scalar) -> Any:
+        """State after a long time at `force` (N)."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
+        """The mean force (N) over the coming period, of length `period` (s), when `force` (N) is asked for."""
+
+
+class TableEffect(Effect):
+    """On the table and its friction."""
+
+    @abc.abstractmethod
+    def init(self) -> Any:
+        """State at the start of a motion, at rest."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """State after the coming period (s), and what acts over it."""
+
+
+class ScaleEffect(Effect):
+    """On the measured position."""
+
+    @abc.abstractmethod
+    def error(self, position: Scalar) -> Scalar:
+        """How far the scale is off (m) where the table is at `position` (m)."""

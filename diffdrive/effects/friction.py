@@ -1,0 +1,128 @@
+"""Effects on the friction: along the stroke, in time, with the time at rest, before sliding."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from diffdrive.effects.base import Acts, Seen, TableEffect
+from diffdrive.effects.forces import middle, window
+from diffdrive.friction import bristle_at, coulomb, slide
+from diffdrive.parameters import Drive, Scalar, quantity
+
+ELEMENTS = 6  # Maxwell elements of presliding hysteresis
+
+
+class AppliedLoad(TableEffect):
+    """A normal load on the guides that nobody told the model: constant, and more of it between two times."""
+
+    name: ClassVar[str] = "applied_load"
+    load: Scalar = quantity("N", "constant normal load", default=0.0)
+    more: Scalar = quantity("N", "further normal load from `start` to `end`", default=0.0)
+    start: Scalar = quantity("s", "when it is put on", default=0.0)
+    end: Scalar = quantity("s", "when it is taken off", default=1e9)
+    edge: Scalar = quantity("s", "how long that takes", above=0.0, default=0.05)
+
+    def init(self) -> Any:
+        """Nothing is carried."""
+        return ()
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """Coulomb friction in proportion."""
+        load = self.load + self.more * window(seen.time, self.start, self.end, self.edge)
+        return state, Acts(coulomb=drive.friction.load_coefficient.towards(seen.velocity) * load)
+
+
+class PositionFriction(TableEffect):
+    """Coulomb friction that varies along the stroke: a slope, and a wave."""
+
+    name: ClassVar[str] = "position_friction"
+    slope: Scalar = quantity("1/m", "share of Coulomb friction per travel", default=0.0)
+    neutral: Scalar = quantity("m", "where the slope adds nothing", default=0.0)
+    period: Scalar = quantity("m", "travel from one crest of the wave to the next", above=0.0, default=0.1)
+    cosine: Scalar = quantity("1", "share of Coulomb friction, cosine", default=0.0)
+    sine: Scalar = quantity("1", "share of Coulomb friction, sine", default=0.0)
+
+    def init(self) -> Any:
+        """Nothing is carried."""
+        return ()
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """The share of the Coulomb friction here."""
+        at = middle(seen, period)
+        angle = 2.0 * jnp.pi * at / self.period
+        share = self.slope * (at - self.neutral) + self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle)
+        return state, Acts(coulomb=share * coulomb(drive.friction, seen.velocity, seen.load))
+
+
+class ViscousDrift(TableEffect):
+    """Friction that falls as the machine warms up: viscous, and Coulomb friction along with it."""
+
+    name: ClassVar[str] = "viscous_drift"
+    viscous: Scalar = quantity("1", "share of viscous friction that goes", default=0.0)
+    coulomb: Scalar = quantity("1", "share of Coulomb friction that goes", default=0.0)
+    time_constant: Scalar = quantity("s", "in which all but a share of 1 / e has gone", above=0.0, default=5.0)
+
+    def init(self) -> Any:
+        """Nothing is carried."""
+        return ()
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """What is still there."""
+        left = jnp.exp(-seen.time / self.time_constant)
+        both = drive.friction.viscous.towards(seen.velocity) + drive.plant.damping.towards(seen.velocity)
+        level = coulomb(drive.friction, seen.velocity, seen.load)
+        return state, Acts(viscous=self.viscous * left * both, coulomb=self.coulomb * left * level)
+
+
+class FrictionDwell(TableEffect):
+    """Breakaway that grows with the logarithm of the time at rest (Dieterich's ageing law, d age/dt = 1 - |v| age / D)."""
+
+    name: ClassVar[str] = "friction_dwell"
+    growth: Scalar = quantity("1", "growth of the breakaway gap per e-fold of time at rest", default=0.0)
+    onset: Scalar = quantity("s", "time at rest from which it grows", above=0.0, default=0.1)
+    slip: Scalar = quantity("m", "travel over which it is forgotten", above=0.0, default=1e-5)
+
+    def init(self) -> Any:
+        """The contact's age (s)."""
+        return jnp.zeros(())
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """The gap grown with age."""
+        rate = jnp.abs(seen.velocity) / self.slip
+        x = rate * period
+        fade = jnp.exp(-x)
+        mean = jnp.where(x < 1e-6, 1.0 - 0.5 * x, (1.0 - fade) / jnp.where(x < 1e-6, 1.0, x))
+        gap = drive.friction.breakaway_gap.towards(seen.velocity)
+        return state * fade + period * mean, Acts(gap=self.growth * gap * jnp.log1p(state / self.onset))
+
+
+class PreslidingHysteresis(TableEffect):
+    """Maxwell elements of several slip distances in the place of the one bristle, or of a share of it.
+
+    What acts is the difference between the elements and a bristle, both stretched by the same motion: nothing in
+    steady sliding, another hysteresis before it. (Generalised Maxwell-slip: Al-Bender, Lampaert, Swevers 2005.)
+    """
+
+    name: ClassVar[str] = "presliding_hysteresis"
+    share: Scalar = quantity("1", "of the bristle that elements replace", default=0.0)
+    longest: Scalar = quantity("m", "longest slip distance", above=0.0, default=5e-6)
+    shortest: Scalar = quantity("1", "shortest slip distance over the longest", above=0.0, default=0.2)
+
+    def init(self) -> Any:
+        """How far each element is stretched, in units of its slip distance, and the bristle's deflection (m)."""
+        return (jnp.zeros(()),) * (ELEMENTS + 1)
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """Each element sticks or slips; the bristle bends."""
+        *elements, deflection = state
+        at = bristle_at(drive.friction, seen.velocity, deflection, seen.load)
+        moved = period * seen.velocity
+        stretched, mean = [], 0.0
+        for k, one in enumerate(elements):
+            distance = self.longest * (self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1))
+            ahead = jnp.clip(one + moved / distance, -1.0, 1.0)
+            stretched.append(ahead)
+            mean = mean + 0.5 * (one + ahead) / ELEMENTS
+        bent = slide(deflection, seen.velocity, at.rate, period)
+        replaced = at.level * mean - 0.5 * at.stiffness * (deflection + bent)
+        return (*stretched, bent), Acts(force=-self.share * replaced)

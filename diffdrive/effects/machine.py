@@ -1,0 +1,78 @@
+"""Effects that leave the equations as they are: other masses, other friction, other directions."""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from diffdrive.effects.base import Acts, MachineEffect, Seen, TableEffect
+from diffdrive.parameters import Directional, Drive, Scalar, quantity
+
+
+def _scaled(pair: Directional, logarithm: Scalar) -> Directional:
+    factor = jnp.exp(logarithm)
+    return Directional(pair.positive * factor, pair.negative * factor)
+
+
+class PayloadMass(MachineEffect):
+    """Moving mass beyond the drive file's: a workpiece, a fixture."""
+
+    name: ClassVar[str] = "payload_mass"
+    mass: Scalar = quantity("kg", "additional moving mass", default=0.0)
+
+    def alter(self, drive: Drive) -> Drive:
+        """The drive with the payload on its table."""
+        return dataclasses.replace(drive, plant=dataclasses.replace(drive.plant, mass=drive.plant.mass + self.mass))
+
+
+class FrictionShape(MachineEffect, TableEffect):
+    """A Stribeck curve of another shape: its fall, its width, its viscous part, and that part curved in speed."""
+
+    name: ClassVar[str] = "friction_shape"
+    stribeck_velocity: Scalar = quantity("1", "logarithm of the factor on the Stribeck velocity", default=0.0)
+    breakaway_gap: Scalar = quantity("1", "logarithm of the factor on the breakaway gap", default=0.0)
+    viscous: Scalar = quantity("1", "logarithm of the factor on viscous friction and damping", default=0.0)
+    curvature: Scalar = quantity("N*s^2/m^2", "growth of the viscous coefficient with speed", default=0.0)
+
+    def alter(self, drive: Drive) -> Drive:
+        """The drive with its curve bent."""
+        friction, plant = drive.friction, drive.plant
+        return dataclasses.replace(
+            drive,
+            plant=dataclasses.replace(plant, damping=_scaled(plant.damping, self.viscous)),
+            friction=dataclasses.replace(
+                friction,
+                stribeck_velocity=_scaled(friction.stribeck_velocity, self.stribeck_velocity),
+                breakaway_gap=_scaled(friction.breakaway_gap, self.breakaway_gap),
+                viscous=_scaled(friction.viscous, self.viscous),
+            ),
+        )
+
+    def init(self) -> Any:
+        """Nothing is carried."""
+        return ()
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """The curved part."""
+        return state, Acts(viscous=self.curvature * jnp.abs(seen.velocity))
+
+
+class FrictionAsymmetry(MachineEffect):
+    """More friction in one direction than in the other, beyond what the drive file says."""
+
+    name: ClassVar[str] = "friction_asymmetry"
+    coulomb: Scalar = quantity("N", "half the difference of Coulomb friction, positive minus negative", default=0.0)
+    viscous: Scalar = quantity("N*s/m", "half the difference of viscous friction, positive minus negative", default=0.0)
+
+    def alter(self, drive: Drive) -> Drive:
+        """The drive with friction shifted from one direction to the other."""
+        friction = drive.friction
+        screw, viscous = friction.coulomb_screw, friction.viscous
+        return dataclasses.replace(
+            drive,
+            friction=dataclasses.replace(
+                friction,
+                coulomb_screw=Directional(screw.positive + self.coulomb, screw.negative - self.coulomb),
+                viscous=Directional(viscous.positive + self.viscous, viscous.negative - self.viscous),
+            ),
+        )

@@ -1,0 +1,40 @@
+"""Effects on the measured position."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from diffdrive.effects.base import ScaleEffect
+from diffdrive.parameters import Scalar, quantity
+
+
+class LeadError(ScaleEffect):
+    """Pitch error: periodic with the screw's lead, and linear."""
+
+    name: ClassVar[str] = "lead_error"
+    lead: Scalar = quantity("m", "lead of the screw", above=0.0, default=5e-3)
+    cosine: Scalar = quantity("m", "amplitude of the cosine", default=0.0)
+    sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)
+    linear: Scalar = quantity("1", "error per travel", default=0.0)
+
+    def error(self, position: Scalar) -> Scalar:
+        """The pitch error."""
+        angle = 2.0 * jnp.pi * position / self.lead
+        return self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle) + self.linear * position
+
+
+class InterpolationError(ScaleEffect):
+    """Sub-divisional error of the scale: first and second harmonic of its signal period."""
+
+    name: ClassVar[str] = "interpolation_error"
+    period: Scalar = quantity("m", "signal period of the scale", above=0.0, default=2e-5)
+    cosine: Scalar = quantity("m", "amplitude of the cosine", default=0.0)
+    sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)
+    cosine2: Scalar = quantity("m", "amplitude of the cosine of the second harmonic", default=0.0)
+    sine2: Scalar = quantity("m", "amplitude of the sine of the second harmonic", default=0.0)
+
+    def error(self, position: Scalar) -> Scalar:
+        """The error within a signal period."""
+        angle = 2.0 * jnp.pi * position / self.period
+        first = self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle)
+        return first + self.cosine2 * jnp.cos(2.0 * angle) + self.sine2 * jnp.sin(2.0 * angle)

@@ -1,0 +1,119 @@
+"""The motor behind an elastic screw, seen from the table.
+
+With a share s of the moving mass M on the motor's side, and a share r of the friction F on the table's, the screw's force
+S moves the table by
+
+    (1 - s) M a = S - r F ,   so that the rigid drive M a = u - F + f needs  f = (S - r F) / (1 - s) - u + F
+
+beside the force u. S follows from the motor's deflection q against the table,
+
+    q'' = (u - (1 - r) F_m) / (s M) + r F / ((1 - s) M) - S / (s (1 - s) M) ,
+
+where the motor's friction F_m is LuGre friction of its own, at the motor's velocity. Over a control period both masses
+are followed in short steps, the table from where the drive has it.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from diffdrive.effects.base import Acts, Seen, TableEffect
+from diffdrive.effects.oscillator import Oscillator, swing
+from diffdrive.friction import bristle_at, friction_force, slide
+from diffdrive.parameters import Drive, Scalar, quantity
+
+LONGEST_SUBSTEP = 25e-6  # s
+
+
+class Screw(NamedTuple):
+    """An elastic screw between two masses."""
+
+    gap: Scalar  # m, full width of the dead zone
+    frequency: Scalar  # Hz, free resonance of motor against table in contact
+    damping: Scalar  # of it
+    motor_share: Scalar
+    table_friction: Scalar
+
+
+class Motor(NamedTuple):
+    """The motor's deflection against the table, and its friction's bristle (m)."""
+
+    against: Oscillator
+    bristle: Scalar
+
+
+def _resisting(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar, step: float) -> tuple[Scalar, Scalar]:
+    """Friction and damping at a velocity (N), and the bristle one step later."""
+    at = bristle_at(drive.friction, velocity, bristle, load)
+    force = friction_force(at, velocity, bristle) + drive.plant.damping.towards(velocity) * velocity
+    return force, slide(bristle, velocity, at.rate, step)
+
+
+def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
+    """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
+    mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
+    angular, half, reduced = 2.0 * jnp.pi * screw.frequency, 0.5 * screw.gap, s * (1.0 - s) * mass
+    count = max(1, round(period / LONGEST_SUBSTEP))
+    h = period / count
+
+    def substep(carry: Any, _: None) -> tuple[Any, None]:
+        (q, bristle), velocity, deflection, pulled, resisted = carry
+        table, deflection = _resisting(drive, velocity, deflection, seen.load, h)
+        own, bristle = _resisting(drive, velocity + q.rate, bristle, seen.load, h)
+        push = (seen.force - (1.0 - r) * own) / (s * mass) + r * table / ((1.0 - s) * mass)
+        inside = jnp.clip(q.deflection, -half, half)
+        # exact where it touches: the dead zone's wall moves the point of rest
+        there = swing(Oscillator(q.deflection - inside, q.rate), push, angular, screw.damping, h)
+        touching = (q.deflection != inside) | (half <= 0.0)
+        free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
+        deflected = jnp.where(touching, there.deflection + inside, free.deflection)
+        ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
+        pull = reduced * (push - (ahead.rate - q.rate) / h)
+        velocity = velocity + h * (pull - r * table) / ((1.0 - s) * mass)
+        carry = (Motor(ahead, bristle), velocity, deflection, pulled + pull / count, resisted + table / count)
+        return lax.optimization_barrier(carry), None
+
+    zero = jnp.zeros_like(seen.velocity)
+    begin = (motor, seen.velocity, seen.bristle, zero, zero)
+    (motor, _, _, pulled, resisted), _ = lax.scan(substep, begin, None, length=count)
+    return motor, Acts(force=(pulled - r * resisted) / (1.0 - s) - seen.force + resisted)
+
+
+class Compliance(TableEffect):
+    """An elastic screw: motor and table swing against one another. Neutral: an infinite frequency."""
+
+    name: ClassVar[str] = "compliance"
+    frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
+    damping: Scalar = quantity("1", "damping ratio", at_least=0.0, default=0.03)
+    motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, default=0.4)
+    table_friction: Scalar = quantity("1", "share of the friction on the table's side", at_least=0.0, default=0.5)
+
+    def init(self) -> Any:
+        """The screw relaxed."""
+        return Motor(Oscillator.at_rest(), jnp.zeros(()))
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """No dead zone."""
+        screw = Screw(0.0 * self.frequency, self.frequency, self.damping, self.motor_share, self.table_friction)
+        return driven(screw, state, seen, drive, period)
+
+
+class Backlash(TableEffect):
+    """A dead zone between motor and table, behind an elastic screw."""
+
+    name: ClassVar[str] = "backlash"
+    gap: Scalar = quantity("m", "full width of the dead zone", at_least=0.0, default=0.0)
+    frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
+    damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)
+    motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, default=0.4)
+    table_friction: Scalar = quantity("1", "share of the friction on the table's side", at_least=0.0, default=0.5)
+
+    def init(self) -> Any:
+        """In the middle of the dead zone."""
+        return Motor(Oscillator.at_rest(), jnp.zeros(()))
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """Free within the dead zone, an oscillator in contact."""
+        screw = Screw(self.gap, self.frequency, self.damping, self.motor_share, self.table_friction)
+        return driven(screw, state, seen, drive, period)

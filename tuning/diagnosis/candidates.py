@@ -1,0 +1,356 @@
+"""The catalogue as hypotheses: for each effect, which of its parameters a log may tell, and how large they usually are.
+
+A parameter's prior is normal in its own value or in its logarithm, with the middle and the spread given here. They are
+what a servo engineer would expect before seeing any log, in units of the machine's own friction and mass, and they are
+the price of a hypothesis: one that must be tuned finely to fit pays for it in its evidence. Parameters of the session
+(phases, times) differ from log to log.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
+from diffdrive.effects.base import Effect
+from diffdrive.parameters import Drive
+from tuning.prediction import Lanes
+
+
+class Parameter(NamedTuple):
+    """A free parameter of an effect and its prior."""
+
+    name: str
+    middle: float
+    spread: float  # standard deviation, in units of the parameter or, where `positive`, of its logarithm
+    positive: bool = False
+    session: bool = False
+    amplitude: bool = False  # the effect is linear in it and gone where it is zero
+
+    def value(self, u: float) -> float:
+        """At `u` standard deviations from the middle."""
+        return self.middle * np.exp(u * self.spread) if self.positive else self.middle + u * self.spread
+
+    def standard(self, value: float) -> float:
+        """The inverse."""
+        return (np.log(value / self.middle) if self.positive else value - self.middle) / self.spread
+
+
+class Candidate(NamedTuple):
+    """One effect of the catalogue as a hypothesis; `grid` are values of the other parameters to begin from."""
+
+    effect: type[Effect]
+    parameters: tuple[Parameter, ...]
+    grid: tuple[dict[str, float], ...] = ({},)
+
+    @property
+    def name(self) -> str:
+        """That of the catalogue."""
+        return self.effect.name
+
+
+class Setting(NamedTuple):
+    """The scales of a machine and its logs that priors and grids rest on."""
+
+    mass: float  # kg
+    friction: float  # N, Coulomb
+    load_coefficient: float
+    viscous: float  # N s/m
+    bristle: float  # m, by which the bristle bends before it slides
+    period: float  # s
+    duration: float  # s
+    low: float  # m, least position
+    high: float  # m
+    speed: float  # m/s, fastest
+    command: float  # N, largest
+
+
+def setting(drive: Drive, lanes: Lanes, period: float) -> Setting:
+    """The scales of `drive` and `lanes`."""
+    friction, plant = drive.friction, drive.plant
+    load = float(friction.initial_load) + float(np.mean(np.asarray(lanes.load)))
+    guide = 0.5 * float(friction.load_coefficient.positive + friction.load_coefficient.negative)
+    level = 0.5 * float(friction.coulomb_screw.positive + friction.coulomb_screw.negative) + guide * load
+    viscous = 0.5 * float(
+        friction.viscous.positive + friction.viscous.negative + plant.damping.positive + plant.damping.negative
+    )
+    counted = np.asarray(lanes.counts) > 0
+    position = np.asarray(lanes.position)
+    speed = np.abs(np.diff(position, axis=1))[:, :: max(1, round(1e-3 / period))] / period
+    return Setting(
+        mass=float(plant.mass),
+        friction=level,
+        load_coefficient=max(guide, 1e-6),
+        viscous=max(viscous, 1.0),
+        bristle=level / float(friction.bristle_stiffness.positive),
+        period=period,
+        duration=float(counted.sum(axis=1).max() * period),
+        low=float(position[counted].min()),
+        high=float(position[counted].max()),
+        speed=float(np.percentile(speed, 99)),
+        command=float(np.abs(np.asarray(lanes.command)[counted]).max()),
+    )
+
+
+def _grid(**values: np.ndarray) -> tuple[dict[str, float], ...]:
+    """Every combination."""
+    names, arrays = list(values), np.meshgrid(*values.values(), indexing="ij")
+    return tuple(
+        dict(zip(names, map(float, point), strict=True)) for point in zip(*(a.ravel() for a in arrays), strict=True)
+    )
+
+
+def _amplitude(name: str, spread: float, session: bool = False) -> Parameter:
+    return Parameter(name, 0.0, spread, session=session, amplitude=True)
+
+
+def _positive(name: str, middle: float, spread: float, session: bool = False) -> Parameter:
+    return Parameter(name, middle, spread, positive=True, session=session)
+
+
+def _payload_mass(at: Setting) -> Candidate:
+    return Candidate(machine.PayloadMass, (_amplitude("mass", 0.2 * at.mass),))
+
+
+def _friction_shape(at: Setting) -> Candidate:
+    curve = 0.1 * at.viscous / max(at.speed, 1e-3)
+    return Candidate(
+        machine.FrictionShape,
+        (
+            _amplitude("stribeck_velocity", 0.3),
+            _amplitude("breakaway_gap", 0.3),
+            _amplitude("viscous", 0.3),
+            _amplitude("curvature", curve),
+        ),
+    )
+
+
+def _friction_asymmetry(at: Setting) -> Candidate:
+    return Candidate(
+        machine.FrictionAsymmetry, (_amplitude("coulomb", 0.1 * at.friction), _amplitude("viscous", 0.1 * at.viscous))
+    )
+
+
+def _applied_load(at: Setting) -> Candidate:
+    load = 0.2 * at.friction / at.load_coefficient
+    times = np.linspace(0.1, 0.8, 8) * at.duration
+    return Candidate(
+        friction.AppliedLoad,
+        (
+            _amplitude("load", load),
+            _amplitude("more", load),
+            Parameter("start", 0.4 * at.duration, 0.4 * at.duration, session=True),
+            Parameter("end", 0.8 * at.duration, 0.4 * at.duration, session=True),
+            _positive("edge", 0.1, 1.5),
+        ),
+        tuple({"start": float(a), "end": float(b)} for a in times for b in [*times[times > a], 1.2 * at.duration]),
+    )
+
+
+def _position_friction(at: Setting) -> Candidate:
+    stroke = max(at.high - at.low, 1e-4)
+    return Candidate(
+        friction.PositionFriction,
+        (
+            _amplitude("slope", 0.2 / stroke),
+            _positive("period", 1.5 * stroke, 0.7),
+            _amplitude("cosine", 0.1),
+            _amplitude("sine", 0.1),
+        ),
+        tuple({"period": float(p), "neutral": 0.5 * (at.low + at.high)} for p in stroke * np.geomspace(0.2, 3.0, 12)),
+    )
+
+
+def _viscous_drift(at: Setting) -> Candidate:
+    return Candidate(
+        friction.ViscousDrift,
+        (
+            _amplitude("viscous", 0.2),
+            _amplitude("coulomb", 0.05),
+            _positive("time_constant", 0.4 * at.duration, 0.8),
+        ),
+        _grid(time_constant=at.duration * np.array([0.15, 0.4, 1.0])),
+    )
+
+
+def _friction_dwell(at: Setting) -> Candidate:
+    return Candidate(
+        friction.FrictionDwell,
+        (_amplitude("growth", 0.5), _positive("onset", 0.1, 0.7), _positive("slip", 4.0 * at.bristle, 0.7)),
+        _grid(onset=np.array([0.05, 0.2]), slip=at.bristle * np.array([1.0, 4.0, 16.0])),
+    )
+
+
+def _presliding_hysteresis(at: Setting) -> Candidate:
+    return Candidate(
+        friction.PreslidingHysteresis,
+        (_amplitude("share", 0.7), _positive("longest", 3.0 * at.bristle, 0.8), _positive("shortest", 0.2, 0.7)),
+        _grid(longest=at.bristle * np.array([0.5, 1.0, 2.0, 4.0, 8.0])),
+    )
+
+
+def _constant_force(at: Setting) -> Candidate:
+    return Candidate(forces.ConstantForce, (_amplitude("force", 0.1 * at.friction),))
+
+
+def _position_spring(at: Setting) -> Candidate:
+    stroke = max(at.high - at.low, 1e-4)
+    force = 0.1 * at.friction
+    return Candidate(
+        forces.PositionSpring,
+        (
+            Parameter("stiffness", 0.0, force / stroke, amplitude=True),
+            Parameter("neutral", 0.5 * (at.low + at.high), stroke),
+        ),
+        tuple({"neutral": at.low + share * stroke} for share in (0.0, 0.25, 0.5, 0.75, 1.0)),
+    )
+
+
+def _cogging(at: Setting) -> Candidate:
+    force = 0.04 * at.friction
+    names = ("cosine", "sine", "cosine2", "sine2", "cosine6", "sine6")
+    shares = (1.0, 1.0, 0.4, 0.4, 0.4, 0.4)
+    stroke = at.high - at.low
+    count = int(np.clip(4.0 * stroke / 5e-4, 10, 400))
+    periods = 1.0 / np.linspace(1.0 / min(5e-3, max(stroke, 6e-4)), 1.0 / 5e-4, count)
+    return Candidate(
+        forces.Cogging,
+        (
+            *(_amplitude(name, share * force, session=True) for name, share in zip(names, shares, strict=True)),
+            _positive("period", 1.5e-3, 0.7),
+        ),
+        _grid(period=periods),
+    )
+
+
+def _process_force(at: Setting) -> Candidate:
+    force = 0.04 * at.friction
+    names = ("mean", "cosine", "sine", "cosine2", "sine2")
+    return Candidate(
+        forces.ProcessForce,
+        (
+            *(_amplitude(name, force, session=True) for name in names),
+            _positive("frequency", 60.0, 1.2),
+            Parameter("start", 0.3 * at.duration, 0.4 * at.duration, session=True),
+            Parameter("end", 0.7 * at.duration, 0.4 * at.duration, session=True),
+        ),
+        ({"start": 0.25 * at.duration, "end": 0.75 * at.duration},),
+    )
+
+
+def _frame_vibration(at: Setting) -> Candidate:
+    top = 0.2 / at.period
+    return Candidate(
+        forces.FrameVibration,
+        (_amplitude("ratio", 0.1), _positive("frequency", 25.0, 0.8), _positive("damping", 0.03, 0.8)),
+        _grid(frequency=np.geomspace(4.0, min(150.0, top), 40), damping=np.array([0.03])),
+    )
+
+
+def _compliance(at: Setting) -> Candidate:
+    return Candidate(
+        transmission.Compliance,
+        (
+            _positive("frequency", 250.0, 0.8),
+            _positive("damping", 0.03, 0.8),
+            _positive("motor_share", 0.4, 0.3),
+            _positive("table_friction", 0.5, 0.5),
+        ),
+        _grid(frequency=np.geomspace(50.0, 800.0, 11), damping=np.array([0.03])),
+    )
+
+
+def _backlash(at: Setting) -> Candidate:
+    return Candidate(
+        transmission.Backlash,
+        (
+            _positive("gap", 4e-6, 1.0),
+            _positive("frequency", 400.0, 0.6),
+            _positive("damping", 0.08, 0.6),
+            _positive("motor_share", 0.4, 0.3),
+            _positive("table_friction", 0.5, 0.5),
+        ),
+        _grid(gap=np.array([1e-6, 3e-6, 1e-5, 3e-5]), frequency=np.array([400.0])),
+    )
+
+
+def _force_gain(at: Setting) -> Candidate:
+    return Candidate(actuator.ForceGain, (_amplitude("gain", 0.15),))
+
+
+def _force_limit(at: Setting) -> Candidate:
+    return Candidate(
+        actuator.ForceLimit,
+        (_positive("limit", 0.8 * at.command, 0.3),),
+        _grid(limit=at.command * np.array([0.98, 0.93, 0.85, 0.7, 0.5])),
+    )
+
+
+def _actuator_lag(at: Setting) -> Candidate:
+    return Candidate(
+        actuator.ActuatorLag,
+        (_positive("time_constant", 8e-4, 0.8),),
+        _grid(time_constant=np.array([2e-4, 5e-4, 1.2e-3, 3e-3])),
+    )
+
+
+def _loop_delay(at: Setting) -> Candidate:
+    return Candidate(actuator.LoopDelay, (_positive("delay", 1.0, 0.8),), _grid(delay=np.array([0.4, 1.1, 2.1, 4.1])))
+
+
+def _lead_error(at: Setting) -> Candidate:
+    return Candidate(
+        scale.LeadError,
+        (
+            _amplitude("cosine", 3e-6, session=True),
+            _amplitude("sine", 3e-6, session=True),
+            _amplitude("linear", 5e-5),
+            _positive("lead", 6e-3, 0.4),
+        ),
+        _grid(lead=1e-3 * np.array([2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0])),
+    )
+
+
+def _interpolation_error(at: Setting) -> Candidate:
+    names = ("cosine", "sine", "cosine2", "sine2")
+    return Candidate(
+        scale.InterpolationError,
+        (
+            *(
+                _amplitude(name, share * 2e-7, session=True)
+                for name, share in zip(names, (1, 1, 0.3, 0.3), strict=True)
+            ),
+            _positive("period", 2e-5, 0.5),
+        ),
+        _grid(period=1e-6 * np.array([2.0, 4.0, 8.0, 10.0, 16.0, 20.0, 40.0, 80.0, 100.0])),
+    )
+
+
+CATALOGUE: tuple[Callable[[Setting], Candidate], ...] = (
+    _applied_load,
+    _friction_shape,
+    _friction_asymmetry,
+    _position_friction,
+    _viscous_drift,
+    _friction_dwell,
+    _presliding_hysteresis,
+    _payload_mass,
+    _constant_force,
+    _position_spring,
+    _compliance,
+    _backlash,
+    _frame_vibration,
+    _process_force,
+    _cogging,
+    _force_gain,
+    _actuator_lag,
+    _loop_delay,
+    _force_limit,
+    _lead_error,
+    _interpolation_error,
+)
+
+
+def candidates(at: Setting) -> list[Candidate]:
+    """Every effect of the catalogue as a hypothesis about this machine and these logs."""
+    return [make(at) for make in CATALOGUE]

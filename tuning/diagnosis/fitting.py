@@ -1,0 +1,191 @@
+"""The likeliest values of a hypothesis, and its evidence.
+
+Gauss-Newton on the filter's innovations with a prior, in Levenberg's damping; after each step the process force of the
+filter is chosen anew. The evidence is Laplace's: the cost at its least, and the volume that the data leave of the prior.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.parameters import Drive
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.following import Course, Exposure, Process, Slopes, Track, answers, follow, slopes
+from tuning.diagnosis.model import (
+    Logged,
+    Model,
+    Vector,
+    exposed,
+    exposure_by_machine,
+    exposure_slopes,
+    machine,
+    machine_slopes,
+)
+
+LEAST, MOST = 1e-3, 1e3  # N, of process force
+NEAR = np.array(  # times the last process forces are tried after a step
+    [(1, 1), (0.1, 0.1), (0.3, 0.3), (3, 3), (0.3, 1), (1, 0.1), (1, 3)], float
+)
+FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3)])
+MOST_STEPS, TRIALS = 25, 6
+BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
+DAMPING = 0.1  # of a step's curvature in units of the prior's
+ENOUGH = 0.5  # of cost, that a step must gain
+
+
+class Fitted(NamedTuple):
+    """Where a fit ended."""
+
+    model: Model
+    u: Vector
+    process: Float[np.ndarray, " 2"]  # N, as in `Process`
+    cost: float  # deviance and prior
+    track: Track
+    acting: Exposure
+    linear: Slopes
+    own: Drive  # recalibrated
+    drive: Drive  # and altered
+    jacobian: Float[np.ndarray, "m k"]  # of the residuals, whose sum of squares is what the cost falls by
+    residual: Float[np.ndarray, " m"]
+    hessian: Float[np.ndarray, "k k"]
+    steps: int
+
+    @property
+    def evidence(self) -> float:
+        """-2 log of the probability of the logs under the hypothesis, up to a constant shared by all."""
+        return self.cost + float(np.linalg.slogdet(self.hessian)[1])
+
+
+_follow = eqx.filter_jit(follow)
+_slopes = eqx.filter_jit(slopes)
+
+
+@eqx.filter_jit
+def _deviances(drive: Drive, acting: Exposure, processes: Float[Array, "q 2"], logged: Logged) -> Float[Array, " q"]:
+    def one(process: Any) -> Any:
+        return follow(drive, acting, Process(*process), logged.noise, logged.lanes, logged.sampling).deviance
+
+    return jax.vmap(one)(processes)
+
+
+@eqx.filter_jit
+def _answers(
+    track: Track, linear: Slopes, machine: Any, exposure: Any, counts: Any, period: float
+) -> Float[Array, "lanes n k"]:
+    forcing = jnp.einsum("lnrp,pk->lnrk", linear.machine, machine)
+    off = jnp.zeros((*forcing.shape[:2], forcing.shape[-1]))
+    if exposure is not None:
+        acts = jnp.stack([exposure.force, exposure.coulomb, exposure.gap, exposure.viscous], axis=-2)
+        more = jnp.einsum("lnrc,lncm->lnrm", linear.exposure, acts)
+        forcing, off = forcing + more, exposure.scale
+    return answers(track, linear, forcing, off, period) * counts[..., None]
+
+
+class _Point(NamedTuple):
+    u: Vector
+    process: Float[np.ndarray, " 2"]
+    own: Drive
+    drive: Drive
+    acting: Exposure
+    course: Course  # that the effects were stepped along
+    track: Track
+    cost: float
+
+
+def _course(point: _Point) -> Course:
+    """Half way from the course that the effects were stepped along to the one that came of it."""
+    return jax.tree.map(lambda a, b: 0.5 * (a + b), point.course, point.track.course)
+
+
+class Fitter:
+    """Fits hypotheses about the same logs."""
+
+    def __init__(self, logged: Logged) -> None:
+        self.logged = logged
+        self.counts = np.asarray(logged.lanes.counts)
+
+    def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> _Point:
+        """The hypothesis at u."""
+        effects = model.effects(u)
+        own, drive = machine(self.logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
+        acting = exposed(self.logged, own, effects, course)
+        track = _follow(
+            drive, acting, Process(*jnp.asarray(process)), self.logged.noise, self.logged.lanes, self.logged.sampling
+        )
+        cost = float(track.deviance) + float(u @ u)
+        return _Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
+
+    def with_process(self, point: _Point, model: Model, processes: np.ndarray) -> _Point:
+        """The same point under the likeliest of these process forces, its effects along its own track."""
+        processes = np.unique(np.clip(processes, LEAST, MOST), axis=0)
+        effects = model.effects(point.u)
+        course = _course(point)
+        acting = exposed(self.logged, point.own, effects, course)
+        found = np.asarray(_deviances(point.drive, acting, jnp.asarray(processes), self.logged))
+        best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]
+        return self.at(model, point.u, best, course)
+
+    def linearised(self, model: Model, point: _Point) -> tuple[Slopes, np.ndarray, np.ndarray]:
+        """Slopes, residuals and their Jacobian at a point."""
+        logged, track = self.logged, point.track
+        linear = _slopes(point.drive, point.acting, track, logged.lanes, logged.sampling)
+        effects, b = model.effects(point.u), jnp.asarray(model.tolerance * point.u[: len(NAMES)])
+        tangents, count = model.tangents(point.u)
+        columns = machine_slopes(logged, b, effects, tangents if count else None)
+        columns = columns.at[:, : len(NAMES)].multiply(model.tolerance)
+        bend = None
+        if count:
+            first = exposure_by_machine(logged, b, effects, point.course)
+            then = exposure_slopes(logged, point.own, effects, tangents, point.course)
+            bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
+        found = _answers(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
+        unit = 1.0 / np.sqrt(float(track.size))
+        residual = unit * (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
+        return linear, residual, unit * np.asarray(found).reshape(residual.size, -1)
+
+    def _step(self, model: Model, point: _Point, damping: float) -> tuple[_Point, float]:
+        """One damped step under the point's process force; the point itself where none gains."""
+        _, residual, jacobian = self.linearised(model, point)
+        hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + point.u
+        for _ in range(TRIALS):
+            step = -np.linalg.solve(hessian + damping * np.eye(model.size), slope)
+            ahead = self.at(model, point.u + step, point.process, _course(point))
+            if ahead.cost < point.cost:
+                return ahead, max(0.1 * damping, 1e-3)
+            damping = 10.0 * damping
+        return point, damping
+
+    def fit(
+        self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int = MOST_STEPS
+    ) -> Fitted:
+        """From `u`; `course` is where the effects are first stepped along."""
+        point = self.at(model, u, FIRST[-4] if process is None else process, course)
+        if process is None:
+            point = self.with_process(point, model, FIRST)
+        boldness, damping, steps, idle = BOLDNESS, DAMPING, 0, 0
+        while steps < most and idle < 2:
+            steps += 1
+            trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, _course(point))
+            ahead, damping = self._step(model, trusting, damping)
+            if ahead is not trusting:
+                ahead = self.with_process(ahead, model, ahead.process * NEAR)
+            gained = point.cost - ahead.cost
+            if gained > 0:
+                idle = idle + 1 if gained < ENOUGH and boldness == 1.0 else 0
+                point = ahead
+            if gained < ENOUGH:
+                if boldness == 1.0 and not gained > 0:
+                    break
+                boldness, damping = 1.0, DAMPING
+            elif boldness == 1.0 and gained > 1e2:
+                boldness = BOLDNESS
+        linear, residual, jacobian = self.linearised(model, point)
+        hessian = jacobian.T @ jacobian + np.eye(model.size)
+        return Fitted(
+            model, point.u, point.process, point.cost, point.track, point.acting, linear, point.own, point.drive,
+            jacobian, residual, hessian, steps,
+        )  # fmt: skip

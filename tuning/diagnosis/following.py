@@ -1,0 +1,245 @@
+"""A drive with effects follows its logs: an extended Kalman filter, and its derivative with respect to everything.
+
+The effects are stepped along the track of the last pass, which makes what they do a signal like any other (`Exposure`):
+one compiled filter serves every effect. Its innovations answer small changes linearly,
+
+    e = e0 + d e / d b  b + d e / d (exposure)  d exposure ,
+
+and that answer is a linear recursion along the log (`answers`), cheap enough for a hundred directions at once.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from diffdrive import plant
+from diffdrive.actuator import limited
+from diffdrive.effects import acting
+from diffdrive.effects.base import Effect, Seen
+from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
+from diffdrive.parameters import Drive, Sampling, Scalar
+from tuning.prediction import Lanes, delayed, moving
+
+UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
+LASTING = 0.02  # s, that a missing force lasts
+LOST = 6.0  # scatters; a filter that is so far off begins again from the measurement
+FOUND = 1e-5  # m, standard deviation of the position when it does
+BATCH = 2048  # samples that are differentiated at once
+
+
+class Exposure(NamedTuple):
+    """What acts on the table over each period, and how far the scale is off; [lanes, n] each."""
+
+    force: Float[Array, "lanes n"]  # N
+    coulomb: Float[Array, "lanes n"]  # N
+    gap: Float[Array, "lanes n"]  # N
+    viscous: Float[Array, "lanes n"]  # N s/m
+    scale: Float[Array, "lanes n"]  # m
+
+
+class Process(NamedTuple):
+    """How large a force the model is trusted to lack: one that lasts `LASTING` s, and a white one."""
+
+    lasting: Scalar  # N, standard deviation
+    white: Scalar  # N, standard deviation of one value per period
+
+
+class Course(NamedTuple):
+    """Where the table went, as effects are to see it; [lanes, n] each."""
+
+    position: Float[Array, "lanes n"]  # m
+    velocity: Float[Array, "lanes n"]  # m/s
+    bristle: Float[Array, "lanes n"]  # m
+    friction: Float[Array, "lanes n"]  # N, all that resists
+
+
+class Track(NamedTuple):
+    """What the filter saw, [lanes, n] each: the table after each correction."""
+
+    course: Course
+    lacking: Float[Array, "lanes n"]  # N, force that the model lacks
+    innovation: Float[Array, "lanes n"]  # m
+    scatter: Float[Array, "lanes n"]  # m, standard deviation expected of it
+    pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
+    deviance: Scalar  # -2 log likelihood up to a constant, the scale of all noises free
+    size: Scalar  # that scale, squared
+
+
+class Slopes(NamedTuple):
+    """Derivatives of the table after one period: [lanes, n, 3, directions]."""
+
+    state: Float[Array, "lanes n 3 2"]  # with respect to velocity and bristle
+    machine: Float[Array, "lanes n 3 p"]  # to the numbers of plant and friction, in the order of `numbers`
+    exposure: Float[Array, "lanes n 3 4"]  # to force, Coulomb friction, gap and viscous friction
+
+
+def numbers(drive: Drive) -> Float[Array, " p"]:
+    """Plant and friction as one vector."""
+    return ravel_pytree((drive.plant, drive.friction))[0]
+
+
+def with_numbers(drive: Drive, values: Float[Array, " p"]) -> Drive:
+    """The drive with plant and friction from such a vector."""
+    plant, friction = ravel_pytree((drive.plant, drive.friction))[1](values)
+    return dataclasses.replace(drive, plant=plant, friction=friction)
+
+
+def altered(drive: Drive, effects: tuple[Effect, ...]) -> Drive:
+    """The drive with the effects that are other parameters; those are the same in every lane."""
+    return acting.altered(drive, jax.tree.map(lambda leaf: leaf[0], effects))
+
+
+def exposure(
+    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lanes: Lanes, course: Course, sampling: Sampling
+) -> Exposure:
+    """What the effects, whose parameters are given for each lane, do along a course."""
+    machine = altered(drive, effects)
+    period = sampling.period
+
+    def one(lane: Lanes, course: Course, effects: tuple[Effect, ...]) -> Exposure:
+        asked = delayed(limited(drive.actuator, lane.command), delay)
+
+        def step(states: Any, at: tuple[Scalar, ...]) -> tuple[Any, Exposure]:
+            count, position, velocity, bristle, friction, force, pushed, load = at
+            states, force = acting.through(effects, states, force, period)
+            seen = Seen(count * period, position, velocity, bristle, force + pushed, friction, load)
+            states, acts = acting.upon(effects, states, seen, machine, period)
+            scale = acting.scale_error(effects, position)
+            one = (force + pushed + acts.force, acts.coulomb, acts.gap, acts.viscous, scale)
+            return states, Exposure(*(value + 0.0 * force for value in one))
+
+        count = jnp.arange(len(asked), dtype=asked.dtype)
+        signals = (count, *course, asked, lane.disturbance, lane.load)
+        return lax.scan(step, acting.at_rest(effects, asked[0]), signals)[1]
+
+    return lax.map(lambda both: one(*both), (lanes, course, effects))
+
+
+def _along(function: Any, at: Any, directions: Any) -> list[Any]:
+    """The value of a function and its derivatives in several directions."""
+    value, first = jax.jvp(function, at, directions[0])
+    return [value, first, *(jax.jvp(function, at, one)[1] for one in directions[1:])]
+
+
+def _ahead(drive: Drive, sampling: Sampling, acts: Any, velocity: Scalar, bristle: Scalar, load: Scalar) -> Any:
+    state = plant.PlantState(jnp.zeros_like(velocity), velocity, bristle)
+    return plant.advance(acting.bent(drive, acts), state, acts.force, load, sampling.period, sampling.plant_steps)
+
+
+def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes: Lanes, sampling: Sampling) -> Track:
+    """Filter each lane; `noise` (m) is the measurement's standard deviation.
+
+    A white force alone would do while the table slides; where it sticks, the filter would blame its bristle for what
+    the model lacks, and may then lock on to a motion in the wrong direction.
+    """
+    fade = float(np.exp(-sampling.period / LASTING))
+    fresh = process.lasting**2 * (1.0 - fade**2)
+    jolt = (process.white * sampling.period / drive.plant.mass) ** 2
+    measured_variance = noise**2
+
+    level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
+        drive.friction.initial_load
+    )
+    loose = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
+    spread = (measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)
+    again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
+
+    def body(carry: Any, at: Any) -> Any:
+        state, covariance = carry
+        measured, load, acts = at
+        innovation = measured - acts.scale - state[0]
+        scatter = jnp.sqrt(covariance[0][0] + measured_variance)
+        lost = jnp.abs(innovation) > LOST * scatter
+        covariance = tuple(
+            tuple(jnp.where(lost, new, old) for new, old in zip(*rows, strict=True))
+            for rows in zip(again, covariance, strict=True)
+        )
+        pull = gain(covariance, measured_variance)
+        state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
+        covariance = update_covariance(covariance, pull, measured_variance)
+        state, covariance = lax.optimization_barrier((state, covariance))
+        position, velocity, deflection, lacking = state
+        machine = acting.bent(drive, acts)
+
+        def period(velocity: Scalar, deflection: Scalar, lacking: Scalar) -> plant.PlantState:
+            table = plant.PlantState(jnp.zeros_like(velocity), velocity, deflection)
+            force = acts.force + lacking
+            return plant.advance(machine, table, force, load, sampling.period, sampling.plant_steps)
+
+        ones = [tuple(1.0 * (i == j) * jnp.ones_like(velocity) for j in range(3)) for i in range(3)]
+        moved, *columns = _along(period, (velocity, deflection, lacking), ones)
+        rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
+        ahead = (position + moved.position, moved.velocity, moved.bristle, fade * lacking)
+        covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
+        resisting = acting.resistance(machine, velocity, deflection, load)
+        return (ahead, covariance), (*state, resisting, innovation, scatter, pull)
+
+    def one(lane: Lanes, acts: Exposure) -> Any:
+        table = moving(drive, lane)
+        begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
+        return lax.scan(body, (begin, diagonal(spread)), (lane.position, lane.load, acts))[1]
+
+    found = lax.map(lambda pair: one(*pair), (lanes, under))
+    position, velocity, bristle, lacking, friction, innovation, scatter, pull = found
+    counts = lanes.counts
+    size = jnp.sum(counts * (innovation / scatter) ** 2) / jnp.sum(counts)
+    deviance = jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter))
+    return Track(Course(position, velocity, bristle, friction), lacking, innovation, scatter, pull, deviance, size)
+
+
+def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: Sampling) -> Slopes:
+    """Derivatives of every period, at the track, with respect to the state, the machine, and the exposure."""
+
+    def period(args: Any, load: Scalar) -> Any:
+        v, z, machine, force, coulomb, gap, viscous = args
+        acts = Exposure(force, coulomb, gap, viscous, jnp.zeros(()))
+        return jnp.stack(_ahead(with_numbers(drive, machine), sampling, acts, v, z, load))
+
+    def at(sample: Any) -> Any:
+        v, z, force, coulomb, gap, viscous, load = sample
+        args = (v, z, numbers(drive), force, coulomb, gap, viscous)
+        flat, again = ravel_pytree(args)
+        jac = jax.vmap(lambda d: jax.jvp(lambda a: period(again(a), load), (flat,), (d,))[1], out_axes=1)(
+            jnp.eye(len(flat))
+        )
+        return jac
+
+    force = under.force + track.lacking
+    samples = (track.course.velocity, track.course.bristle, force, under.coulomb, under.gap, under.viscous, lanes.load)
+    shape = track.lacking.shape
+    flat = tuple(one.reshape(-1) for one in samples)
+    jac = lax.map(at, flat, batch_size=BATCH)
+    jac = jac.reshape(*shape, 3, -1)
+    return Slopes(jac[..., :2], jac[..., 2:-4], jac[..., -4:])
+
+
+def answers(track: Track, linear: Slopes, forcing: Any, scale: Any, period: float) -> Float[Array, "lanes n m"]:
+    """Change of the innovations over their scatter, [lanes, n, m], for forcings of the table ([lanes, n, 3, m] after
+    each period) and errors of the scale ([lanes, n, m]).
+    """
+
+    fade = float(np.exp(-period / LASTING))
+
+    def one(args: Any) -> Any:
+        pull, scatter, state, push, forced, off = args
+
+        def body(carry: Any, at: Any) -> Any:
+            x, v, z, f = carry
+            (kx, kv, kz, kf), s, a, p, d, shift = at
+            e = -(x + shift)
+            x, v, z, f = x + kx * e, v + kv * e, z + kz * e, f + kf * e
+            ahead = [(x if row == 0 else 0.0) + a[row, 0] * v + a[row, 1] * z + p[row] * f + d[row] for row in range(3)]
+            return (*ahead, fade * f), e / s
+
+        m = forced.shape[-1]
+        # the filter begins where the first sample was measured
+        begin = (-off[0], *(jnp.zeros(m) for _ in range(3)))
+        return lax.scan(body, begin, (pull, scatter, state, push, forced, off))[1]
+
+    return lax.map(one, (track.pull, track.scatter, linear.state, linear.exposure[..., 0], forcing, scale))

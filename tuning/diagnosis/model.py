@@ -1,0 +1,162 @@
+"""A hypothesis about a machine: its nominal drive recalibrated, and none, one or several effects.
+
+All that is free is one vector u in units of its prior: u = 0 is what was expected, the prior costs u^2.
+"""
+
+import dataclasses
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.effects.base import Effect
+from diffdrive.parameters import Drive, Sampling, Scalar
+from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
+from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.following import Course, Exposure, altered, exposure, numbers
+from tuning.prediction import Lanes
+
+Vector = Float[np.ndarray, " k"]
+
+
+class Logged(NamedTuple):
+    """What is to be explained: stretches of logs, which log each is of, and how far their positions scatter."""
+
+    drive: Drive  # nominal
+    delay: Scalar  # control periods, nominal
+    lanes: Lanes
+    owner: tuple[int, ...]  # of each lane, the number of its log
+    noise: Scalar  # m
+    sampling: Sampling
+
+    @property
+    def logs(self) -> int:
+        """How many logs."""
+        return max(self.owner) + 1
+
+
+class Member(NamedTuple):
+    """One effect of a hypothesis; `fixed` are parameters that stay at values of their own."""
+
+    candidate: Candidate
+    fixed: tuple[tuple[str, float], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """A hypothesis about the machine of `logged`."""
+
+    logged: Logged
+    members: tuple[Member, ...] = ()
+    tolerance: float = TOLERANCE
+
+    @property
+    def slots(self) -> list[tuple[int, str, int | None]]:
+        """What each number of u behind the calibration's is: member, parameter, log (None: all)."""
+        found: list[tuple[int, str, int | None]] = []
+        for index, member in enumerate(self.members):
+            for one in member.candidate.parameters:
+                logs = range(self.logged.logs) if one.session else [None]
+                found += [(index, one.name, log) for log in logs]
+        return found
+
+    @property
+    def size(self) -> int:
+        """How many numbers are free."""
+        return len(NAMES) + len(self.slots)
+
+    def values(self, u: Vector) -> list[dict[str, Vector]]:
+        """For each member, its parameters by name: one value for each log."""
+        found = [dict(member.fixed) for member in self.members]
+        table = [{name: np.full(self.logged.logs, value) for name, value in one.items()} for one in found]
+        known = [{p.name: p for p in member.candidate.parameters} for member in self.members]
+        for number, (index, name, log) in zip(u[len(NAMES) :], self.slots, strict=True):
+            value = known[index][name].value(float(number))
+            row = table[index].setdefault(name, np.zeros(self.logged.logs))
+            row[slice(None) if log is None else log] = value
+        return table
+
+    def effects(self, u: Vector) -> tuple[Effect, ...]:
+        """The effects at u, each parameter an array over the lanes."""
+        found = []
+        for member, values in zip(self.members, self.values(u), strict=True):
+            found.append(effect_in_lanes(member.candidate.effect, values, self.logged.owner))
+        return tuple(found)
+
+    def tangents(self, u: Vector) -> tuple[tuple[Effect, ...], int]:
+        """Derivatives of `effects` with respect to every number behind the calibration's, stacked, and how many."""
+        base = self.effects(u)
+        rows = []
+        for number, (index, name, log) in zip(u[len(NAMES) :], self.slots, strict=True):
+            parameter = next(p for p in self.members[index].candidate.parameters if p.name == name)
+            slope = parameter.spread * (parameter.value(float(number)) if parameter.positive else 1.0)
+            here = np.array([log is None or log == owner for owner in self.logged.owner], float) * slope
+            zero = jax.tree.map(jnp.zeros_like, base)
+            rows.append(eqx.tree_at(lambda tree, i=index, n=name: getattr(tree[i], n), zero, jnp.asarray(here)))
+        if not rows:
+            return base, 0
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows), len(rows)
+
+
+def effect_in_lanes(effect: type[Effect], values: dict[str, Vector], owner: tuple[int, ...]) -> Effect:
+    """An effect whose parameters, given for each log, are arrays over the lanes; those not given at their defaults."""
+    rows = list(owner)
+    defaults = {field.name: field.default for field in dataclasses.fields(effect)}
+    given = {name: np.broadcast_to(values.get(name, default), (max(owner) + 1,)) for name, default in defaults.items()}
+    return effect(**{name: jnp.asarray(np.asarray(value, float)[rows]) for name, value in given.items()})
+
+
+@eqx.filter_jit
+def machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...]) -> tuple[Drive, Drive]:
+    """The drive recalibrated, and with the effects that are other parameters."""
+    own = calibrated(logged.drive, b)
+    return own, altered(own, effects)
+
+
+@eqx.filter_jit
+def exposed(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
+    """What the effects do along a course."""
+    return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling)
+
+
+@eqx.filter_jit
+def exposure_by_machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...], course: Course) -> Exposure:
+    """Derivatives of what the effects do, [lanes, n, b], with respect to the calibration."""
+
+    def at(b: Float[Array, " b"]) -> Exposure:
+        own = calibrated(logged.drive, b)
+        return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling)
+
+    return jax.vmap(lambda way: jax.jvp(at, (b,), (way,))[1], out_axes=-1)(jnp.eye(len(b)))
+
+
+@eqx.filter_jit
+def exposure_slopes(
+    logged: Logged, own: Drive, effects: tuple[Effect, ...], tangents: tuple[Effect, ...], course: Course
+) -> Exposure:
+    """Derivatives of what the effects do, [lanes, n, m], in the directions `tangents`, which are stacked."""
+
+    def at(effects: tuple[Effect, ...]) -> Exposure:
+        return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling)
+
+    return jax.vmap(lambda way: jax.jvp(at, (effects,), (way,))[1], out_axes=-1)(tangents)
+
+
+@eqx.filter_jit
+def machine_slopes(
+    logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...], tangents: tuple[Effect, ...] | None
+) -> Float[Array, "p k"]:
+    """Derivatives of the machine's numbers with respect to b and in the directions `tangents`."""
+
+    def at(b: Float[Array, " b"], effects: tuple[Effect, ...]) -> Float[Array, " p"]:
+        return numbers(altered(calibrated(logged.drive, b), effects))
+
+    columns = jax.jacfwd(at)(b, effects)
+    if tangents is None:
+        return columns
+    more = jax.vmap(lambda way: jax.jvp(partial(at, b), (effects,), (way,))[1], out_axes=-1)(tangents)
+    return jnp.concatenate([columns, more], axis=-1)

@@ -1,0 +1,143 @@
+"""The whole catalogue against what a hypothesis leaves: how much would each effect explain?
+
+To first order, an effect bends the innovations along its answers to a small amount of it. What of the innovations lies
+along these, once the parameters that are free already have taken their part, is what the effect would explain: one
+projection for each point of its grid, no fit (Rao's score test).
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.effects.base import MachineEffect
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.following import answers
+from tuning.diagnosis.lines import looked_for
+from tuning.diagnosis.model import Member, Model, Vector, effect_in_lanes, exposed, exposure_slopes, machine_slopes
+
+TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3)])  # times the process forces
+
+
+class Screened(NamedTuple):
+    """What one candidate would explain."""
+
+    candidate: Candidate
+    gain: float  # fall of the cost
+    evidence: float  # and of -2 log evidence
+    values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
+
+
+@eqx.filter_jit
+def _responses(fitted_track: Any, linear: Any, forcing: Any, off: Any, counts: Any, period: float) -> Any:
+    return answers(fitted_track, linear, forcing, off, period) * counts[..., None]
+
+
+def respond(fitted: Fitted, bend: Any, columns: Float[Array, "p m"] | None) -> Float[np.ndarray, "lanes n m"]:
+    """Answers of the residuals to changed exposures ([lanes, n, m]) and numbers of the machine ([p, m])."""
+    acts = jnp.stack([bend.force, bend.coulomb, bend.gap, bend.viscous], axis=-2)
+    forcing = jnp.einsum("lnrc,lncm->lnrm", fitted.linear.exposure, acts)
+    if columns is not None:
+        forcing = forcing + jnp.einsum("lnrp,pm->lnrm", fitted.linear.machine, columns)
+    logged = fitted.model.logged
+    counts, period = logged.lanes.counts, logged.sampling.period
+    return np.asarray(_responses(fitted.track, fitted.linear, forcing, bend.scale, counts, period)) / np.sqrt(
+        float(fitted.track.size)
+    )
+
+
+def _directions(fitted: Fitted, candidate: Candidate, point: dict[str, Vector]) -> tuple[np.ndarray, list[Any]]:
+    """Answers to each amplitude of the candidate at a point of its grid ([m, lanes, n]), and what each is of."""
+    logged = fitted.model.logged
+    others = fitted.model.effects(fitted.u)
+    effect = effect_in_lanes(candidate.effect, point, logged.owner)
+    amplitudes = [one for one in candidate.parameters if one.amplitude]
+    course = fitted.track.course
+    if not amplitudes:
+        with_it = exposed(logged, fitted.own, (*others, effect), course)
+        bend = jax.tree.map(lambda a, b: (a - b)[..., None], with_it, fitted.acting)
+        return respond(fitted, bend, None), [None]
+    labels = [(one, log) for one in amplitudes for log in (range(logged.logs) if one.session else [None])]
+    rows = []
+    for one, log in labels:
+        here = np.array([log is None or log == owner for owner in logged.owner], float) * one.spread
+        zero = jax.tree.map(jnp.zeros_like, (*others, effect))
+        rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree[-1], n), zero, jnp.asarray(here)))
+    tangents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+    bend = exposure_slopes(logged, fitted.own, (*others, effect), tangents, course)
+    columns = None
+    if issubclass(candidate.effect, MachineEffect):
+        b = jnp.asarray(fitted.model.tolerance * fitted.u[: len(NAMES)])
+        columns = machine_slopes(logged, b, (*others, effect), tangents)[:, len(NAMES) :]
+    return respond(fitted, bend, columns), labels
+
+
+def screen(fitted: Fitted, candidate: Candidate) -> Screened:
+    """The best point of the candidate's grid."""
+    logged = fitted.model.logged
+    samples = fitted.residual.size
+    left = np.linalg.solve(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    best: Screened | None = None
+    for point in looked_for(fitted, candidate):
+        values = dict(point)
+        found, labels = _directions(fitted, candidate, values)
+        d = found.reshape(samples, -1)
+        cross = fitted.jacobian.T @ d
+        schur = d.T @ d - cross.T @ np.linalg.solve(fitted.hessian, cross)
+        slope = d.T @ fitted.residual - cross.T @ left
+        prior = np.eye(len(schur)) if labels[0] is not None else np.zeros((1, 1)) + 1e-9
+        schur = schur + prior
+        amount = -np.linalg.solve(schur, slope)
+        gain = float(-slope @ amount)
+        if labels[0] is None:  # an effect of this size and no other
+            amount = np.clip(amount, 0.0, 1.5)
+            gain = float(-2.0 * slope @ amount - amount @ schur @ amount)
+        evidence = gain - float(np.linalg.slogdet(schur)[1]) if labels[0] is not None else gain
+        if best is None or evidence > best.evidence:
+            for (one, log), value in zip([x for x in labels if x is not None], amount, strict=False):
+                row = values.setdefault(one.name, np.zeros(logged.logs))
+                row[slice(None) if log is None else log] = value * one.spread
+            best = Screened(candidate, gain, evidence, values)
+    assert best is not None
+    return best
+
+
+def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
+    """The best point of the grid of a candidate that is not there by degrees, each filtered in full."""
+    model = joined(fitted.model, candidate)
+    nominal = np.where(np.arange(fitted.u.size) < len(NAMES), 0.0, fitted.u)
+    best: Screened | None = None
+    for point in looked_for(fitted, candidate):
+        for before in (fitted.u, nominal):  # recalibration may have gone astray to make up for what is missing
+            u = np.r_[before, begin(model, point)]
+            there = fitter.at(model, u, fitted.process, fitted.track.course)
+            there = fitter.with_process(there, model, fitted.process * TRIED)
+            gain = fitted.cost - there.cost
+            if best is None or gain > best.gain:
+                best = Screened(candidate, gain, gain, point)
+    assert best is not None
+    return best
+
+
+def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:
+    """The model with one more effect; what the candidate leaves alone stays at `values`."""
+    free = {one.name for one in candidate.parameters}
+    fixed = tuple((name, float(value[0])) for name, value in (values or {}).items() if name not in free)
+    return Model(model.logged, (*model.members, Member(candidate, fixed)), model.tolerance)
+
+
+def begin(model: Model, values: dict[str, Vector]) -> Vector:
+    """U of the last member of a model at `values`; at its middle where none is given."""
+    last = len(model.members) - 1
+    known = {one.name: one for one in model.members[last].candidate.parameters}
+    u = []
+    for index, name, log in model.slots:
+        if index == last:
+            given = values.get(name)
+            u.append(0.0 if given is None else known[name].standard(float(given[0 if log is None else log])))
+    return np.array(u)
