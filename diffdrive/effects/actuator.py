@@ -52,8 +52,9 @@ class ActuatorLag(ActuatorEffect):
 
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
         """The force follows what is asked for."""
-        share = jnp.maximum(self.time_constant, 1e-9) / period
-        fade = jnp.exp(-1.0 / share)
+        share = self.time_constant / period
+        there = share > 1e-3
+        fade = jnp.where(there, jnp.exp(-1.0 / jnp.where(there, share, 1.0)), 0.0)
         return force + (state - force) * fade, force + (state - force) * share * (1.0 - fade)
 
 

@@ -2,9 +2,9 @@
 
     command -> ActuatorEffect -> force -> TableEffect (adds forces, bends friction) -> table -> ScaleEffect -> measured
 
-and `MachineEffect`, which is a drive with other parameters. An effect is a pytree of its parameters, differentiable, and
-changes nothing at its neutral value. What it carries from one control period to the next is its state. The simulator
-steps effects in its loop; the diagnosis steps the same code along a measured trajectory.
+and `MachineEffect`, which is a drive with other parameters. An effect is a pytree of its parameters, differentiable,
+and changes nothing at its neutral value. What it carries from one control period to the next is its state. The
+simulator steps effects in its loop; the diagnosis steps the same code along a measured trajectory.
 """
 
 import abc
@@ -34,9 +34,6 @@ class Acts(NamedTuple):
     coulomb: Scalar = 0.0  # N, to the Coulomb friction
     gap: Scalar = 0.0  # N, to the gap between breakaway and Coulomb friction
     viscous: Scalar = 0.0  # N s/m, to the viscous friction
-
-    def __add__(self, other: Any) -> "Acts":
-        return Acts(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 class Effect(eqx.Module):

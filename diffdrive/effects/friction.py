@@ -75,7 +75,7 @@ class ViscousDrift(TableEffect):
 
 
 class FrictionDwell(TableEffect):
-    """Breakaway that grows with the logarithm of the time at rest (Dieterich's ageing law, d age/dt = 1 - |v| age / D)."""
+    """Breakaway that grows with the logarithm of the contact's age, d age/dt = 1 - |v| age / D (Dieterich)."""
 
     name: ClassVar[str] = "friction_dwell"
     growth: Scalar = quantity("1", "growth of the breakaway gap per e-fold of time at rest", default=0.0)

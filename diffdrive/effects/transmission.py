@@ -1,7 +1,7 @@
 """The motor behind an elastic screw, seen from the table.
 
-With a share s of the moving mass M on the motor's side, and a share r of the friction F on the table's, the screw's force
-S moves the table by
+With a share s of the moving mass M on the motor's side, and a share r of the friction F on the table's, the screw's
+force S moves the table by
 
     (1 - s) M a = S - r F ,   so that the rigid drive M a = u - F + f needs  f = (S - r F) / (1 - s) - u + F
 
@@ -44,9 +44,10 @@ class Motor(NamedTuple):
 
 
 def _resisting(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar, step: float) -> tuple[Scalar, Scalar]:
-    """Friction and damping at a velocity (N), and the bristle one step later."""
+    """Friction and damping at a velocity (N), in the middle of a step, and the bristle at its end."""
     at = bristle_at(drive.friction, velocity, bristle, load)
-    force = friction_force(at, velocity, bristle) + drive.plant.damping.towards(velocity) * velocity
+    half = slide(bristle, velocity, at.rate, 0.5 * step)
+    force = friction_force(at, velocity, half) + drive.plant.damping.towards(velocity) * velocity
     return force, slide(bristle, velocity, at.rate, step)
 
 
@@ -58,9 +59,10 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     h = period / count
 
     def substep(carry: Any, _: None) -> tuple[Any, None]:
-        (q, bristle), velocity, deflection, pulled, resisted = carry
-        table, deflection = _resisting(drive, velocity, deflection, seen.load, h)
-        own, bristle = _resisting(drive, velocity + q.rate, bristle, seen.load, h)
+        (q, bristle), velocity, rising, deflection, pulled, resisted = carry
+        middle = velocity + 0.5 * h * rising
+        table, deflection = _resisting(drive, middle, deflection, seen.load, h)
+        own, bristle = _resisting(drive, middle + q.rate, bristle, seen.load, h)
         push = (seen.force - (1.0 - r) * own) / (s * mass) + r * table / ((1.0 - s) * mass)
         inside = jnp.clip(q.deflection, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest
@@ -70,13 +72,15 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
         deflected = jnp.where(touching, there.deflection + inside, free.deflection)
         ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
         pull = reduced * (push - (ahead.rate - q.rate) / h)
-        velocity = velocity + h * (pull - r * table) / ((1.0 - s) * mass)
-        carry = (Motor(ahead, bristle), velocity, deflection, pulled + pull / count, resisted + table / count)
+        rising = (pull - r * table) / ((1.0 - s) * mass)
+        velocity = velocity + h * rising
+        carry = (Motor(ahead, bristle), velocity, rising, deflection, pulled + pull / count, resisted + table / count)
         return lax.optimization_barrier(carry), None
 
     zero = jnp.zeros_like(seen.velocity)
-    begin = (motor, seen.velocity, seen.bristle, zero, zero)
-    (motor, _, _, pulled, resisted), _ = lax.scan(substep, begin, None, length=count)
+    rising = (seen.force - seen.friction) / mass
+    begin = (motor, seen.velocity, rising, seen.bristle, zero, zero)
+    (motor, *_, pulled, resisted), _ = lax.scan(substep, begin, None, length=count)
     return motor, Acts(force=(pulled - r * resisted) / (1.0 - s) - seen.force + resisted)
 
 

@@ -42,6 +42,7 @@ class Candidate(NamedTuple):
     effect: type[Effect]
     parameters: tuple[Parameter, ...]
     grid: tuple[dict[str, float], ...] = ({},)
+    coupled: bool = False  # it acts by the table's velocity and friction, and these by it
 
     @property
     def name(self) -> str:
@@ -186,6 +187,7 @@ def _presliding_hysteresis(at: Setting) -> Candidate:
         friction.PreslidingHysteresis,
         (_amplitude("share", 0.7), _positive("longest", 3.0 * at.bristle, 0.8), _positive("shortest", 0.2, 0.7)),
         _grid(longest=at.bristle * np.array([0.5, 1.0, 2.0, 4.0, 8.0])),
+        coupled=True,
     )
 
 
@@ -244,6 +246,7 @@ def _frame_vibration(at: Setting) -> Candidate:
         forces.FrameVibration,
         (_amplitude("ratio", 0.1), _positive("frequency", 25.0, 0.8), _positive("damping", 0.03, 0.8)),
         _grid(frequency=np.geomspace(4.0, min(150.0, top), 40), damping=np.array([0.03])),
+        coupled=True,
     )
 
 
@@ -257,6 +260,7 @@ def _compliance(at: Setting) -> Candidate:
             _positive("table_friction", 0.5, 0.5),
         ),
         _grid(frequency=np.geomspace(50.0, 800.0, 11), damping=np.array([0.03])),
+        coupled=True,
     )
 
 
@@ -270,7 +274,8 @@ def _backlash(at: Setting) -> Candidate:
             _positive("motor_share", 0.4, 0.3),
             _positive("table_friction", 0.5, 0.5),
         ),
-        _grid(gap=np.array([1e-6, 3e-6, 1e-5, 3e-5]), frequency=np.array([400.0])),
+        _grid(gap=np.array([2e-6, 5e-6, 1.5e-5]), frequency=np.array([400.0]), table_friction=np.array([0.3, 0.6])),
+        coupled=True,
     )
 
 

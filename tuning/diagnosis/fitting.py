@@ -1,7 +1,8 @@
 """The likeliest values of a hypothesis, and its evidence.
 
 Gauss-Newton on the filter's innovations with a prior, in Levenberg's damping; after each step the process force of the
-filter is chosen anew. The evidence is Laplace's: the cost at its least, and the volume that the data leave of the prior.
+filter is chosen anew. The evidence is Laplace's: the cost at its least, and the volume that the data leave of the
+prior.
 """
 
 from typing import Any, NamedTuple
@@ -32,6 +33,7 @@ NEAR = np.array(  # times the last process forces are tried after a step
 )
 FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3)])
 MOST_STEPS, TRIALS = 25, 6
+COUPLED_PASSES = 3  # of effects that depend on what the filter makes of the table's velocity and friction
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 ENOUGH = 0.5  # of cost, that a step must gain
@@ -96,9 +98,18 @@ class _Point(NamedTuple):
     cost: float
 
 
-def _course(point: _Point) -> Course:
+def _between(before: Course, after: Course) -> Course:
     """Half way from the course that the effects were stepped along to the one that came of it."""
-    return jax.tree.map(lambda a, b: 0.5 * (a + b), point.course, point.track.course)
+    return jax.tree.map(lambda a, b: 0.5 * (a + b), before, after)
+
+
+def _course(point: _Point) -> Course:
+    return _between(point.course, point.track.course)
+
+
+def passes(model: Model) -> int:
+    """How often effects and filter take turns before a cost is believed."""
+    return COUPLED_PASSES if any(member.candidate.coupled for member in model.members) else 1
 
 
 class Fitter:
@@ -107,15 +118,16 @@ class Fitter:
     def __init__(self, logged: Logged) -> None:
         self.logged = logged
         self.counts = np.asarray(logged.lanes.counts)
+        self.given = (logged.noise, logged.lanes, logged.sampling)
 
     def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> _Point:
         """The hypothesis at u."""
         effects = model.effects(u)
         own, drive = machine(self.logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
-        acting = exposed(self.logged, own, effects, course)
-        track = _follow(
-            drive, acting, Process(*jnp.asarray(process)), self.logged.noise, self.logged.lanes, self.logged.sampling
-        )
+        for more in reversed(range(passes(model))):
+            acting = exposed(self.logged, own, effects, course)
+            track = _follow(drive, acting, Process(*jnp.asarray(process)), *self.given)
+            course = _between(course, track.course) if more else course
         cost = float(track.deviance) + float(u @ u)
         return _Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
 

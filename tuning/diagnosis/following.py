@@ -223,7 +223,6 @@ def answers(track: Track, linear: Slopes, forcing: Any, scale: Any, period: floa
     """Change of the innovations over their scatter, [lanes, n, m], for forcings of the table ([lanes, n, 3, m] after
     each period) and errors of the scale ([lanes, n, m]).
     """
-
     fade = float(np.exp(-period / LASTING))
 
     def one(args: Any) -> Any:

@@ -1,7 +1,7 @@
 """Lines in what is missing: periods in time and in position that stand out, to begin from.
 
-A grid fine enough for a period that is known to a hundredth of a cycle over the whole log is too fine for the catalogue:
-the spectrum of the missing force tells where to look.
+A grid fine enough for a period that is known to a hundredth of a cycle over the whole log is too fine for the
+catalogue: the spectrum of the missing force tells where to look.
 """
 
 import numpy as np

@@ -22,6 +22,7 @@ from tuning.diagnosis.lines import looked_for
 from tuning.diagnosis.model import Member, Model, Vector, effect_in_lanes, exposed, exposure_slopes, machine_slopes
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3)])  # times the process forces
+REFINED, FEW_STEPS = 2, 5
 
 
 class Screened(NamedTuple):
@@ -31,6 +32,7 @@ class Screened(NamedTuple):
     gain: float  # fall of the cost
     evidence: float  # and of -2 log evidence
     values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
+    fitted: Fitted | None = None  # where a fit has begun already
 
 
 @eqx.filter_jit
@@ -108,20 +110,28 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best point of the grid of a candidate that is not there by degrees, each filtered in full."""
+    """The best point of the grid of a candidate that is not there by degrees, each filtered in full.
+
+    The best are fitted a little, from the nominal parameters: recalibration may have gone astray to make up for what is
+    missing.
+    """
     model = joined(fitted.model, candidate)
-    nominal = np.where(np.arange(fitted.u.size) < len(NAMES), 0.0, fitted.u)
-    best: Screened | None = None
+    first = not fitted.model.members
+    before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
+    found = []
     for point in looked_for(fitted, candidate):
-        for before in (fitted.u, nominal):  # recalibration may have gone astray to make up for what is missing
-            u = np.r_[before, begin(model, point)]
-            there = fitter.at(model, u, fitted.process, fitted.track.course)
-            there = fitter.with_process(there, model, fitted.process * TRIED)
-            gain = fitted.cost - there.cost
-            if best is None or gain > best.gain:
-                best = Screened(candidate, gain, gain, point)
+        u = np.r_[before, begin(model, point)]
+        there = fitter.at(model, u, fitted.process, fitted.track.course)
+        there = fitter.with_process(there, model, fitted.process * TRIED)
+        found.append((there.cost, len(found), u, there))
+    best: Fitted | None = None
+    for _, _, u, there in sorted(found, key=lambda one: one[:2])[:REFINED]:
+        fit = fitter.fit(model, u, there.process, there.track.course, most=FEW_STEPS)
+        if best is None or fit.cost < best.cost:
+            best = fit
     assert best is not None
-    return best
+    gain = fitted.cost - best.cost
+    return Screened(candidate, gain, fitted.evidence - best.evidence, model.values(best.u)[-1], best)
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:

@@ -1,0 +1,123 @@
+"""Diagnosis, its engine: derivatives of the innovations, a sound machine, effects found among others."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sound_log import DRIVE, RATE, logged, two_sines
+
+from diffdrive.effects.forces import Cogging, ConstantForce
+from diffdrive.effects.machine import PayloadMass
+from diffdrive.parameters import Sampling, as_arrays
+from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
+from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.model import Logged, Model
+from tuning.diagnosis.screening import joined, screen
+from tuning.diagnosis.search import WORTH, _fitted, floor, recalibrated
+from tuning.fit import lanes_of, noise_floor
+
+OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+
+
+def fitter_of(*effects):
+    """A log of a machine that is not quite as its file says, with these effects."""
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
+    truth = dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects))
+    lanes = lanes_of([logged(truth, two_sines())])
+    noise = jnp.asarray(noise_floor(DRIVE.drive, lanes))
+    return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10)))
+
+
+def catalogue(fitter, base):
+    return candidates(setting(base.own, fitter.logged.lanes, 1.0 / RATE))
+
+
+@pytest.fixture(scope="module")
+def sound():
+    fitter = fitter_of()
+    return fitter, recalibrated(fitter, TOLERANCE)
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    fitter = fitter_of(ConstantForce(6.0))
+    return fitter, recalibrated(fitter, TOLERANCE)
+
+
+def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
+    _, base = sound
+    assert np.max(np.abs(base.u)) < 3.0
+    assert base.process[0] < 0.01  # N
+    assert float(base.track.size) == pytest.approx(1.0, abs=0.1)
+    mass = NAMES.index("mass")
+    assert TOLERANCE * base.u[mass] == pytest.approx(OFF[mass], abs=5e-4)
+
+
+def test_no_effect_is_worth_it_on_a_sound_machine(sound):
+    fitter, base = sound
+    for candidate in catalogue(fitter, base):
+        if all(one.amplitude for one in candidate.parameters):
+            assert screen(base, candidate).evidence < WORTH, candidate.name
+
+
+def test_the_answers_are_the_derivatives_of_the_innovations(sound):
+    """Against differences of the whole filter, whose gains depend a little on the parameters, too."""
+    fitter, base = sound
+    for name in ("mass", "viscous.positive", "coulomb_screw.negative", "bristle_stiffness"):
+        k = NAMES.index(name)
+        h = 1e-3 * np.eye(len(NAMES))[k]
+        ahead, behind = (
+            np.asarray(fitter.at(base.model, base.u + way * h, base.process, base.track.course).track.innovation)
+            for way in (1.0, -1.0)
+        )
+        unit = np.asarray(base.track.scatter) * np.sqrt(float(base.track.size))
+        difference = ((ahead - behind) / 2e-3 / unit * fitter.counts).ravel()
+        column = base.jacobian[:, k]
+        assert np.linalg.norm(difference - column) < 0.05 * np.linalg.norm(column), name
+
+
+def test_a_tilt_is_found_and_measured(tilted):
+    fitter, base = tilted
+    found = {one.name: screen(base, one) for one in catalogue(fitter, base) if one.parameters[0].amplitude}
+    best = max(found.values(), key=lambda one: one.evidence)
+    assert best.candidate.name == "constant_force"
+    fit = _fitted(fitter, base, best)
+    assert fit.model.values(fit.u)[0]["force"][0] == pytest.approx(6.0, abs=0.05)
+    assert base.evidence - fit.evidence > 100.0
+    assert (base.cost - fit.cost) / (base.cost - floor(fitter, fit)) > 0.97
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "key", "value"),
+    [
+        (Cogging(0.00125, 2.0, 1.0), "cogging", "period", 0.00125),
+        (PayloadMass(15.0), "payload_mass", "mass", 15.0),
+    ],
+)
+def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
+    fitter = fitter_of(effect)
+    base = recalibrated(fitter, TOLERANCE)
+    candidate = next(one for one in catalogue(fitter, base) if one.name == name)
+    fit = _fitted(fitter, base, screen(base, candidate))
+    assert fit.model.values(fit.u)[0][key][0] == pytest.approx(value, rel=0.15 if name == "payload_mass" else 1e-3)
+    assert base.evidence - fit.evidence > WORTH
+
+
+def test_parameters_of_the_session_are_one_for_each_log():
+    fitter = fitter_of()
+    twice = fitter.logged._replace(
+        lanes=jax.tree.map(lambda one: jnp.concatenate([one, one]), fitter.logged.lanes), owner=(0, 1)
+    )
+    candidate = next(one for one in candidates(setting(DRIVE.drive, twice.lanes, 1.0 / RATE)) if one.name == "cogging")
+    model = joined(Model(twice), candidate)
+    names = [(name, log) for _, name, log in model.slots]
+    assert names.count(("period", None)) == 1
+    assert {("cosine", 0), ("cosine", 1)} <= set(names)
+    u = np.zeros(model.size)
+    u[len(NAMES) + names.index(("cosine", 1))] = 2.0
+    effect = model.effects(u)[0]
+    assert float(effect.cosine[0]) == 0.0
+    assert float(effect.cosine[1]) == pytest.approx(2.0 * candidate.parameters[0].spread)

@@ -1,0 +1,140 @@
+"""Which effects explain the logs: recalibrated, with each effect of the catalogue, and with two.
+
+    recalibrate -> screen the catalogue -> fit the most promising -> the best, screened and fitted again
+
+The candidates of one round are independent; two threads keep two cores busy, since a compiled roll-out uses one.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.fitting import LEAST, Fitted, Fitter
+from tuning.diagnosis.following import Course
+from tuning.diagnosis.model import Logged, Model
+from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
+
+THREADS = 2
+FITTED = 4  # candidates of a round
+PROMISING = 4.0  # in evidence
+WORTH = 12.0  # in evidence, that another effect must bring
+COMPLETE = 0.97  # share of the gap explained beyond which no further effect is looked for
+MOST_EFFECTS = 2
+
+Progress = Callable[[str, int, int], None]
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+class Round(NamedTuple):
+    """What was found when one more effect was looked for."""
+
+    before: Fitted
+    screened: list[Screened]  # best first
+    fits: list[Fitted]  # best first
+
+
+class Explanation(NamedTuple):
+    """The recalibrated drive and the effects found, one round for each."""
+
+    base: Fitted
+    rounds: list[Round]
+    best: Fitted
+    floor: float  # the cost of a model that leaves nothing but the measuring noise
+
+    def share(self, fitted: Fitted) -> float:
+        """Of what recalibration leaves unexplained, the share that a fit explains."""
+        return (self.base.cost - fitted.cost) / max(self.base.cost - self.floor, 1e-9)
+
+
+def _in_parallel(function: Callable[[A], B], items: Sequence[A], say: Callable[[int], None]) -> list[B]:
+    done = 0
+    found = []
+    with ThreadPoolExecutor(THREADS) as pool:
+        for one in pool.map(function, items):
+            done += 1
+            say(done)
+            found.append(one)
+    return found
+
+
+def standing(logged: Logged) -> Course:
+    """The course before any filter: where the table was measured, at rest."""
+    zero = jnp.zeros_like(logged.lanes.position)
+    return Course(logged.lanes.position, zero, zero, zero)
+
+
+def recalibrated(fitter: Fitter, tolerance: float) -> Fitted:
+    """The nominal drive with nothing but its parameters adjusted, each within what its prior allows."""
+    model = Model(fitter.logged, (), tolerance)
+    return fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
+
+
+def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
+    if any(one.amplitude for one in candidate.parameters):
+        return screen(before, candidate)
+    return tried(fitter, before, candidate)
+
+
+def _fitted(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
+    """From where screening points, about the parameters of before or about the nominal ones."""
+    if found.fitted is not None:
+        one = found.fitted
+        return fitter.fit(one.model, one.u, one.process, one.track.course)
+    model = joined(before.model, found.candidate, found.values)
+    own = begin(model, found.values)
+    nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
+    starts = []
+    for u in (np.r_[before.u, own], np.r_[nominal, own]):
+        there = fitter.at(model, u, before.process, before.track.course)
+        starts.append(fitter.with_process(there, model, before.process * TRIED))
+    begun = min(starts, key=lambda one: one.cost)
+    return fitter.fit(model, begun.u, begun.process, begun.track.course)
+
+
+def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Round:
+    """One more effect."""
+    there = {member.candidate.name for member in before.model.members}
+    left = [one for one in catalogue if one.name not in there]
+    screened = _in_parallel(
+        lambda one: _screened(fitter, before, one), left, lambda k: progress("screening", k, len(left))
+    )
+    screened.sort(key=lambda one: -one.evidence)
+    promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
+    fits = _in_parallel(
+        lambda one: _fitted(fitter, before, one), promising, lambda k: progress("fitting", k, len(promising))
+    )
+    fits = [one for one in fits if np.isfinite(one.evidence)]
+    return Round(before, screened, sorted(fits, key=lambda one: one.evidence))
+
+
+def floor(fitter: Fitter, fitted: Fitted) -> float:
+    """The cost that would be left were the model exact: that of white innovations of the scatter foreseen.
+
+    How large the measuring noise truly is, the third differences of the innovations tell: structure is smoother.
+    """
+    least = fitter.at(fitted.model, fitted.u, np.array([LEAST, LEAST]), fitted.track.course)
+    rough = np.diff(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter), 3, axis=1)
+    size = np.sum(fitter.counts[:, 3:] * rough**2) / 20.0 / np.sum(fitter.counts[:, 3:])  # 1 + 9 + 9 + 1
+    foreseen = 2.0 * np.sum(fitter.counts * np.log(np.asarray(least.track.scatter)))
+    return float(foreseen + np.sum(fitter.counts) * np.log(size))
+
+
+def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Explanation:
+    """Effects one after the other, as long as another is worth it."""
+    best, rounds = base, []
+    while len(rounds) < MOST_EFFECTS:
+        found = look(fitter, best, catalogue, progress)
+        rounds.append(found)
+        if not found.fits or best.evidence - found.fits[0].evidence < WORTH:
+            break
+        best = found.fits[0]
+        so_far = Explanation(base, rounds, best, floor(fitter, best))
+        if so_far.share(best) > COMPLETE:
+            break
+    return Explanation(base, rounds, best, floor(fitter, best))
