@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from diffdrive.controllers import DOBVSC, Cascade, DisturbanceObserver, Gains, PDFeedforwardDOB
+from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.load_estimator import FixedLoad, InnovationLoad
 from diffdrive.observer import LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.parameters import Actuator, Friction, Plant, Quantity, Sensor
@@ -24,6 +25,7 @@ _TABLES: tuple[tuple[str, str, Any], ...] = (
     ("controller.load_estimator", "pd+fc", FixedLoad),
     ("controller.load_estimator", "pd+fc+le", InnovationLoad),
     ("controller.load_estimator", "pd+fc+ls", LoadStateObserver),
+    *((f"effects.{name}", "", effect) for name, effect in EFFECTS.items()),
 )
 _FROM_THE_PLANT = {(DisturbanceObserver, "mass"), (DisturbanceObserver, "damping")}
 COLUMNS = ("table", "for kind", "key", "unit", "range", "default", "meaning")

@@ -16,7 +16,7 @@ from tuning.diagnosis.candidates import candidates, setting
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import joined, screen
-from tuning.diagnosis.search import WORTH, _fitted, floor, recalibrated
+from tuning.diagnosis.search import LACKING, WORTH, _fitted, lacking, recalibrated
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
@@ -51,6 +51,7 @@ def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     _, base = sound
     assert np.max(np.abs(base.u)) < 3.0
     assert base.process[0] < 0.01  # N
+    assert lacking(sound[0], base) < LACKING
     assert float(base.track.size) == pytest.approx(1.0, abs=0.1)
     mass = NAMES.index("mass")
     assert TOLERANCE * base.u[mass] == pytest.approx(OFF[mass], abs=5e-4)
@@ -87,7 +88,7 @@ def test_a_tilt_is_found_and_measured(tilted):
     fit = _fitted(fitter, base, best)
     assert fit.model.values(fit.u)[0]["force"][0] == pytest.approx(6.0, abs=0.05)
     assert base.evidence - fit.evidence > 100.0
-    assert (base.cost - fit.cost) / (base.cost - floor(fitter, fit)) > 0.97
+    assert lacking(fitter, fit) < LACKING
 
 
 @pytest.mark.parametrize(

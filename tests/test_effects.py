@@ -24,12 +24,14 @@ from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.linearise import Operating, open_loop, response
+from diffdrive.logs import Log
 from diffdrive.motion import triangular
 from diffdrive.parameters import Sampling, Sensor, as_arrays
 from diffdrive.plant import advance, at_rest
 from diffdrive.presets import paper_drive
 from diffdrive.simulate import inputs_of, rollout, simulate
 from diffdrive.smooth import smooth
+from tuning.question import ask
 
 RATE = 2_000.0
 SAMPLING = Sampling(rate=RATE)
@@ -324,3 +326,10 @@ def _complete():
 def test_a_parameter_out_of_its_range_is_named():
     with pytest.raises(ParameterError, match=r"effects\.compliance\.motor_share must be above 0"):
         simulate(with_effects(Compliance(150.0, 0.05, -0.3, 0.6)), CONTROLLER, MOTION, sampling=SAMPLING)
+
+
+def test_identification_refuses_a_drive_with_effects():
+    time = np.arange(2000) / RATE
+    log = Log("log", time, 1e-3 * np.sin(time), np.zeros(2000))
+    with pytest.raises(ParameterError, match=r"does not know the drive file's effects \(constant_force\)"):
+        ask([log], with_effects(ConstantForce(3.0)), (), {})

@@ -38,6 +38,9 @@ def ask(
     logs: Sequence[Log], drive: Drive, fixed: Sequence[str], bounded: Mapping[str, tuple[float, float]]
 ) -> Question:
     """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none."""
+    if drive.effects:
+        names = ", ".join(effect.name for effect in drive.effects)
+        raise ParameterError(f"identification does not know the drive file's effects ({names}): take them out")
     rate = _one_rate(logs)
     lanes = lanes_of(list(logs))
     seeded, notes = _seeded(drive, logs)

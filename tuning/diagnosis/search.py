@@ -24,6 +24,7 @@ FITTED = 4  # candidates of a round
 PROMISING = 4.0  # in evidence
 WORTH = 12.0  # in evidence, that another effect must bring
 COMPLETE = 0.97  # share of the gap explained beyond which no further effect is looked for
+LACKING = 30.0  # of cost
 MOST_EFFECTS = 2
 
 Progress = Callable[[str, int, int], None]
@@ -125,6 +126,12 @@ def floor(fitter: Fitter, fitted: Fitted) -> float:
     return float(foreseen + np.sum(fitter.counts) * np.log(size))
 
 
+def lacking(fitter: Fitter, fitted: Fitted) -> float:
+    """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing."""
+    none = fitter.at(fitted.model, fitted.u, np.array([LEAST, LEAST]), fitted.track.course)
+    return none.cost - fitted.cost
+
+
 def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Explanation:
     """Effects one after the other, as long as another is worth it."""
     best, rounds = base, []
@@ -135,6 +142,6 @@ def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progre
             break
         best = found.fits[0]
         so_far = Explanation(base, rounds, best, floor(fitter, best))
-        if so_far.share(best) > COMPLETE:
+        if so_far.share(best) > COMPLETE or lacking(fitter, best) < LACKING:
             break
     return Explanation(base, rounds, best, floor(fitter, best))
