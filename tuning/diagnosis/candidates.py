@@ -259,7 +259,7 @@ def _compliance(at: Setting) -> Candidate:
             _positive("motor_share", 0.4, 0.3),
             _positive("table_friction", 0.5, 0.5),
         ),
-        _grid(frequency=np.geomspace(50.0, 800.0, 11), damping=np.array([0.03])),
+        _grid(frequency=np.geomspace(50.0, 800.0, 16), damping=np.array([0.03]), table_friction=np.array([0.35, 0.65])),
         coupled=True,
     )
 
@@ -274,7 +274,11 @@ def _backlash(at: Setting) -> Candidate:
             _positive("motor_share", 0.4, 0.3),
             _positive("table_friction", 0.5, 0.5),
         ),
-        _grid(gap=np.array([2e-6, 5e-6, 1.5e-5]), frequency=np.array([400.0]), table_friction=np.array([0.3, 0.6])),
+        _grid(
+            gap=np.array([1.5e-6, 3e-6, 6e-6, 1.5e-5]),
+            frequency=np.array([300.0, 550.0]),
+            table_friction=np.array([0.3, 0.45, 0.65]),
+        ),
         coupled=True,
     )
 

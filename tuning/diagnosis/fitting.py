@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.following import Course, Exposure, Process, Slopes, Track, answers, follow, slopes
+from tuning.diagnosis.following import LOST, Course, Exposure, Process, Slopes, Track, answers, follow, slopes
 from tuning.diagnosis.model import (
     Logged,
     Model,
@@ -156,8 +156,9 @@ class Fitter:
             bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
         found = _answers(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
         unit = 1.0 / np.sqrt(float(track.size))
-        residual = unit * (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
-        return linear, residual, unit * np.asarray(found).reshape(residual.size, -1)
+        residual = (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
+        kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
+        return linear, kept * residual, kept[:, None] * np.asarray(found).reshape(residual.size, -1)
 
     def _step(self, model: Model, point: _Point, damping: float) -> tuple[_Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""

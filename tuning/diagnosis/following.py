@@ -188,7 +188,8 @@ def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes
     found = lax.map(lambda pair: one(*pair), (lanes, under))
     position, velocity, bristle, lacking, friction, innovation, scatter, pull = found
     counts = lanes.counts
-    size = jnp.sum(counts * (innovation / scatter) ** 2) / jnp.sum(counts)
+    squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
+    size = jnp.sum(counts * squares) / jnp.sum(counts)
     deviance = jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter))
     return Track(Course(position, velocity, bristle, friction), lacking, innovation, scatter, pull, deviance, size)
 

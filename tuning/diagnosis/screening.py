@@ -13,16 +13,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffdrive.effects.base import MachineEffect
+from diffdrive.effects.acting import Effects
+from diffdrive.effects.base import Effect, MachineEffect
+from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.following import answers
+from tuning.diagnosis.fitting import LEAST, MOST, Fitted, Fitter, passes
+from tuning.diagnosis.following import Course, Process, answers, exposure, follow
 from tuning.diagnosis.lines import looked_for
-from tuning.diagnosis.model import Member, Model, Vector, effect_in_lanes, exposed, exposure_slopes, machine_slopes
+from tuning.diagnosis.model import (
+    Logged,
+    Member,
+    Model,
+    Vector,
+    effect_in_lanes,
+    exposed,
+    exposure_slopes,
+    machine,
+    machine_slopes,
+)
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3)])  # times the process forces
 REFINED, FEW_STEPS = 2, 5
+AT_ONCE = 16  # points of a grid
 
 
 class Screened(NamedTuple):
@@ -109,29 +122,67 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     return best
 
 
+class _Tried(NamedTuple):
+    """Deviances of one point of a grid under each process force, and the course under the last but one filter."""
+
+    deviance: Float[Array, " q"]
+    course: Course
+
+
+@eqx.filter_jit
+def _over(
+    logged: Logged, own: Drive, drive: Drive, others: Effects, grid: Effect, course: Course, processes: Any, turns: int
+) -> _Tried:
+    """Every point of a grid, `grid` being stacked: all in one program, since its lanes fill the processor's vectors."""
+
+    def one(effect: Effect) -> _Tried:
+        seen = course
+        for _ in range(turns - 1):
+            under = exposure(own, (*others, effect), logged.delay, logged.lanes, seen, logged.sampling)
+            track = follow(drive, under, Process(*processes[0]), logged.noise, logged.lanes, logged.sampling)
+            seen = jax.tree.map(lambda a, b: 0.5 * (a + b), seen, track.course)
+        under = exposure(own, (*others, effect), logged.delay, logged.lanes, seen, logged.sampling)
+
+        def likely(process: Any) -> Any:
+            return follow(drive, under, Process(*process), logged.noise, logged.lanes, logged.sampling).deviance
+
+        return _Tried(jax.vmap(likely)(processes), seen)
+
+    return jax.vmap(one)(grid)
+
+
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate that is not there by degrees, each filtered in full.
 
     The best are fitted a little, from the nominal parameters: recalibration may have gone astray to make up for what is
     missing.
     """
-    model = joined(fitted.model, candidate)
+    logged, model = fitter.logged, joined(fitted.model, candidate)
     first = not fitted.model.members
     before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
+    others = fitted.model.effects(before)
+    own, drive = machine(logged, jnp.asarray(model.tolerance * before[: len(NAMES)]), others)
+    points = looked_for(fitted, candidate)
+    processes = np.unique(np.clip(fitted.process * TRIED, LEAST, MOST), axis=0)[::-1]
     found = []
-    for point in looked_for(fitted, candidate):
-        u = np.r_[before, begin(model, point)]
-        there = fitter.at(model, u, fitted.process, fitted.track.course)
-        there = fitter.with_process(there, model, fitted.process * TRIED)
-        found.append((there.cost, len(found), u, there))
-    best: Fitted | None = None
-    for _, _, u, there in sorted(found, key=lambda one: one[:2])[:REFINED]:
-        fit = fitter.fit(model, u, there.process, there.track.course, most=FEW_STEPS)
-        if best is None or fit.cost < best.cost:
-            best = fit
-    assert best is not None
-    gain = fitted.cost - best.cost
-    return Screened(candidate, gain, fitted.evidence - best.evidence, model.values(best.u)[-1], best)
+    for few in (points[k : k + AT_ONCE] for k in range(0, len(points), AT_ONCE)):
+        filled = [*few, *[few[-1]] * (AT_ONCE - len(few) if len(points) > AT_ONCE else 0)]
+        effects = [effect_in_lanes(candidate.effect, point, logged.owner) for point in filled]
+        grid = jax.tree.map(lambda *leaves: jnp.stack(leaves), *effects)
+        turns = passes(model)
+        there = _over(logged, own, drive, others, grid, fitted.track.course, jnp.asarray(processes), turns)
+        deviances = np.nan_to_num(np.asarray(there.deviance), nan=np.inf)
+        for k, point in enumerate(few):
+            best = int(np.argmin(deviances[k]))
+            course = jax.tree.map(lambda one, k=k: one[k], there.course)
+            found.append((float(deviances[k, best]), len(found), point, processes[best], course))
+    fits = [
+        fitter.fit(model, np.r_[before, begin(model, point)], process, course, most=FEW_STEPS)
+        for _, _, point, process, course in sorted(found, key=lambda one: one[:2])[:REFINED]
+    ]
+    best_fit = min(fits, key=lambda one: one.cost)
+    gain, evidence = fitted.cost - best_fit.cost, fitted.evidence - best_fit.evidence
+    return Screened(candidate, gain, evidence, model.values(best_fit.u)[-1], best_fit)
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:
