@@ -101,7 +101,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     for point in looked_for(fitted, candidate):
         values = dict(point)
         found, labels = _directions(fitted, candidate, values)
-        d = found.reshape(samples, -1)
+        d = np.where(fitted.residual[:, None] != 0.0, found.reshape(samples, -1), 0.0)  # not where the filter was lost
         cross = fitted.jacobian.T @ d
         schur = d.T @ d - cross.T @ np.linalg.solve(fitted.hessian, cross)
         slope = d.T @ fitted.residual - cross.T @ left
