@@ -16,7 +16,7 @@ from tuning.diagnosis.candidates import candidates, setting
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import joined, screen
-from tuning.diagnosis.search import LACKING, WORTH, _fitted, lacking, recalibrated
+from tuning.diagnosis.search import LACKING, WORTH, fit_from, lacking, recalibrated
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
@@ -85,7 +85,7 @@ def test_a_tilt_is_found_and_measured(tilted):
     found = {one.name: screen(base, one) for one in catalogue(fitter, base) if one.parameters[0].amplitude}
     best = max(found.values(), key=lambda one: one.evidence)
     assert best.candidate.name == "constant_force"
-    fit = _fitted(fitter, base, best)
+    fit = fit_from(fitter, base, best)
     assert fit.model.values(fit.u)[0]["force"][0] == pytest.approx(6.0, abs=0.05)
     assert base.evidence - fit.evidence > 100.0
     assert lacking(fitter, fit) < LACKING
@@ -102,7 +102,7 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     fitter = fitter_of(effect)
     base = recalibrated(fitter, TOLERANCE)
     candidate = next(one for one in catalogue(fitter, base) if one.name == name)
-    fit = _fitted(fitter, base, screen(base, candidate))
+    fit = fit_from(fitter, base, screen(base, candidate))
     assert fit.model.values(fit.u)[0][key][0] == pytest.approx(value, rel=0.15 if name == "payload_mass" else 1e-3)
     assert base.evidence - fit.evidence > WORTH
 

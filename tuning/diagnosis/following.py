@@ -127,11 +127,6 @@ def _along(function: Any, at: Any, directions: Any) -> list[Any]:
     return [value, first, *(jax.jvp(function, at, one)[1] for one in directions[1:])]
 
 
-def _ahead(drive: Drive, sampling: Sampling, acts: Any, velocity: Scalar, bristle: Scalar, load: Scalar) -> Any:
-    state = plant.PlantState(jnp.zeros_like(velocity), velocity, bristle)
-    return plant.advance(acting.bent(drive, acts), state, acts.force, load, sampling.period, sampling.plant_steps)
-
-
 def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes: Lanes, sampling: Sampling) -> Track:
     """Filter each lane; `noise` (m) is the measurement's standard deviation.
 
@@ -200,7 +195,9 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
     def period(args: Any, load: Scalar) -> Any:
         v, z, machine, force, coulomb, gap, viscous = args
         acts = Exposure(force, coulomb, gap, viscous, jnp.zeros(()))
-        return jnp.stack(_ahead(with_numbers(drive, machine), sampling, acts, v, z, load))
+        table = plant.PlantState(jnp.zeros_like(v), v, z)
+        bent = acting.bent(with_numbers(drive, machine), acts)
+        return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps))
 
     def at(sample: Any) -> Any:
         v, z, force, coulomb, gap, viscous, load = sample

@@ -17,11 +17,12 @@ APART = 3  # bins between two lines
 
 
 def missing_force(fitted: Fitted) -> Float[np.ndarray, "lanes n"]:
-    """The force (N) that the filter's corrections of the velocity stand for; zero where nothing was measured."""
+    """The force (N) that the filter had to invent, the lasting and the sudden; zero where nothing was measured."""
     sampling = fitted.model.logged.sampling
     counts = np.asarray(fitted.model.logged.lanes.counts)
     mass = float(fitted.drive.plant.mass)
-    return mass * sampling.rate * np.asarray(fitted.track.pull[1]) * np.asarray(fitted.track.innovation) * counts
+    sudden = mass * sampling.rate * np.asarray(fitted.track.pull[1]) * np.asarray(fitted.track.innovation)
+    return (np.asarray(fitted.track.lacking) + sudden) * counts
 
 
 def _stand_out(power: Float[np.ndarray, " n"]) -> list[int]:

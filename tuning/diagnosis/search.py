@@ -82,7 +82,7 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
     return tried(fitter, before, candidate)
 
 
-def _fitted(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
+def fit_from(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
     """From where screening points, about the parameters of before or about the nominal ones."""
     if found.fitted is not None:
         one = found.fitted
@@ -108,7 +108,7 @@ def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progres
     screened.sort(key=lambda one: -one.evidence)
     promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
     fits = _in_parallel(
-        lambda one: _fitted(fitter, before, one), promising, lambda k: progress("fitting", k, len(promising))
+        lambda one: fit_from(fitter, before, one), promising, lambda k: progress("fitting", k, len(promising))
     )
     fits = [one for one in fits if np.isfinite(one.evidence)]
     return Round(before, screened, sorted(fits, key=lambda one: one.evidence))
