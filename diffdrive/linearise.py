@@ -24,6 +24,7 @@ from jaxtyping import Array, Complex, Float
 from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, FrictionCompensation, Reference
 from diffdrive.effects import acting
+from diffdrive.effects.base import Push
 from diffdrive.friction import bristle_at, steady_friction, stribeck_level
 from diffdrive.load_estimator import FixedLoad
 from diffdrive.parameters import Drive, Sampling, Scalar
@@ -77,8 +78,8 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
         )
         asked = actuator.step(drive.actuator, state.actuator, command.force)
         carried, applied = acting.through(drive.effects, state.effects, asked.applied, sampling.period)
-        table, carried = move(drive, sampling, state._replace(effects=carried), force, at.load)
-        return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied
+        table, carried = move(drive, sampling, state._replace(effects=carried), Push(force), at.load)
+        return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied.mean
 
     force = _steady_force(drive, at)
     a, c = jax.jacfwd(step)(moving, force)

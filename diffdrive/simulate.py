@@ -21,6 +21,7 @@ from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, Reference
 from diffdrive.convergence import advice
 from diffdrive.effects import acting
+from diffdrive.effects.base import Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import require_possible
@@ -73,10 +74,10 @@ def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
 
 
 def move(
-    drive: Drive, sampling: Sampling, state: LoopState, force: Scalar, load: Scalar
+    drive: Drive, sampling: Sampling, state: LoopState, push: Push, load: Scalar
 ) -> tuple[plant.PlantState, tuple[Any, ...]]:
-    """The table and the effects one period later, `force` (N) acting on the table; `drive` has been altered."""
-    table, effects = state.plant, drive.effects
+    """The table and the effects one period later, `push` acting on the table; `drive` has been altered."""
+    table, effects, force = state.plant, drive.effects, push.mean
     if not effects:
         return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), ()
     time = sampling.period * state.count
@@ -84,7 +85,8 @@ def move(
     carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
     carried, acts = lax.optimization_barrier((carried, acts))
     machine = acting.bent(drive, acts)
-    return plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps), carried
+    moved = plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps)
+    return moved._replace(position=moved.position + acting.displaced(drive, push.tilt, sampling.period)), carried
 
 
 def step(
@@ -101,14 +103,15 @@ def step(
     controller_state, command = lax.optimization_barrier((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
     carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
-    moved, carried = move(drive, sampling, state._replace(effects=carried), applied + inputs.disturbance, inputs.load)
+    push = applied._replace(mean=applied.mean + inputs.disturbance)
+    moved, carried = move(drive, sampling, state._replace(effects=carried), push, inputs.load)
     bristle = bristle_at(drive.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,
         velocity=table.velocity,
         measured=measured,
         command=command.force,
-        force=applied,
+        force=applied.mean,
         friction=friction_force(bristle, table.velocity, table.bristle),
         estimate=command.estimate,
     )

@@ -125,11 +125,15 @@ def test_an_oscillator_is_stepped_exactly():
 
 def test_a_lag_passes_on_the_mean_of_an_exponential():
     lag, period = ActuatorLag(4e-4), 5e-4
-    state, mean = lag.step(10.0, 30.0, period)
+    state, (mean, tilt) = lag.step(10.0, 30.0, period)
     time = np.linspace(0, period, 20_001)
     force = 30.0 - 20.0 * np.exp(-time / 4e-4)
     assert float(state) == pytest.approx(force[-1], rel=1e-9)
     assert float(mean) == pytest.approx(np.trapezoid(force, time) / period, rel=1e-8)
+    # the straight line carries a free mass as far as the exponential does
+    line = float(mean) + float(tilt) * (time / period - 0.5)
+    left = period - time
+    assert np.trapezoid(left * line, time) == pytest.approx(np.trapezoid(left * force, time), rel=1e-8)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.7, 8.0])
@@ -137,8 +141,11 @@ def test_a_delay_moves_a_ramp(delay):
     one = LoopDelay(delay)
     state, out = one.init(jnp.asarray(0.0)), []
     for k in range(40):
-        state, force = one.step(state, jnp.asarray(float(k)), 1e-3)
+        state, (force, tilt) = one.step(state, jnp.asarray(float(k)), 1e-3)
         out.append(float(force))
+        part = delay % 1.0
+        if k > 10:  # a step of one newton `part` of the way through the period
+            assert float(tilt) == pytest.approx(6.0 * part * (1.0 - part), abs=1e-12)
     np.testing.assert_allclose(out[10:], np.arange(10.0, 40.0) - delay, rtol=1e-12)
 
 
@@ -161,7 +168,7 @@ def test_age_grows_at_rest_and_is_forgotten_over_a_slip():
     dwell = FrictionDwell(1.0, 0.1, 1e-5)
     drive, age = as_arrays(DRIVE), jnp.zeros(())
     for velocity, time in ((0.0, 1.0), (1e-3, 0.02)):
-        seen = Seen(0.0, 0.0, velocity, 0.0, 0.0, 0.0, 0.0)
+        seen = Seen(0.0, 0.0, jnp.asarray(velocity), 0.0, 0.0, 0.0, 0.0)
         for _ in range(round(time / 1e-3)):
             age, acts = dwell.step(age, seen, drive, 1e-3)
         if velocity == 0.0:

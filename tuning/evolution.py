@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
+import scipy.stats
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -66,11 +67,13 @@ def evolve(
     budget: Budget,
     *,
     population: int = POPULATION,
+    sample: int = 0,
     seed: int = 0,
     progress: Callable[[Visit], None] = lambda visit: None,
 ) -> Evolution:
     """Minimise `costs` over the unit cube; `begin` is one member of the first population, the others fill it evenly.
 
+    With `sample` points, the first population is the best of so many that fill the cube evenly, and of `begin`.
     Differential evolution with scipy's defaults (best1bin, mutation 0.5 to 1, recombination 0.7), without its final
     gradient polish. Costs that are not finite count as the worst.
     """
@@ -97,10 +100,16 @@ def evolve(
             return
         raise StopIteration
 
+    first: Any = "latinhypercube"
+    if sample:
+        points = np.vstack([begin, scipy.stats.qmc.Sobol(len(begin), seed=seed).random(sample)])
+        sampled = np.concatenate([generation(some.T) for some in np.array_split(points, max(1, sample // BLOCK))])
+        first = np.clip(points[np.argsort(sampled)[: population * len(begin)]], 2 * EDGE, 1.0 - 2 * EDGE)
     found = scipy.optimize.differential_evolution(
         generation,
         [(EDGE, 1.0 - EDGE)] * len(begin),
         x0=np.clip(begin, 2 * EDGE, 1.0 - 2 * EDGE),
+        init=first,
         popsize=population,
         maxiter=max(1, budget.simulations),  # never reached: a generation has several members
         tol=1e-6,

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from diffdrive.effects.base import Acts, ActuatorEffect, Effect, MachineEffect, ScaleEffect, Seen, TableEffect
+from diffdrive.effects.base import Acts, ActuatorEffect, Effect, MachineEffect, Push, ScaleEffect, Seen, TableEffect
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.parameters import Directional, Drive, Scalar
 
@@ -31,14 +31,20 @@ def _begin(effect: Effect, force: Scalar) -> Any:
     return effect.init() if isinstance(effect, TableEffect) else ()
 
 
-def through(effects: Effects, states: tuple[Any, ...], force: Scalar, period: float) -> tuple[tuple[Any, ...], Scalar]:
-    """The force (N) that comes out of the actuator when `force` is asked of it."""
-    ahead = []
+def through(effects: Effects, states: tuple[Any, ...], force: Scalar, period: float) -> tuple[tuple[Any, ...], Push]:
+    """What comes out of the actuator when `force` (N) is asked of it."""
+    ahead, push = [], Push(force)
     for effect, state in zip(effects, states, strict=True):
         if isinstance(effect, ActuatorEffect):
-            state, force = effect.step(state, force, period)
+            state, own = effect.step(state, push.mean, period)
+            push = Push(own.mean, push.tilt + own.tilt)
         ahead.append(state)
-    return tuple(ahead), force
+    return tuple(ahead), push
+
+
+def displaced(drive: Drive, tilt: Scalar, period: float) -> Scalar:
+    """How much further (m) a force of this tilt carries the table in a period than its mean."""
+    return -tilt * period**2 / (12.0 * drive.plant.mass)
 
 
 def upon(
@@ -52,6 +58,15 @@ def upon(
             total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
         ahead.append(state)
     return tuple(ahead), total
+
+
+def nudged(effects: Effects, states: tuple[Any, ...], lacking: Scalar, drive: Drive, period: float) -> tuple[Any, ...]:
+    """The states corrected by the force (N) that an observer of the table finds lacking."""
+    pairs = zip(effects, states, strict=True)
+    return tuple(
+        effect.nudged(state, lacking, drive, period) if isinstance(effect, TableEffect) else state
+        for effect, state in pairs
+    )
 
 
 def scale_error(effects: Effects, position: Scalar) -> Scalar:

@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from diffdrive.effects.base import ActuatorEffect
+from diffdrive.effects.base import ActuatorEffect, Push
 from diffdrive.parameters import Scalar, quantity
 
 LONGEST_DELAY = 8  # control periods
@@ -20,9 +20,9 @@ class ForceGain(ActuatorEffect):
         """Nothing is carried."""
         return ()
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
+    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
         """The force scaled."""
-        return state, (1.0 + self.gain) * force
+        return state, Push((1.0 + self.gain) * force)
 
 
 class ForceLimit(ActuatorEffect):
@@ -35,9 +35,9 @@ class ForceLimit(ActuatorEffect):
         """Nothing is carried."""
         return ()
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
+    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
         """The force clipped."""
-        return state, jnp.clip(force, -self.limit, self.limit)
+        return state, Push(jnp.clip(force, -self.limit, self.limit))
 
 
 class ActuatorLag(ActuatorEffect):
@@ -50,12 +50,14 @@ class ActuatorLag(ActuatorEffect):
         """The force that acts."""
         return force
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
+    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
         """The force follows what is asked for."""
         share = self.time_constant / period
         there = share > 1e-3
         fade = jnp.where(there, jnp.exp(-1.0 / jnp.where(there, share, 1.0)), 0.0)
-        return force + (state - force) * fade, force + (state - force) * share * (1.0 - fade)
+        apart, gone = state - force, 1.0 - fade
+        tilt = -12.0 * apart * share * (1.0 - (share + 0.5) * gone)
+        return force + apart * fade, Push(force + apart * share * gone, tilt)
 
 
 class LoopDelay(ActuatorEffect):
@@ -68,8 +70,10 @@ class LoopDelay(ActuatorEffect):
         """Forces on their way, the latest first."""
         return (force,) * LONGEST_DELAY
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
-        """The mean of what arrives over the period: linear between whole periods."""
+    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+        """What arrives over the period: one force, and from somewhere within the period the next."""
         forces = (force, *state)
         late = [jnp.clip(1.0 - jnp.abs(self.delay - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
-        return forces[:-1], sum(share * one for share, one in zip(late, forces, strict=True))
+        steps = [late[k] * late[k + 1] * (forces[k] - forces[k + 1]) for k in range(LONGEST_DELAY)]
+        mean = sum(share * one for share, one in zip(late, forces, strict=True))
+        return forces[:-1], Push(mean, 6.0 * sum(steps))

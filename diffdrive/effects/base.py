@@ -27,6 +27,13 @@ class Seen(NamedTuple):
     load: Scalar  # N, on the guides
 
 
+class Push(NamedTuple):
+    """A force over the coming period."""
+
+    mean: Scalar  # N
+    tilt: Scalar = 0.0  # N, by which a force in a straight line with the same first moment rises from end to end
+
+
 class Acts(NamedTuple):
     """What effects add over the coming control period."""
 
@@ -58,8 +65,8 @@ class ActuatorEffect(Effect):
         """State after a long time at `force` (N)."""
 
     @abc.abstractmethod
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Scalar]:
-        """The mean force (N) over the coming period, of length `period` (s), when `force` (N) is asked for."""
+    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+        """The force over the coming period, of length `period` (s), when `force` (N) is asked for."""
 
 
 class TableEffect(Effect):
@@ -72,6 +79,10 @@ class TableEffect(Effect):
     @abc.abstractmethod
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """State after the coming period (s), and what acts over it."""
+
+    def nudged(self, state: Any, lacking: Scalar, drive: Drive, period: float) -> Any:
+        """The state moved towards one that would explain a `lacking` force (N) on the table; for observers."""
+        return state
 
 
 class ScaleEffect(Effect):

@@ -16,6 +16,11 @@ def middle(seen: Seen, period: float) -> Scalar:
     return seen.position + 0.5 * period * seen.velocity
 
 
+def ending(seen: Seen, drive: Drive, period: float) -> Scalar:
+    """The table's velocity at the end of the coming period (m/s), were its friction constant."""
+    return seen.velocity + period * (seen.force - seen.friction) / drive.plant.mass
+
+
 def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE) -> Scalar:
     """One between `start` and `end` (s), zero outside, smooth over `edge` (s)."""
     return 0.25 * (1.0 + jnp.tanh(2.0 * (time - start) / edge)) * (1.0 - jnp.tanh(2.0 * (time - end) / edge))

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
-from diffdrive.effects.forces import middle, window
+from diffdrive.effects.forces import ending, middle, window
 from diffdrive.friction import bristle_at, coulomb, slide
 from diffdrive.parameters import Drive, Scalar, quantity
 
@@ -74,6 +74,16 @@ class ViscousDrift(TableEffect):
         return state, Acts(viscous=self.viscous * left * both, coulomb=self.coulomb * left * level)
 
 
+def _mean_speed(before: Scalar, after: Scalar) -> Scalar:
+    """Mean of |v| over a period in which v goes from one value to the other in a straight line.
+
+    At rest noise in the loop shakes the table to and fro: half of |v| at the samples, and it is forgotten later.
+    """
+    total = jnp.abs(before) + jnp.abs(after)
+    turning = 0.5 * (before**2 + after**2) / jnp.where(total > 0.0, total, 1.0)
+    return jnp.where(before * after > 0.0, 0.5 * total, turning)
+
+
 class FrictionDwell(TableEffect):
     """Breakaway that grows with the logarithm of the contact's age, d age/dt = 1 - |v| age / D (Dieterich)."""
 
@@ -81,19 +91,24 @@ class FrictionDwell(TableEffect):
     growth: Scalar = quantity("1", "growth of the breakaway gap per e-fold of time at rest", default=0.0)
     onset: Scalar = quantity("s", "time at rest from which it grows", above=0.0, default=0.1)
     slip: Scalar = quantity("m", "travel over which it is forgotten", above=0.0, default=1e-5)
+    rested: Scalar = quantity("s", "time at rest before the motion", at_least=0.0, default=0.0)
 
     def init(self) -> Any:
         """The contact's age (s)."""
-        return jnp.zeros(())
+        return jnp.asarray(self.rested)
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The gap grown with age."""
-        rate = jnp.abs(seen.velocity) / self.slip
-        x = rate * period
-        fade = jnp.exp(-x)
-        mean = jnp.where(x < 1e-6, 1.0 - 0.5 * x, (1.0 - fade) / jnp.where(x < 1e-6, 1.0, x))
+        rate = _mean_speed(seen.velocity, ending(seen, drive, period)) / self.slip
+
+        def older(age: Scalar, time: float) -> Scalar:
+            x = rate * time
+            fade = jnp.exp(-x)
+            return age * fade + time * jnp.where(x < 1e-6, 1.0 - 0.5 * x, (1.0 - fade) / jnp.where(x < 1e-6, 1.0, x))
+
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
-        return state * fade + period * mean, Acts(gap=self.growth * gap * jnp.log1p(state / self.onset))
+        middle = older(state, 0.5 * period)
+        return older(state, period), Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
 
 
 class PreslidingHysteresis(TableEffect):

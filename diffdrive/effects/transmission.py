@@ -121,3 +121,16 @@ class Backlash(TableEffect):
         """Free within the dead zone, an oscillator in contact."""
         screw = Screw(self.gap, self.frequency, self.damping, self.motor_share, self.table_friction)
         return driven(screw, state, seen, drive, period)
+
+    def nudged(self, state: Any, lacking: Scalar, drive: Drive, period: float) -> Any:
+        """The motor moved towards the side from which it would push so."""
+        level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
+            drive.friction.initial_load
+        )
+        stiffness = (
+            self.motor_share * (1.0 - self.motor_share) * drive.plant.mass * (2.0 * jnp.pi * self.frequency) ** 2
+        )
+        T = 0.01
+        moved = period / T * lacking / level * (self.gap + level / stiffness)
+        q = state.against
+        return state._replace(against=q._replace(deflection=q.deflection + moved))

@@ -177,8 +177,13 @@ def _viscous_drift(at: Setting) -> Candidate:
 def _friction_dwell(at: Setting) -> Candidate:
     return Candidate(
         friction.FrictionDwell,
-        (_amplitude("growth", 0.5), _positive("onset", 0.1, 0.7), _positive("slip", 4.0 * at.bristle, 0.7)),
-        _grid(onset=np.array([0.05, 0.2]), slip=at.bristle * np.array([1.0, 4.0, 16.0])),
+        (
+            _amplitude("growth", 0.5),
+            _positive("onset", 0.1, 0.7),
+            _positive("slip", 4.0 * at.bristle, 0.7),
+            _positive("rested", 0.3, 2.0, session=True),
+        ),
+        _grid(rested=np.array([0.3]), onset=np.array([0.05, 0.2]), slip=at.bristle * np.array([1.0, 4.0, 16.0])),
     )
 
 
@@ -259,7 +264,6 @@ def _compliance(at: Setting) -> Candidate:
             _positive("motor_share", 0.4, 0.3),
             _positive("table_friction", 0.5, 0.5),
         ),
-        _grid(frequency=np.geomspace(50.0, 800.0, 16), damping=np.array([0.03]), table_friction=np.array([0.35, 0.65])),
         coupled=True,
     )
 
@@ -273,11 +277,6 @@ def _backlash(at: Setting) -> Candidate:
             _positive("damping", 0.08, 0.6),
             _positive("motor_share", 0.4, 0.3),
             _positive("table_friction", 0.5, 0.5),
-        ),
-        _grid(
-            gap=np.array([1.5e-6, 3e-6, 6e-6, 1.5e-5]),
-            frequency=np.array([300.0, 550.0]),
-            table_friction=np.array([0.3, 0.45, 0.65]),
         ),
         coupled=True,
     )

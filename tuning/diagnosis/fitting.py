@@ -13,9 +13,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.following import LOST, Course, Exposure, Process, Slopes, Track, answers, follow, slopes
+from tuning.diagnosis.following import (
+    LOST,
+    Course,
+    Exposure,
+    Process,
+    Slopes,
+    Track,
+    answers,
+    exposure,
+    follow,
+    slopes,
+)
 from tuning.diagnosis.model import (
     Logged,
     Model,
@@ -33,9 +45,10 @@ NEAR = np.array(  # times the last process forces are tried after a step
 )
 FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3)])
 MOST_STEPS, TRIALS = 25, 6
-COUPLED_PASSES = 3  # of effects that depend on what the filter makes of the table's velocity and friction
+DIFFERENCE = 0.1  # in units of the prior; finer, costs with a coupled effect are rough
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
+AT_ONCE = 8  # filters side by side
 ENOUGH = 0.5  # of cost, that a step must gain
 
 
@@ -67,9 +80,11 @@ _slopes = eqx.filter_jit(slopes)
 
 
 @eqx.filter_jit
-def _deviances(drive: Drive, acting: Exposure, processes: Float[Array, "q 2"], logged: Logged) -> Float[Array, " q"]:
+def _deviances(
+    drive: Drive, acting: Exposure, coupled: Effects, processes: Float[Array, "q 2"], logged: Logged
+) -> Float[Array, " q"]:
     def one(process: Any) -> Any:
-        return follow(drive, acting, Process(*process), logged.noise, logged.lanes, logged.sampling).deviance
+        return follow(drive, acting, coupled, Process(*process), logged.noise, logged.lanes, logged.sampling).deviance
 
     return jax.vmap(one)(processes)
 
@@ -83,8 +98,23 @@ def _answers(
     if exposure is not None:
         acts = jnp.stack([exposure.force, exposure.coulomb, exposure.gap, exposure.viscous], axis=-2)
         more = jnp.einsum("lnrc,lncm->lnrm", linear.exposure, acts)
-        forcing, off = forcing + more, exposure.scale
+        forcing, off = (forcing + more).at[:, :, 0].add(exposure.shift), exposure.scale
     return answers(track, linear, forcing, off, period) * counts[..., None]
+
+
+@eqx.filter_jit
+def _moved(
+    logged: Logged, b: Float[Array, "s b"], effects: tuple[Effects, Effects], course: Course, process: Process
+) -> Float[Array, "s lanes n"]:
+    """The innovations under each of several calibrations and sets of effects."""
+
+    def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> Float[Array, "lanes n"]:
+        loose, coupled = effects
+        own, drive = machine(logged, b, (*loose, *coupled))
+        under = exposure(own, loose, logged.delay, logged.lanes, course, logged.sampling)
+        return follow(drive, under, coupled, process, logged.noise, logged.lanes, logged.sampling).innovation
+
+    return jax.vmap(one)(b, effects)
 
 
 class _Point(NamedTuple):
@@ -93,23 +123,14 @@ class _Point(NamedTuple):
     own: Drive
     drive: Drive
     acting: Exposure
-    course: Course  # that the effects were stepped along
+    course: Course  # that effects were stepped along
     track: Track
     cost: float
 
-
-def _between(before: Course, after: Course) -> Course:
-    """Half way from the course that the effects were stepped along to the one that came of it."""
-    return jax.tree.map(lambda a, b: 0.5 * (a + b), before, after)
-
-
-def _course(point: _Point) -> Course:
-    return _between(point.course, point.track.course)
-
-
-def passes(model: Model) -> int:
-    """How often effects and filter take turns before a cost is believed."""
-    return COUPLED_PASSES if any(member.candidate.coupled for member in model.members) else 1
+    @property
+    def onward(self) -> Course:
+        """Half way from that course to the one that came of it."""
+        return jax.tree.map(lambda a, b: 0.5 * (a + b), self.course, self.track.course)
 
 
 class Fitter:
@@ -123,28 +144,31 @@ class Fitter:
     def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> _Point:
         """The hypothesis at u."""
         effects = model.effects(u)
+        loose, coupled = model.apart(effects)
         own, drive = machine(self.logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
-        for more in reversed(range(passes(model))):
-            acting = exposed(self.logged, own, effects, course)
-            track = _follow(drive, acting, Process(*jnp.asarray(process)), *self.given)
-            course = _between(course, track.course) if more else course
+        acting = exposed(self.logged, own, loose, course)
+        track = _follow(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given)
         cost = float(track.deviance) + float(u @ u)
         return _Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
 
     def with_process(self, point: _Point, model: Model, processes: np.ndarray) -> _Point:
         """The same point under the likeliest of these process forces, its effects along its own track."""
         processes = np.unique(np.clip(processes, LEAST, MOST), axis=0)
-        effects = model.effects(point.u)
-        course = _course(point)
-        acting = exposed(self.logged, point.own, effects, course)
-        found = np.asarray(_deviances(point.drive, acting, jnp.asarray(processes), self.logged))
+        loose, coupled = model.apart(model.effects(point.u))
+        acting = exposed(self.logged, point.own, loose, point.onward)
+        found = np.asarray(_deviances(point.drive, acting, coupled, jnp.asarray(processes), self.logged))
         best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]
-        return self.at(model, point.u, best, course)
+        return self.at(model, point.u, best, point.onward)
 
     def linearised(self, model: Model, point: _Point) -> tuple[Slopes, np.ndarray, np.ndarray]:
         """Slopes, residuals and their Jacobian at a point."""
         logged, track = self.logged, point.track
         linear = _slopes(point.drive, point.acting, track, logged.lanes, logged.sampling)
+        unit = 1.0 / np.sqrt(float(track.size))
+        residual = (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
+        kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
+        if any(member.candidate.coupled for member in model.members):
+            return linear, kept * residual, kept[:, None] * self._differences(model, point)
         effects, b = model.effects(point.u), jnp.asarray(model.tolerance * point.u[: len(NAMES)])
         tangents, count = model.tangents(point.u)
         columns = machine_slopes(logged, b, effects, tangents if count else None)
@@ -155,10 +179,24 @@ class Fitter:
             then = exposure_slopes(logged, point.own, effects, tangents, point.course)
             bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
         found = _answers(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
-        unit = 1.0 / np.sqrt(float(track.size))
-        residual = (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
-        kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
         return linear, kept * residual, kept[:, None] * np.asarray(found).reshape(residual.size, -1)
+
+    def _differences(self, model: Model, point: _Point) -> Float[np.ndarray, "m k"]:
+        """Central differences of the residuals.
+
+        A coupled effect answers the table, and the table answers it: no derivative along a given course tells.
+        """
+        steps = [sign * DIFFERENCE * np.eye(model.size)[k] for k in range(model.size) for sign in (1, -1)]
+        filled = [*steps, *[steps[-1]] * (-len(steps) % AT_ONCE)]
+        process, found = Process(*jnp.asarray(point.process)), []
+        for few in (filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)):
+            us = [point.u + step for step in few]
+            stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(model.apart(model.effects(u)) for u in us))
+            b = jnp.asarray(model.tolerance * np.array(us)[:, : len(NAMES)])
+            found.append(np.asarray(_moved(self.logged, b, stacked, point.course, process)))
+        moved = np.concatenate(found)[: len(steps)]
+        slope = (moved[0::2] - moved[1::2]) / (2 * DIFFERENCE) / np.asarray(point.track.scatter) * self.counts
+        return slope.reshape(model.size, -1).T
 
     def _step(self, model: Model, point: _Point, damping: float) -> tuple[_Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""
@@ -166,7 +204,7 @@ class Fitter:
         hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + point.u
         for _ in range(TRIALS):
             step = -np.linalg.solve(hessian + damping * np.eye(model.size), slope)
-            ahead = self.at(model, point.u + step, point.process, _course(point))
+            ahead = self.at(model, point.u + step, point.process, point.onward)
             if ahead.cost < point.cost:
                 return ahead, max(0.1 * damping, 1e-3)
             damping = 10.0 * damping
@@ -182,7 +220,7 @@ class Fitter:
         boldness, damping, steps, idle = BOLDNESS, DAMPING, 0, 0
         while steps < most and idle < 2:
             steps += 1
-            trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, _course(point))
+            trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, point.onward)
             ahead, damping = self._step(model, trusting, damping)
             if ahead is not trusting:
                 ahead = self.with_process(ahead, model, ahead.process * NEAR)

@@ -1,7 +1,8 @@
 """A drive with effects follows its logs: an extended Kalman filter, and its derivative with respect to everything.
 
-The effects are stepped along the track of the last pass, which makes what they do a signal like any other (`Exposure`):
-one compiled filter serves every effect. Its innovations answer small changes linearly,
+Most effects are stepped along the track of the last pass, which makes what they do a signal like any other
+(`Exposure`): one compiled filter serves them all. Those that act by the table's velocity and friction, and these by
+them, are stepped within the filter (`coupled`). The innovations answer small changes linearly,
 
     e = e0 + d e / d b  b + d e / d (exposure)  d exposure ,
 
@@ -40,6 +41,7 @@ class Exposure(NamedTuple):
     coulomb: Float[Array, "lanes n"]  # N
     gap: Float[Array, "lanes n"]  # N
     viscous: Float[Array, "lanes n"]  # N s/m
+    shift: Float[Array, "lanes n"]  # m, that the force's course within the period adds to the motion
     scale: Float[Array, "lanes n"]  # m
 
 
@@ -107,11 +109,12 @@ def exposure(
 
         def step(states: Any, at: tuple[Scalar, ...]) -> tuple[Any, Exposure]:
             count, position, velocity, bristle, friction, force, pushed, load = at
-            states, force = acting.through(effects, states, force, period)
+            states, (force, tilt) = acting.through(effects, states, force, period)
             seen = Seen(count * period, position, velocity, bristle, force + pushed, friction, load)
             states, acts = acting.upon(effects, states, seen, machine, period)
             scale = acting.scale_error(effects, position)
-            one = (force + pushed + acts.force, acts.coulomb, acts.gap, acts.viscous, scale)
+            shift = acting.displaced(machine, tilt, period)
+            one = (force + pushed + acts.force, acts.coulomb, acts.gap, acts.viscous, shift, scale)
             return states, Exposure(*(value + 0.0 * force for value in one))
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
@@ -127,8 +130,16 @@ def _along(function: Any, at: Any, directions: Any) -> list[Any]:
     return [value, first, *(jax.jvp(function, at, one)[1] for one in directions[1:])]
 
 
-def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes: Lanes, sampling: Sampling) -> Track:
-    """Filter each lane; `noise` (m) is the measurement's standard deviation.
+def follow(
+    drive: Drive,
+    under: Exposure,
+    coupled: tuple[Effect, ...],
+    process: Process,
+    noise: Scalar,
+    lanes: Lanes,
+    sampling: Sampling,
+) -> Track:
+    """Filter each lane; `coupled` are effects on the table, `noise` (m) is the measurement's standard deviation.
 
     A white force alone would do while the table slides; where it sticks, the filter would blame its bristle for what
     the model lacks, and may then lock on to a motion in the wrong direction.
@@ -146,8 +157,8 @@ def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes
     again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
 
     def body(carry: Any, at: Any) -> Any:
-        state, covariance = carry
-        measured, load, acts = at
+        state, covariance, effects = carry
+        measured, load, acts, time, coupled = at
         innovation = measured - acts.scale - state[0]
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
         lost = jnp.abs(innovation) > LOST * scatter
@@ -161,6 +172,13 @@ def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes
         state, covariance = lax.optimization_barrier((state, covariance))
         position, velocity, deflection, lacking = state
         machine = acting.bent(drive, acts)
+        resisting = acting.resistance(machine, velocity, deflection, load)
+        if coupled:
+            seen = Seen(time, position, velocity, deflection, acts.force, resisting, load)
+            effects, more = acting.upon(coupled, effects, seen, machine, sampling.period)
+            effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
+            acts = Exposure(*(a + b for a, b in zip(acts, (*more, 0.0, 0.0), strict=True)))
+            machine = acting.bent(drive, acts)
 
         def period(velocity: Scalar, deflection: Scalar, lacking: Scalar) -> plant.PlantState:
             table = plant.PlantState(jnp.zeros_like(velocity), velocity, deflection)
@@ -170,17 +188,22 @@ def follow(drive: Drive, under: Exposure, process: Process, noise: Scalar, lanes
         ones = [tuple(1.0 * (i == j) * jnp.ones_like(velocity) for j in range(3)) for i in range(3)]
         moved, *columns = _along(period, (velocity, deflection, lacking), ones)
         rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
-        ahead = (position + moved.position, moved.velocity, moved.bristle, fade * lacking)
+        ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
-        resisting = acting.resistance(machine, velocity, deflection, load)
-        return (ahead, covariance), (*state, resisting, innovation, scatter, pull)
+        return (ahead, covariance, effects), (*state, resisting, innovation, scatter, pull)
 
-    def one(lane: Lanes, acts: Exposure) -> Any:
+    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...]) -> Any:
         table = moving(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
-        return lax.scan(body, (begin, diagonal(spread)), (lane.position, lane.load, acts))[1]
+        effects = acting.at_rest(coupled, acts.force[0])
+        time = jnp.arange(len(lane.position), dtype=acts.force.dtype) * sampling.period
 
-    found = lax.map(lambda pair: one(*pair), (lanes, under))
+        def step(carry: Any, at: Any) -> Any:
+            return body(carry, (*at, coupled))
+
+        return lax.scan(step, (begin, diagonal(spread), effects), (lane.position, lane.load, acts, time))[1]
+
+    found = lax.map(lambda each: one(*each), (lanes, under, coupled))
     position, velocity, bristle, lacking, friction, innovation, scatter, pull = found
     counts = lanes.counts
     squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
@@ -194,7 +217,7 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
 
     def period(args: Any, load: Scalar) -> Any:
         v, z, machine, force, coulomb, gap, viscous = args
-        acts = Exposure(force, coulomb, gap, viscous, jnp.zeros(()))
+        acts = Exposure(force, coulomb, gap, viscous, jnp.zeros(()), jnp.zeros(()))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
         bent = acting.bent(with_numbers(drive, machine), acts)
         return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps))

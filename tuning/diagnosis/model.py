@@ -5,7 +5,7 @@ All that is free is one vector u in units of its prior: u = 0 is what was expect
 
 import dataclasses
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.following import Course, Exposure, altered, exposure, numbers
 from tuning.prediction import Lanes
 
+A = TypeVar("A")
 Vector = Float[np.ndarray, " k"]
 
 
@@ -86,6 +87,14 @@ class Model:
         for member, values in zip(self.members, self.values(u), strict=True):
             found.append(effect_in_lanes(member.candidate.effect, values, self.logged.owner))
         return tuple(found)
+
+    def apart(self, effects: tuple[A, ...]) -> tuple[tuple[A, ...], tuple[A, ...]]:
+        """Those that are stepped along a course, and those that are stepped within the filter."""
+        both = list(zip(self.members, effects, strict=True))
+        return (
+            tuple(effect for member, effect in both if not member.candidate.coupled),
+            tuple(effect for member, effect in both if member.candidate.coupled),
+        )
 
     def tangents(self, u: Vector) -> tuple[tuple[Effect, ...], int]:
         """Derivatives of `effects` with respect to every number behind the calibration's, stacked, and how many."""

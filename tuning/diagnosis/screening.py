@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffdrive.effects.acting import Effects
-from diffdrive.effects.base import Effect, MachineEffect
-from diffdrive.parameters import Drive
+from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import LEAST, MOST, Fitted, Fitter, passes
-from tuning.diagnosis.following import Course, Process, answers, exposure, follow
+from tuning.diagnosis.evolving import evolved
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.following import answers
 from tuning.diagnosis.lines import looked_for
 from tuning.diagnosis.model import (
     Logged,
@@ -29,13 +28,11 @@ from tuning.diagnosis.model import (
     effect_in_lanes,
     exposed,
     exposure_slopes,
-    machine,
     machine_slopes,
 )
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3)])  # times the process forces
-REFINED, FEW_STEPS = 2, 5
-AT_ONCE = 16  # points of a grid
+DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
 
 
 class Screened(NamedTuple):
@@ -45,7 +42,6 @@ class Screened(NamedTuple):
     gain: float  # fall of the cost
     evidence: float  # and of -2 log evidence
     values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
-    fitted: Fitted | None = None  # where a fit has begun already
 
 
 @eqx.filter_jit
@@ -57,6 +53,7 @@ def respond(fitted: Fitted, bend: Any, columns: Float[Array, "p m"] | None) -> F
     """Answers of the residuals to changed exposures ([lanes, n, m]) and numbers of the machine ([p, m])."""
     acts = jnp.stack([bend.force, bend.coulomb, bend.gap, bend.viscous], axis=-2)
     forcing = jnp.einsum("lnrc,lncm->lnrm", fitted.linear.exposure, acts)
+    forcing = forcing.at[:, :, 0].add(bend.shift)
     if columns is not None:
         forcing = forcing + jnp.einsum("lnrp,pm->lnrm", fitted.linear.machine, columns)
     logged = fitted.model.logged
@@ -69,7 +66,7 @@ def respond(fitted: Fitted, bend: Any, columns: Float[Array, "p m"] | None) -> F
 def _directions(fitted: Fitted, candidate: Candidate, point: dict[str, Vector]) -> tuple[np.ndarray, list[Any]]:
     """Answers to each amplitude of the candidate at a point of its grid ([m, lanes, n]), and what each is of."""
     logged = fitted.model.logged
-    others = fitted.model.effects(fitted.u)
+    others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
     amplitudes = [one for one in candidate.parameters if one.amplitude]
     course = fitted.track.course
@@ -122,67 +119,19 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     return best
 
 
-class _Tried(NamedTuple):
-    """Deviances of one point of a grid under each process force, and the course under the last but one filter."""
-
-    deviance: Float[Array, " q"]
-    course: Course
-
-
-@eqx.filter_jit
-def _over(
-    logged: Logged, own: Drive, drive: Drive, others: Effects, grid: Effect, course: Course, processes: Any, turns: int
-) -> _Tried:
-    """Every point of a grid, `grid` being stacked: all in one program, since its lanes fill the processor's vectors."""
-
-    def one(effect: Effect) -> _Tried:
-        seen = course
-        for _ in range(turns - 1):
-            under = exposure(own, (*others, effect), logged.delay, logged.lanes, seen, logged.sampling)
-            track = follow(drive, under, Process(*processes[0]), logged.noise, logged.lanes, logged.sampling)
-            seen = jax.tree.map(lambda a, b: 0.5 * (a + b), seen, track.course)
-        under = exposure(own, (*others, effect), logged.delay, logged.lanes, seen, logged.sampling)
-
-        def likely(process: Any) -> Any:
-            return follow(drive, under, Process(*process), logged.noise, logged.lanes, logged.sampling).deviance
-
-        return _Tried(jax.vmap(likely)(processes), seen)
-
-    return jax.vmap(one)(grid)
-
-
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best point of the grid of a candidate that is not there by degrees, each filtered in full.
+    """The best that a search of the stretches finds for a candidate that is not there by degrees.
 
-    The best are fitted a little, from the nominal parameters: recalibration may have gone astray to make up for what is
-    missing.
+    About the nominal parameters: recalibration may have gone astray to make up for what is missing.
     """
-    logged, model = fitter.logged, joined(fitted.model, candidate)
+    model = joined(fitted.model, candidate)
     first = not fitted.model.members
     before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
-    others = fitted.model.effects(before)
-    own, drive = machine(logged, jnp.asarray(model.tolerance * before[: len(NAMES)]), others)
-    points = looked_for(fitted, candidate)
-    processes = np.unique(np.clip(fitted.process * TRIED, LEAST, MOST), axis=0)[::-1]
-    found = []
-    for few in (points[k : k + AT_ONCE] for k in range(0, len(points), AT_ONCE)):
-        filled = [*few, *[few[-1]] * (AT_ONCE - len(few) if len(points) > AT_ONCE else 0)]
-        effects = [effect_in_lanes(candidate.effect, point, logged.owner) for point in filled]
-        grid = jax.tree.map(lambda *leaves: jnp.stack(leaves), *effects)
-        turns = passes(model)
-        there = _over(logged, own, drive, others, grid, fitted.track.course, jnp.asarray(processes), turns)
-        deviances = np.nan_to_num(np.asarray(there.deviance), nan=np.inf)
-        for k, point in enumerate(few):
-            best = int(np.argmin(deviances[k]))
-            course = jax.tree.map(lambda one, k=k: one[k], there.course)
-            found.append((float(deviances[k, best]), len(found), point, processes[best], course))
-    fits = [
-        fitter.fit(model, np.r_[before, begin(model, point)], process, course, most=FEW_STEPS)
-        for _, _, point, process, course in sorted(found, key=lambda one: one[:2])[:REFINED]
-    ]
-    best_fit = min(fits, key=lambda one: one.cost)
-    gain, evidence = fitted.cost - best_fit.cost, fitted.evidence - best_fit.evidence
-    return Screened(candidate, gain, evidence, model.values(best_fit.u)[-1], best_fit)
+    values = evolved(fitted, model, candidate, before)
+    there = fitter.at(model, np.r_[before, begin(model, values)], fitted.process, fitted.track.course)
+    there = fitter.with_process(there, model, fitted.process * TRIED)
+    gain = fitted.cost - there.cost
+    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values)
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:

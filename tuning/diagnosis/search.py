@@ -84,9 +84,6 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
 def fit_from(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
     """From where screening points, about the parameters of before or about the nominal ones."""
-    if found.fitted is not None:
-        one = found.fitted
-        return fitter.fit(one.model, one.u, one.process, one.track.course)
     model = joined(before.model, found.candidate, found.values)
     own = begin(model, found.values)
     nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]

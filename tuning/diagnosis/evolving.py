@@ -1,0 +1,118 @@
+"""Where a fit of a coupled effect should begin: differential evolution on the stretches that tell most.
+
+A motor behind a dead zone strikes the table a few times a second. A gap that is off by a twentieth mistimes every blow,
+so that the cost is flat far from the truth and steep near it: no gradient leads there, nor does a coarse grid. A
+population does, on seconds of the log in the place of all of it.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.effects.acting import Effects
+from diffdrive.parameters import Drive
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.fitting import Fitted
+from tuning.diagnosis.following import Exposure, Process, follow
+from tuning.diagnosis.lines import missing_force
+from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine
+from tuning.evolution import Budget, evolve
+from tuning.prediction import Lanes
+
+STRETCHES, LENGTH, LEAD = 12, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
+REACH = 1.6  # standard deviations of the prior, to either side
+SAMPLE, SIMULATIONS, POPULATION = 256, 1000, 3  # at first, in all; members per number searched
+PROCESS = (1e-2, 1e2)  # N, lasting
+WHITE = 0.1  # of it
+
+
+class Stretches(NamedTuple):
+    """Pieces of the logs side by side, and what acts there."""
+
+    lanes: Lanes
+    under: Exposure
+    owner: tuple[int, ...]
+
+
+def telling(fitted: Fitted) -> list[tuple[int, int]]:
+    """Lanes and first samples of the stretches in which most force is missing."""
+    rate = fitted.model.logged.sampling.rate
+    force = np.abs(missing_force(fitted))
+    length = min(round(LENGTH * rate), force.shape[1] - 1)
+    ahead = np.cumsum(np.pad(force, ((0, 0), (1, 0))), axis=1)
+    total = ahead[:, length:] - ahead[:, :-length]
+    found = []
+    for _ in range(STRETCHES):
+        lane, first = np.unravel_index(np.argmax(total), total.shape)
+        if not total[lane, first] > 0:
+            break
+        found.append((int(lane), int(first)))
+        total[lane, max(0, first - length) : first + length] = -1.0
+    return found
+
+
+def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stretches:
+    """The stretches that begin at `places`, each with its lead."""
+    rate, n = logged.sampling.rate, logged.lanes.position.shape[1]
+    lead = min(round(LEAD * rate), n // 4)
+    length = min(round(LENGTH * rate) + lead, n)
+    begins = [(lane, int(np.clip(first - lead, 0, n - length))) for lane, first in places]
+
+    def piece(signal: Any) -> Any:
+        values = np.asarray(signal)
+        return jnp.asarray(np.stack([values[lane, first : first + length] for lane, first in begins]))
+
+    signals = {name: piece(getattr(logged.lanes, name)) for name in Lanes._fields if name != "velocity"}
+    settled = jnp.asarray((np.arange(length) >= lead).astype(float))
+    signals["counts"] = signals["counts"] * settled
+    few = max(5, round(5e-3 * rate))
+    time = np.arange(few) / rate
+    velocity = [np.polyfit(time, np.asarray(one)[:few], 1)[0] for one in signals["position"]]
+    lanes = Lanes(**signals, velocity=jnp.asarray(np.array(velocity)))
+    return Stretches(lanes, Exposure(*map(piece, under)), tuple(logged.owner[lane] for lane, _ in begins))
+
+
+@eqx.filter_jit
+def _deviances(
+    drive: Drive, stretches: Stretches, coupled: Effects, processes: Float[Array, "s 2"], logged: Logged
+) -> Float[Array, " s"]:
+    def one(coupled: Effects, process: Float[Array, " 2"]) -> Float[Array, ""]:
+        given = (Process(*process), logged.noise, stretches.lanes, logged.sampling)
+        return follow(drive, stretches.under, coupled, *given).deviance
+
+    return jax.vmap(one)(coupled, processes)
+
+
+def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> dict[str, Vector]:
+    """The likeliest parameters of the last member of `model`, a coupled one; everything else stays at `u`."""
+    logged = model.logged
+    effects = fitted.model.effects(u)
+    loose, others = fitted.model.apart(effects)
+    own, drive = machine(logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
+    stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), telling(fitted))
+    free = candidate.parameters
+
+    def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:
+        found = {one.name: one.value(2 * REACH * (at - 0.5)) for one, at in zip(free, share, strict=False)}
+        return {name: np.full(logged.logs, value) for name, value in found.items()}
+
+    def in_stretches(share: Float[np.ndarray, " k"]) -> Effects:
+        return effect_in_lanes(candidate.effect, values(share), stretches.owner)
+
+    there = others and jax.tree.map(lambda one: one[np.array([logged.owner.index(k) for k in stretches.owner])], others)
+
+    def costs(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
+        stacked = [(*there, in_stretches(share)) for share in shares]
+        lasting = PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[:, -1]
+        processes = jnp.asarray(np.stack([lasting, WHITE * lasting], axis=1))
+        members = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
+        return np.asarray(_deviances(drive, stretches, members, processes, logged))
+
+    budget = Budget(SIMULATIONS, np.inf, -np.inf)
+    found = evolve(costs, np.full(len(free) + 1, 0.5), budget, population=POPULATION, sample=SAMPLE)
+    return values(found.share)
