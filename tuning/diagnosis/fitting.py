@@ -76,7 +76,7 @@ class Fitted(NamedTuple):
 
 
 _follow = eqx.filter_jit(follow)
-_slopes = eqx.filter_jit(slopes)
+slopes_of = eqx.filter_jit(slopes)
 
 
 @eqx.filter_jit
@@ -163,7 +163,7 @@ class Fitter:
     def linearised(self, model: Model, point: _Point) -> tuple[Slopes, np.ndarray, np.ndarray]:
         """Slopes, residuals and their Jacobian at a point."""
         logged, track = self.logged, point.track
-        linear = _slopes(point.drive, point.acting, track, logged.lanes, logged.sampling)
+        linear = slopes_of(point.drive, point.acting, track, logged.lanes, logged.sampling)
         unit = 1.0 / np.sqrt(float(track.size))
         residual = (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
@@ -198,10 +198,11 @@ class Fitter:
         slope = (moved[0::2] - moved[1::2]) / (2 * DIFFERENCE) / np.asarray(point.track.scatter) * self.counts
         return slope.reshape(model.size, -1).T
 
-    def _step(self, model: Model, point: _Point, damping: float) -> tuple[_Point, float]:
+    def _step(self, model: Model, point: _Point, damping: float, free: Vector) -> tuple[_Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""
         _, residual, jacobian = self.linearised(model, point)
-        hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + point.u
+        jacobian = jacobian * free
+        hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.u
         for _ in range(TRIALS):
             step = -np.linalg.solve(hessian + damping * np.eye(model.size), slope)
             ahead = self.at(model, point.u + step, point.process, point.onward)
@@ -211,9 +212,16 @@ class Fitter:
         return point, damping
 
     def fit(
-        self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int = MOST_STEPS
+        self,
+        model: Model,
+        u: Vector,
+        process: np.ndarray | None,
+        course: Course,
+        most: int = MOST_STEPS,
+        free: Vector | None = None,
     ) -> Fitted:
-        """From `u`; `course` is where the effects are first stepped along."""
+        """From `u`; `course` is where the effects are first stepped along, `free` are ones for what may move."""
+        free = np.ones(model.size) if free is None else free
         point = self.at(model, u, FIRST[-4] if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, FIRST)
@@ -221,7 +229,7 @@ class Fitter:
         while steps < most and idle < 2:
             steps += 1
             trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, point.onward)
-            ahead, damping = self._step(model, trusting, damping)
+            ahead, damping = self._step(model, trusting, damping, free)
             if ahead is not trusting:
                 ahead = self.with_process(ahead, model, ahead.process * NEAR)
             gained = point.cost - ahead.cost

@@ -66,6 +66,7 @@ class Track(NamedTuple):
 
     course: Course
     lacking: Float[Array, "lanes n"]  # N, force that the model lacks
+    doubt: Float[Array, "lanes n"]  # N, standard deviation of it
     innovation: Float[Array, "lanes n"]  # m
     scatter: Float[Array, "lanes n"]  # m, standard deviation expected of it
     pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
@@ -170,6 +171,7 @@ def follow(
         state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
         covariance = update_covariance(covariance, pull, measured_variance)
         state, covariance = lax.optimization_barrier((state, covariance))
+        doubt = covariance[3][3]
         position, velocity, deflection, lacking = state
         machine = acting.bent(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
@@ -190,7 +192,7 @@ def follow(
         rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
-        return (ahead, covariance, effects), (*state, resisting, innovation, scatter, pull)
+        return (ahead, covariance, effects), (*state, resisting, jnp.sqrt(doubt), innovation, scatter, pull)
 
     def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...]) -> Any:
         table = moving(drive, lane)
@@ -204,12 +206,13 @@ def follow(
         return lax.scan(step, (begin, diagonal(spread), effects), (lane.position, lane.load, acts, time))[1]
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled))
-    position, velocity, bristle, lacking, friction, innovation, scatter, pull = found
+    position, velocity, bristle, lacking, friction, doubt, innovation, scatter, pull = found
     counts = lanes.counts
     squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
     size = jnp.sum(counts * squares) / jnp.sum(counts)
     deviance = jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter))
-    return Track(Course(position, velocity, bristle, friction), lacking, innovation, scatter, pull, deviance, size)
+    course = Course(position, velocity, bristle, friction)
+    return Track(course, lacking, doubt, innovation, scatter, pull, deviance, size)
 
 
 def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: Sampling) -> Slopes:

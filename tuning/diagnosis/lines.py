@@ -4,6 +4,8 @@ A grid fine enough for a period that is known to a hundredth of a cycle over the
 catalogue: the spectrum of the missing force tells where to look.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -25,48 +27,73 @@ def missing_force(fitted: Fitted) -> Float[np.ndarray, "lanes n"]:
     return (np.asarray(fitted.track.lacking) + sudden) * counts
 
 
-def _stand_out(power: Float[np.ndarray, " n"]) -> list[int]:
-    """Indices of the highest peaks over their neighbourhood."""
+class Line(NamedTuple):
+    """A peak of a spectrum."""
+
+    dimension: str  # "frequency" or "position"
+    value: float  # Hz, or m of travel from one wave to the next
+    share: float  # of the energy
+    p_value: float  # that the highest of so many bins of noise stands out so far
+
+
+def _stand_out(power: Float[np.ndarray, " n"]) -> list[tuple[int, float]]:
+    """Indices of the highest peaks over their neighbourhood, and how often noise would stand out so far."""
     padded = np.pad(power, NEIGHBOURS, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
     over = power / np.maximum(np.median(windows, axis=1), 1e-300)
-    found: list[int] = []
+    found: list[tuple[int, float]] = []
     for index in np.argsort(over)[::-1]:
-        if all(abs(index - other) > APART for other in found):
-            found.append(int(index))
+        if all(abs(index - other) > APART for other, _ in found):
+            # the power of noise is distributed exponentially, and its median is ln 2 of its mean
+            found.append((int(index), float(min(1.0, len(power) * 2.0 ** -min(over[index], 1e3)))))
         if len(found) == PEAKS:
             break
     return found
 
 
-def frequencies(signal: Float[np.ndarray, "lanes n"], rate: float) -> list[float]:
-    """Frequencies (Hz) of lines in time, shared by the lanes."""
+def lines_in_time(signal: Float[np.ndarray, "lanes n"], rate: float) -> list[Line]:
+    """Lines shared by the lanes, the clearest first."""
     n = signal.shape[1]
     power = np.sum(np.abs(np.fft.rfft(signal * np.hanning(n), 2 * n, axis=1)) ** 2, axis=0)
     axis = np.fft.rfftfreq(2 * n, 1.0 / rate)
     usable = (axis > 2.0) & (axis < 0.45 * rate)
-    return [float(axis[usable][k]) for k in _stand_out(power[usable])]
+    found = []
+    for k, p in _stand_out(power[usable]):
+        share = power[usable][max(0, k - APART) : k + APART + 1].sum() / max(power.sum(), 1e-300)
+        found.append(Line("frequency", float(axis[usable][k]), float(share), p))
+    return found
 
 
-def periods(
-    signal: Float[np.ndarray, "lanes n"], position: Float[np.ndarray, "lanes n"], shortest: float, longest: float
-) -> list[float]:
-    """Periods (m) of lines in position, between two bounds."""
-    travel = float(np.ptp(position))
+def lines_in_position(
+    signal: Float[np.ndarray, "lanes n"],
+    position: Float[np.ndarray, "lanes n"],
+    counts: Float[np.ndarray, "lanes n"],
+    shortest: float = 5e-4,
+    longest: float | None = None,
+) -> list[Line]:
+    """Lines between two periods (m; the longest by default half of the travel), the clearest first."""
+    at = position[counts > 0]
+    low, travel = float(at.min()), max(float(np.ptp(at)), 1e-9)
+    longest = 0.5 * travel if longest is None else longest
     waves = np.arange(1.0 / longest, 1.0 / shortest, 0.25 / travel)
     if len(waves) < 4:
-        return [float(p) for p in np.geomspace(shortest, longest, 4)]
+        return []
     # the signal summed over equal places, then a transform of that
     edges = max(int(8 * travel / shortest), 16)
     power = np.zeros(len(waves))
-    for one, at in zip(signal, position, strict=True):
-        place = np.clip(((at - position.min()) / travel * edges).astype(int), 0, edges - 1)
+    centres = low + (np.arange(edges) + 0.5) * travel / edges
+    for one, where in zip(signal * counts, position, strict=True):
+        place = np.clip(((where - low) / travel * edges).astype(int), 0, edges - 1)
         held = np.bincount(place, one, edges)
-        centres = position.min() + (np.arange(edges) + 0.5) * travel / edges
         for first in range(0, len(waves), 256):
             phase = np.exp(-2j * np.pi * np.outer(waves[first : first + 256], centres))
             power[first : first + 256] += np.abs(phase @ held) ** 2
-    return [float(1.0 / waves[k]) for k in _stand_out(power)]
+    energy = max(float(np.sum(signal**2 * counts)) * float(counts.sum()), 1e-300)
+    found = []
+    for k, p in _stand_out(power):
+        share = min(1.0, 2.0 * len(signal) * power[k] / energy)
+        found.append(Line("position", float(1.0 / waves[k]), float(share), p))
+    return found
 
 
 def _window(signal: Float[np.ndarray, " n"], frequency: float, rate: float) -> tuple[float, float]:
@@ -89,13 +116,14 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
 
     if candidate.effect is Cogging:
         known = [one.get("period", 1e-3) for one in candidate.grid]
-        position = np.asarray(fitted.track.course.position)
-        found = periods(missing_force(fitted), position, min(known), max(known))
+        position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
+        lines = lines_in_position(missing_force(fitted), position, counts, min(known), max(known))
+        found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
         return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
     if candidate.effect is ProcessForce:
         force = missing_force(fitted)
         grid = []
-        for frequency in frequencies(force, rate):
+        for frequency in (one.value for one in lines_in_time(force, rate)):
             # one window for each log, from the longest of its lanes
             windows = [(0.0, 0.0)] * logs
             for lane, log in enumerate(owner):

@@ -120,16 +120,22 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best that a search of the stretches finds for a candidate that is not there by degrees.
+    """The best point of the grid of a candidate that is not there by degrees, or the best that a search finds.
 
     About the nominal parameters: recalibration may have gone astray to make up for what is missing.
     """
     model = joined(fitted.model, candidate)
     first = not fitted.model.members
     before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
-    values = evolved(fitted, model, candidate, before)
-    there = fitter.at(model, np.r_[before, begin(model, values)], fitted.process, fitted.track.course)
-    there = fitter.with_process(there, model, fitted.process * TRIED)
+    points = [evolved(fitted, model, candidate, before)] if candidate.coupled else looked_for(fitted, candidate)
+    starts = [before, fitted.u] if first and not candidate.coupled else [before]
+    found = []
+    for values in points:
+        for calibration in starts:
+            u = np.r_[calibration, begin(model, values)]
+            there = fitter.at(model, u, fitted.process, fitted.track.course)
+            found.append((fitter.with_process(there, model, fitted.process * TRIED), values))
+    there, values = min(found, key=lambda one: one[0].cost)
     gain = fitted.cost - there.cost
     return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values)
 

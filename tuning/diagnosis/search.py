@@ -14,18 +14,20 @@ import numpy as np
 
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import LEAST, Fitted, Fitter
+from tuning.diagnosis.fitting import LEAST, MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
 
 THREADS = 2
-FITTED = 4  # candidates of a round
+FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
+FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
 WORTH = 12.0  # in evidence, that another effect must bring
 COMPLETE = 0.97  # share of the gap explained beyond which no further effect is looked for
 LACKING = 30.0  # of cost
 MOST_EFFECTS = 2
+RELEVANT = 3e-4  # of the friction
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")
@@ -82,7 +84,7 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
     return tried(fitter, before, candidate)
 
 
-def fit_from(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
+def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
     """From where screening points, about the parameters of before or about the nominal ones."""
     model = joined(before.model, found.candidate, found.values)
     own = begin(model, found.values)
@@ -92,7 +94,7 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
         there = fitter.at(model, u, before.process, before.track.course)
         starts.append(fitter.with_process(there, model, before.process * TRIED))
     begun = min(starts, key=lambda one: one.cost)
-    return fitter.fit(model, begun.u, begun.process, begun.track.course)
+    return fitter.fit(model, begun.u, begun.process, begun.track.course, most)
 
 
 def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Round:
@@ -104,10 +106,20 @@ def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progres
     )
     screened.sort(key=lambda one: -one.evidence)
     promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
-    fits = _in_parallel(
-        lambda one: fit_from(fitter, before, one), promising, lambda k: progress("fitting", k, len(promising))
+    begun = _in_parallel(
+        lambda one: fit_from(fitter, before, one, RACE),
+        promising,
+        lambda k: progress("fitting", k, 2 * len(promising)),
     )
-    fits = [one for one in fits if np.isfinite(one.evidence)]
+    begun = sorted((one for one in begun if np.isfinite(one.evidence)), key=lambda one: one.evidence)
+    gains = [before.evidence - one.evidence for one in begun]
+    ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > STAYS * gains[0]][:FINISH]
+    ended = _in_parallel(
+        lambda one: fitter.fit(one.model, one.u, one.process, one.track.course),
+        ahead,
+        lambda k: progress("fitting", len(promising) + k, len(promising) + len(ahead)),
+    )
+    fits = [*ended, *begun[len(ahead) :]]
     return Round(before, screened, sorted(fits, key=lambda one: one.evidence))
 
 
@@ -124,8 +136,14 @@ def floor(fitter: Fitter, fitted: Fitted) -> float:
 
 
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
-    """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing."""
-    none = fitter.at(fitted.model, fitted.u, np.array([LEAST, LEAST]), fitted.track.course)
+    """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
+
+    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much.
+    """
+    friction = fitted.own.friction
+    level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
+    least = np.minimum(fitted.process, RELEVANT * level)
+    none = fitter.at(fitted.model, fitted.u, least, fitted.track.course)
     return none.cost - fitted.cost
 
 

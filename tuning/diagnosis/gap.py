@@ -1,0 +1,178 @@
+"""How large the gap is: the force that a model lacks to move as its log does, and how far its simulation is off.
+
+The force is that of a filter which trusts every model alike, so that models can be compared. The simulation runs
+in closed loop through the machine's own controller, with the sensor's noise in its loop: two simulations that differ
+in nothing but this noise differ by the floor.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.ndimage
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.controllers import Controller
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.simulate import Inputs, rollout
+from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
+from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
+from tuning.diagnosis.model import Model, Vector
+from tuning.replay import Given, begun, given
+
+TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
+TRUSTING = 0.1  # of the likeliest process force
+MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides
+BLOCK = 0.25  # s, of the bootstrap
+DRAWS = 400
+NOISES = 2  # draws of the measuring noise
+SEEDS = 3  # simulations with noise
+APART = 10.0  # of the log's travel, that a simulation may be off before it counts as diverged
+
+
+class ForceGap(NamedTuple):
+    """The force that a model lacks along the logs, [lanes, n] each."""
+
+    force: Float[np.ndarray, "lanes n"]  # N, zero where it does not count
+    course: Course
+    surprise: Float[np.ndarray, "lanes n"]  # energy of what a filter that trusts the model did not foresee
+    counts: Float[np.ndarray, "lanes n"]  # ones where the table slides: at rest, its friction may be anything
+
+    @property
+    def rms(self) -> float:
+        """Root mean square (N)."""
+        return float(np.sqrt(np.sum(self.force**2) / max(np.sum(self.counts), 1.0)))
+
+    def interval(self, rate: float, seed: int = 0) -> tuple[float, float]:
+        """95 % interval of `rms`, from whole blocks of the logs drawn anew."""
+        low, high = np.sqrt(np.percentile(self.drawn(rate, seed), [2.5, 97.5]))
+        return float(low), float(high)
+
+    def drawn(self, rate: float, seed: int = 0) -> Float[np.ndarray, " draws"]:
+        """Mean squares (N^2) of logs made of blocks drawn anew; the same blocks for every model of the same logs."""
+        length = max(1, round(BLOCK * rate))
+        edges = np.arange(0, self.force.shape[1], length)
+        squares = np.add.reduceat(self.force**2, edges, axis=1).ravel()
+        counts = np.add.reduceat(self.counts, edges, axis=1).ravel()
+        squares, counts = squares[counts > 0], counts[counts > 0]
+        picks = np.random.default_rng(seed).integers(0, len(counts), (DRAWS, len(counts)))
+        return squares[picks].sum(axis=1) / counts[picks].sum(axis=1)
+
+
+def comparing(drive: Drive) -> Float[np.ndarray, " 2"]:
+    """The process forces (N) of the filter that compares models."""
+    friction = drive.friction
+    level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
+    return np.array([TRUSTED * level, LEAST])
+
+
+def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, "lanes n"]:
+    """Ones where the table has moved, and goes on to, for `SETTLED` s."""
+    width = 2 * round(SETTLED * rate) + 1
+    slow = (np.abs(velocity) < MOVING).astype(float)
+    return 1.0 - scipy.ndimage.maximum_filter1d(slow, width, axis=1)
+
+
+def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector) -> ForceGap:
+    """The force that a model lacks, its effects stepped along the track of `fitted`."""
+    process = comparing(fitter.logged.drive)
+    track = fitter.at(model, u, process, fitted.track.course).track
+    rate = fitter.logged.sampling.rate
+    every = np.asarray(fitter.logged.lanes.counts)
+    counts = every * sliding(np.asarray(track.course.velocity), rate)
+    trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, LEAST), fitted.track.course).track
+    surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.scatter)) ** 2, LOST**2)
+    surprise = every * np.maximum(surprise - float(fitted.track.size), 0.0)
+    return ForceGap(np.asarray(track.lacking) * counts, track.course, surprise, counts)
+
+
+class LoopGap(NamedTuple):
+    """How far the simulation in closed loop is from the logs, and from itself with other noise."""
+
+    position_rms: float  # m
+    command_rms: float  # N
+    position_floor: float  # m
+    command_floor: float  # N
+    says: str = ""  # where it could not be simulated
+
+
+def drive_of(fitted: Fitted, log: int) -> Drive:
+    """The drive of a fit as it was on one of the logs: with its effects, their parameters those of that log."""
+    lane = fitted.model.logged.owner.index(log)
+    effects = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
+    return dataclasses.replace(fitted.own, effects=effects)
+
+
+@eqx.filter_jit
+def _simulated(drive: Drive, controller: Controller, at: Given, sampling: Sampling, keys: Any) -> Any:
+    def one(each: Given) -> Any:
+        inputs = Inputs(each.reference, each.lanes.load, each.lanes.disturbance)
+        begin = begun(drive, controller, each, sampling.period)
+
+        def noisy(key: Any) -> Any:
+            frame = rollout(drive, controller, inputs, sampling, key=key, begin=begin)
+            return frame.measured, frame.command
+
+        return jax.vmap(noisy)(keys)
+
+    return lax.map(one, at)
+
+
+def loop_gap(
+    drives: list[Drive], controller: Controller, logs: list[Log], noise: float, sampling: Sampling, seed: int = 0
+) -> LoopGap:
+    """Each log simulated by its drive, its sensor's noise in the loop; `noise` (m) is quantisation and all."""
+    off: list[Any] = [[], [], [], []]
+    keys = jax.random.split(jax.random.key(seed), SEEDS)
+    for drive, log in zip(drives, logs, strict=True):
+        quantised = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution) / np.sqrt(12)
+        white = float(np.sqrt(max(noise**2 - quantised**2, 0.0)))
+        noisy = dataclasses.replace(drive, sensor=dataclasses.replace(drive.sensor, noise=white))
+        pieces = given([log])
+        position, command = _simulated(*as_arrays((noisy, controller)), pieces, sampling, keys)
+        counted = np.asarray(pieces.lanes.counts) > 0
+        found = [np.moveaxis(np.asarray(one), 1, 0)[:, counted] for one in (position, command)]
+        true = [np.asarray(one)[counted] for one in (pieces.lanes.position, pieces.lanes.command)]
+        away = np.max(np.abs(found[0] - true[0]), initial=0.0)
+        if not away <= APART * max(np.ptp(true[0]), 1e-3):
+            return LoopGap(np.inf, np.inf, np.inf, np.inf, f"{log.name}: the simulation in closed loop runs away")
+        for k in range(2):
+            off[k].append((found[k] - true[k]).ravel())
+            off[k + 2].append(np.diff(found[k], axis=0).ravel())
+    return LoopGap(*(float(np.sqrt(np.mean(np.concatenate(one) ** 2))) for one in off))
+
+
+@eqx.filter_jit
+def _told(track: Track, linear: Slopes, off: Any, period: float) -> Float[Array, "lanes n m"]:
+    """The lacking force that errors of the measurement, [lanes, n, m] (m), make a filter see."""
+    forcing = jnp.zeros((*off.shape[:2], 3, off.shape[2]))
+    error = answers(track, linear, forcing, -off, period) * track.scatter[..., None]
+    fade = float(np.exp(-period / LASTING))
+
+    def one(pull: Any, error: Any) -> Any:
+        def body(force: Any, at: Any) -> Any:
+            own, e = at
+            force = fade * force + own * e
+            return force, force
+
+        return lax.scan(body, jnp.zeros(error.shape[-1]), (pull, error))[1]
+
+    return jax.vmap(one)(track.pull[3], error)
+
+
+def force_floor(fitter: Fitter, fitted: Fitted) -> float:
+    """Root mean square (N) of the force that a model without a gap would seem to lack, from the measuring noise."""
+    logged = fitter.logged
+    point = fitter.at(fitted.model, fitted.u, comparing(logged.drive), fitted.track.course)
+    linear = slopes_of(point.drive, point.acting, point.track, logged.lanes, logged.sampling)
+    noise = float(logged.noise) * np.sqrt(float(fitted.track.size))
+    off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
+    told = np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
+    every = np.asarray(logged.lanes.counts)
+    counts = every * sliding(np.asarray(point.track.course.velocity), logged.sampling.rate)
+    return float(np.sqrt(np.sum(told**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))

@@ -1,0 +1,96 @@
+"""How far the gap shrinks once an effect is added, on logs that were not fitted.
+
+The machine's parameters are fitted on some of the logs and carried over; those of the session (phases, times) are
+registered anew on the others. With a single log its later part is held out, in the same session.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.controllers import Controller
+from diffdrive.logs import Log
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
+from tuning.diagnosis.model import Model
+from tuning.diagnosis.search import Explanation
+
+TRAINED = 0.6  # of a single log
+CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
+
+
+class Rung(NamedTuple):
+    """One model on the logs that were held out."""
+
+    name: str
+    fitted: Fitted
+    force: ForceGap
+    interval: tuple[float, float]  # N
+    shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
+    loop: LoopGap | None
+
+
+class Split(NamedTuple):
+    """Weights of the samples to fit and of those to judge by, [lanes, n] each, and what they are."""
+
+    train: Float[np.ndarray, "lanes n"]
+    test: Float[np.ndarray, "lanes n"]
+    logs: list[int]  # judged by
+    says: str
+
+
+def split(fitter: Fitter) -> Split:
+    """The last log held out; of a single one, the end."""
+    logged = fitter.logged
+    counts = np.asarray(logged.lanes.counts)
+    last = np.array([owner == logged.logs - 1 for owner in logged.owner])[:, None]
+    if logged.logs > 1:
+        return Split(counts * ~last, counts * last, [logged.logs - 1], f"log {logged.logs} held out")
+    total = np.cumsum(counts.ravel()).reshape(counts.shape)
+    early = total <= TRAINED * counts.sum()
+    return Split(counts * early, counts * ~early, [0], f"the last {100 * (1 - TRAINED):.0f} % of the log held out")
+
+
+def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
+    lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))
+    return Fitter(fitter.logged._replace(lanes=lanes))
+
+
+def climb(
+    fitter: Fitter, found: Explanation, logs: list[Log], controller: Controller | None
+) -> tuple[list[Rung], Split]:
+    """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given."""
+    parts = split(fitter)
+    train, test = _counting(fitter, parts.train), _counting(fitter, parts.test)
+    base = found.base
+    chain = [("recalibrated", base)]
+    for number in range(len(found.best.model.members)):
+        one = found.rounds[number].fits[0]
+        chain.append((f"+ {one.model.members[-1].candidate.name}", one))
+    nothing = np.zeros(base.model.size)
+    still = test.fit(Model(test.logged, (), base.model.tolerance), nothing, base.process, base.track.course, 0)
+    fits = [("nominal", still)]
+    for name, one in chain:
+        model = Model(train.logged, one.model.members, one.model.tolerance)
+        trained = train.fit(model, one.u, one.process, one.track.course, CARRY)
+        session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
+        model = Model(test.logged, one.model.members, one.model.tolerance)
+        register = REGISTER if session.any() and fitter.logged.logs > 1 else 0
+        fits.append((name, test.fit(model, trained.u, one.process, one.track.course, register, session)))
+    rate = fitter.logged.sampling.rate
+    gaps = [force_gap(test, one, one.model, one.u) for _, one in fits]
+    drawn = [gap.drawn(rate) for gap in gaps]
+    rungs = []
+    for (name, one), gap, squares in zip(fits, gaps, drawn, strict=True):
+        ratio = 1.0 - squares / drawn[0]
+        low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
+        loop = None
+        if controller is not None:
+            drives = [drive_of(one, log) for log in parts.logs]
+            noise = float(fitter.logged.noise)
+            loop = loop_gap(drives, controller, [logs[log] for log in parts.logs], noise, fitter.logged.sampling)
+        shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
+        rungs.append(Rung(name, one, gap, gap.interval(rate), shrink, loop))
+    return rungs, parts

@@ -1,0 +1,107 @@
+"""What the evidence says: none, an effect, or structure that nothing in the catalogue explains; and how sure that is.
+
+The evidence of a fit takes the model's form for granted, and a model that is a little wrong in form loses more than one
+of another kind gains. So two hypotheses are told apart by their evidence only as far as the better of them explains
+the logs to the noise: the temperature of the probabilities is a share of what was gained, larger where much is left.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.following import LOST
+from tuning.diagnosis.search import LACKING, WORTH, Explanation, Round, lacking
+
+COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
+ROUGH = 0.08  # more of it, in proportion to what is left unexplained
+DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
+LEFT = 0.02  # of what was missing: where more is left, something unknown is likelier than not
+ROUGHLY = 0.5  # the same for effects whose details differ from machine to machine
+SHARPNESS = 3.0  # by which factor more or less makes it sure
+BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
+FEW_LOST = 3  # samples
+
+
+class Belief(NamedTuple):
+    """One effect and how sure it is."""
+
+    effect: str
+    confidence: float
+    found: bool  # part of the explanation
+    round: int  # in which it was looked for
+    fitted: Fitted
+    alternatives: list[str]  # that these logs cannot exclude in its place
+
+
+class Verdict(NamedTuple):
+    """What the logs say."""
+
+    verdict: str  # "none", "effect" or "unknown"
+    beliefs: list[Belief]  # found effects first, then the surest
+    unexplained: float  # share of the gap beyond the noise that nothing explains
+    says: str
+
+
+def lost_samples(fitted: Fitted) -> int:
+    """At how many samples the filter was lost."""
+    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
+    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
+
+
+def _missing(fitter: Fitter, fitted: Fitted) -> float:
+    return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
+
+
+def _probabilities(gains: Float[np.ndarray, " k"], unexplained: float) -> Float[np.ndarray, " k"]:
+    best = float(np.max(gains, initial=0.0))
+    temperature = max(COLDEST, (SOFT + ROUGH * unexplained) * best)
+    weights = np.exp((gains - best) / temperature)
+    return weights / np.sum(weights)
+
+
+def _believed(looked: Round, number: int, unexplained: float, found: bool, certain: float) -> list[Belief]:
+    """Every candidate of a round that was fitted; `certain` is how sure it is that one of them acts."""
+    gains = np.array([looked.before.evidence - one.evidence for one in looked.fits])
+    shares = _probabilities(gains, unexplained)
+    names = [one.model.members[-1].candidate.name for one in looked.fits]
+    close = [name for name, share in zip(names, shares, strict=True) if share > DECLARED * shares[0]]
+    return [
+        Belief(name, float(certain * share), found and k == 0, number, one, [other for other in close if other != name])
+        for k, (name, share, one) in enumerate(zip(names, shares, looked.fits, strict=True))
+    ]
+
+
+def judge(fitter: Fitter, found: Explanation) -> Verdict:
+    """The verdict on an explanation."""
+    base, best = found.base, found.best
+    effects = len(best.model.members)
+    before, after = _missing(fitter, base), _missing(fitter, best)
+    missing = before > LACKING + BLOWS * FEW_LOST
+    unexplained = float(np.clip(after / before, 0.0, 1.0)) if missing else 0.0
+    rough = any(member.candidate.coupled for member in best.model.members)
+    left = unexplained / (ROUGHLY if rough else LEFT)
+    known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if missing else 1.0
+    beliefs: list[Belief] = []
+    for number, looked in enumerate(found.rounds):
+        if not looked.fits:
+            continue
+        gain = looked.before.evidence - looked.fits[0].evidence
+        certain = known / (1.0 + np.exp(-(gain - WORTH) / COLDEST))
+        beliefs += _believed(looked, number, unexplained, number < effects, float(certain))
+    beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
+    if not effects:
+        if not missing:
+            says = "the recalibrated drive explains the logs to the noise: no effect is missing"
+            return Verdict("none", beliefs, 0.0, says)
+        says = "structure remains that no effect of the catalogue explains"
+        return Verdict("unknown", beliefs, 1.0, says)
+    if known < 0.5:
+        named = ", ".join(one.effect for one in beliefs if one.found)
+        says = f"{named} come closest, but leave {100 * unexplained:.0f} % of the gap unexplained"
+        return Verdict("unknown", beliefs, unexplained, says)
+    named = " and ".join(one.effect for one in beliefs if one.found)
+    others = sorted({name for one in beliefs if one.found for name in one.alternatives})
+    says = f"{named} explains the gap" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
+    return Verdict("effect", beliefs, unexplained, says)
