@@ -1,0 +1,79 @@
+"""What a log can tell at all: whether it moves, turns, runs at several speeds, and is not saturated throughout."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.diagnosis.candidates import Setting
+from tuning.diagnosis.model import Logged
+from tuning.diagnosis.where import SLOWEST
+
+SHORTEST = 1.0  # s of motion
+TRAVEL = 10.0  # times the bristle's bend before it slides
+SPEEDS = 2.0  # ratio of the fast to the slow part of the motion
+SATURATED = 0.5  # of the samples, at the largest command
+SMOOTH = 5e-3  # s
+
+
+class Shortcoming(NamedTuple):
+    """Something that the logs cannot tell, why, and the motion that would."""
+
+    what: str
+    why: str
+    motion: str
+
+
+def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
+    """What stands in the way of a diagnosis; empty where nothing does."""
+    counts = np.asarray(logged.lanes.counts) > 0
+    position, command = np.asarray(logged.lanes.position), np.asarray(logged.lanes.command)
+    rate = logged.sampling.rate
+    few = max(1, round(SMOOTH * rate))
+    velocity = (position[:, few:] - position[:, :-few]) * rate / few
+    moving = velocity[counts[:, few:]]
+    moving = moving[np.abs(moving) > SLOWEST]
+    found = []
+    if at.high - at.low < TRAVEL * at.bristle or len(moving) == 0:
+        return [
+            Shortcoming(
+                "anything but the stiffness at rest",
+                f"the table travels {1e6 * (at.high - at.low):.3g} um",
+                "a motion of several millimetres to and fro, at two speeds at least",
+            )
+        ]
+    if len(moving) < SHORTEST * rate:
+        found.append(
+            Shortcoming(
+                "friction and mass",
+                f"the table moves for {len(moving) / rate:.2g} s only",
+                "several seconds of motion to and fro, with pauses",
+            )
+        )
+    shares = [float(np.mean(way * moving > 0)) for way in (1, -1)]
+    if min(shares) < 0.02:
+        found.append(
+            Shortcoming(
+                "asymmetry, constant forces, backlash and the friction at reversals",
+                "the table moves in one direction only",
+                "a motion to and fro",
+            )
+        )
+    slow, fast = np.percentile(np.abs(moving), [10, 95])
+    if fast < SPEEDS * slow:
+        found.append(
+            Shortcoming(
+                "viscous against Coulomb friction, and everything that depends on speed",
+                f"the table runs at one speed, {1e3 * np.median(np.abs(moving)):.3g} mm/s",
+                "strokes at two speeds at least, a factor of five apart",
+            )
+        )
+    largest = np.abs(command[counts]).max()
+    if np.mean(np.abs(command[counts]) > 0.999 * largest) > SATURATED:
+        found.append(
+            Shortcoming(
+                "anything in the forces",
+                "the command is at its limit for most of the time",
+                "a gentler motion, within the drive's force",
+            )
+        )
+    return found

@@ -1,0 +1,171 @@
+"""The diagnosis of the gap between a drive and its logs, from end to end.
+
+    logs -> recalibrate -> screen, fit, judge -> ladder on held-out data -> where -> which motion would decide
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.controllers import Controller, UnknownController
+from diffdrive.effects.catalogue import PLACES
+from diffdrive.errors import ParameterError
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive, as_arrays
+from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.coverage import Shortcoming, shortcomings
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.gap import ForceGap, force_floor, force_gap
+from tuning.diagnosis.ladder import Rung, Split, climb
+from tuning.diagnosis.model import Logged
+from tuning.diagnosis.search import Explanation, Progress, Round, explain, recalibrated
+from tuning.diagnosis.verdict import Verdict, judge
+from tuning.diagnosis.where import Region, localise
+from tuning.fit import lanes_of, noise_floor, sampling_of
+from tuning.replay import long_pieces
+
+SUBSTEP = 50e-6  # s
+UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the logs say about the drive."""
+
+    logged: Logged
+    explanation: Explanation
+    verdict: Verdict
+    where: list[Region]
+    gap: ForceGap  # of the recalibrated drive
+    floor: float  # N, of the force
+    rungs: list[Rung]
+    split: Split
+    lacks: list[Shortcoming]
+
+    @property
+    def found(self) -> Fitted:
+        """The drive with everything that was found."""
+        return self.explanation.best
+
+
+def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
+    """The logs as the diagnosis takes them."""
+    if drive.effects:
+        names = ", ".join(effect.name for effect in drive.effects)
+        raise ParameterError(
+            f"the drive has effects of its own ({names}): diagnose the drive without them, they will be found again"
+        )
+    lanes = lanes_of(list(logs))
+    owner = tuple(k for k, log in enumerate(logs) for _ in long_pieces(log))
+    actuator = drive.actuator
+    delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0))
+    noise = jnp.asarray(noise_floor(drive, lanes))
+    return Logged(as_arrays(drive), delay, lanes, owner, noise, sampling_of(float(round(logs[0].rate, 6)), SUBSTEP))
+
+
+def diagnose(
+    drive: Drive,
+    controller: Controller,
+    logs: Sequence[Log],
+    *,
+    without: Sequence[str] = (),
+    tolerance: float = TOLERANCE,
+    progress: Progress = lambda what, done, most: None,
+) -> Diagnosis:
+    """Find what a drive lacks to move as its logs do.
+
+    `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
+    nominal parameter. Raises `LogError` for logs without a long enough piece, and `ParameterError` for a drive that has
+    effects already.
+    """
+    logged = logged_of(drive, logs)
+    fitter = Fitter(logged)
+    at = setting(logged.drive, logged.lanes, logged.sampling.period)
+    lacks = shortcomings(logged, at)
+    progress("recalibrating", 0, 1)
+    base = recalibrated(fitter, tolerance)
+    progress("recalibrating", 1, 1)
+    open_loop = isinstance(controller, UnknownController) or logs[0].reference is None
+    catalogue = [one for one in candidates(at) if one.name not in without]
+    found = explain(fitter, base, catalogue, progress)
+    verdict = _within(judge(fitter, found), lacks)
+    progress("judging on held-out data", 0, 1)
+    rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
+    gap = force_gap(fitter, base, base.model, base.u)
+    where = localise(gap, logged.lanes, logged.owner, logged.sampling.rate)
+    where = [*_subsystems(found), *_signals(rungs), *where]
+    progress("judging on held-out data", 1, 1)
+    return Diagnosis(logged, found, verdict, where, gap, force_floor(fitter, found.best), rungs, parts, lacks)
+
+
+def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
+    """No sure cause from logs that cannot tell it."""
+    if not lacks:
+        return verdict
+    says = "; ".join(f"{one.why}: {one.what} cannot be decided, log {one.motion}" for one in lacks)
+    beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
+    return Verdict("unknown", beliefs, verdict.unexplained, says)
+
+
+def _subsystems(found: Explanation) -> list[Region]:
+    """How much of what is missing a change in each place of the machine could explain."""
+    first: Round = found.rounds[0]
+    total = max(found.base.cost - found.best.cost, 1e-9)
+    if not found.best.model.members:
+        return []
+    gains = {one.candidate.name: one.gain for one in first.screened}
+    gains |= {one.model.members[-1].candidate.name: first.before.cost - one.cost for one in first.fits}
+    regions = []
+    for place, effects in PLACES.items():
+        best = max((gains.get(effect.name, 0.0), effect.name) for effect in effects)
+        share = float(np.clip(best[0] / total, 0.0, 1.0))
+        says = f"a change in the {place} ({best[1]}) could explain {100 * share:.0f} % of it"
+        regions.append(Region("subsystem", place, share, 0.0, float(np.exp(-0.5 * max(best[0], 0.0))), says))
+    return sorted(regions, key=lambda one: -one.share)
+
+
+def _signals(rungs: list[Rung]) -> list[Region]:
+    """Whether the gap shows in the position or, behind a stiff loop, in the command."""
+    loop = rungs[1].loop
+    if loop is None or loop.says:
+        return []
+    over = np.array([loop.position_rms / loop.position_floor, loop.command_rms / loop.command_floor])
+    excess = np.maximum(over**2 - 1.0, 0.0)
+    shares = excess / max(excess.sum(), 1e-9)
+    return [
+        Region("signal", name, float(share), 0.5, 1.0, f"{name}: {one:.2g} times its floor in closed loop")
+        for name, share, one in zip(("position", "command"), shares, over, strict=True)
+    ]
+
+
+def deviations(fitted: Fitted) -> np.ndarray:
+    """Standard deviations of what was fitted, in units of the prior."""
+    return np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))
+
+
+Number = float | list[float]
+
+
+def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, tuple[Number, Number]]]:
+    """Value and 95 % interval of each parameter of an effect; lists where they differ from log to log."""
+    known = {one.name: one for one in fitted.model.members[member].candidate.parameters}
+    spread = deviations(fitted)
+    found: dict[str, Any] = {}
+    for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
+        if index != member:
+            continue
+        one, u, s = known[name], float(fitted.u[k]), 1.96 * float(spread[k])
+        row = (float(one.value(u)), (float(one.value(u - s)), float(one.value(u + s))))
+        if log is None:
+            found[name] = row
+        else:
+            found.setdefault(name, []).append(row)
+    for name, row in found.items():
+        if isinstance(row, list):
+            values = [one[0] for one in row]
+            found[name] = (values, ([one[1][0] for one in row], [one[1][1] for one in row]))
+    return found
