@@ -233,6 +233,45 @@ def identify(
 
 
 @app.command()
+def diagnose(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
+    ],
+    drive: Annotated[Path, typer.Option(help="Drive file: what is believed about the axis, and how its logs read.")],
+    out: Out = None,
+    column: Annotated[
+        list[str] | None, typer.Option(help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
+    ] = None,
+    unit: Annotated[
+        list[str] | None, typer.Option(help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
+    ] = None,
+    load: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable."
+        ),
+    ] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="An effect of the catalogue that is not to be considered; repeatable.")
+    ] = None,
+) -> None:
+    """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
+
+    The nominal parameters are recalibrated first; only what that cannot explain speaks for an effect. With several logs
+    the last is held out for the judgement. Writes diagnosis.json, report.html (one page, self-contained), figures, and
+    augmented.toml: the drive with what was found, for `simulate`, `tune` and `sweep`.
+
+    Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
+    """
+    from experiments.diagnose import diagnose_logs
+
+    diagnose_logs(
+        logs, drive, out, columns=column or (), units=unit or (), loads=load or (), without=without or ()
+    )  # fmt: skip
+
+
+@app.command()
 def sweep(
     drive: DriveFile,
     motion: MotionText = DEFAULT_MOTION,

@@ -23,16 +23,16 @@ from rich.table import Table
 from diffdrive.errors import ParameterError
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The value as JSON can hold it; not-finite numbers become their names, since JSON has none."""
     if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [plain(one) for one in value]
     if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
-        return _plain(np.asarray(value).tolist())
+        return plain(np.asarray(value).tolist())
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value
@@ -96,7 +96,7 @@ class Report:
 
     def values(self, name: str, **numbers: Any) -> None:
         """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
-        self.data.setdefault(name, {}).update(_plain(numbers))
+        self.data.setdefault(name, {}).update(plain(numbers))
         listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
         self.console.print(f"{name}: {listed}", markup=False)
 
@@ -113,7 +113,7 @@ class Report:
         self.console.print(drawn)
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),
-            "rows": _plain([list(row) for row in rows]),
+            "rows": plain([list(row) for row in rows]),
         }
         if self.out is not None:
             with (self.out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
@@ -155,12 +155,26 @@ class Report:
 
             yield advance
 
+    @contextlib.contextmanager
+    def stages(self) -> Iterator[Callable[[str, int, int], None]]:
+        """Progress through named stages; yields a function of (stage, done, of how many)."""
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
+            tasks: dict[str, Any] = {}
+
+            def advance(stage: str, done: int, most: int) -> None:
+                if stage not in tasks:
+                    tasks[stage] = bar.add_task(stage, total=most)
+                bar.update(tasks[stage], completed=done, total=most)
+
+            yield advance
+
     def close(self) -> None:
         """Write result.json."""
         self.data["seconds"] = round(time.perf_counter() - self._started, 2)
         if self.out is None:
             return
-        text = json.dumps(_plain(self.data), indent=2, allow_nan=False)
+        text = json.dumps(plain(self.data), indent=2, allow_nan=False)
         (self.out / "result.json").write_text(text + "\n", encoding="utf-8")
         self.console.print(f"written to {self.out}", markup=False)
 

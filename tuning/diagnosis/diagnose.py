@@ -1,6 +1,6 @@
 """The diagnosis of the gap between a drive and its logs, from end to end.
 
-    logs -> recalibrate -> screen, fit, judge -> ladder on held-out data -> where -> which motion would decide
+logs -> recalibrate -> screen, fit, judge -> ladder on held-out data -> where -> which motion would decide
 """
 
 from collections.abc import Sequence

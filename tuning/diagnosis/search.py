@@ -14,7 +14,7 @@ import numpy as np
 
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import LEAST, MOST_STEPS, Fitted, Fitter
+from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
@@ -24,7 +24,7 @@ FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first st
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
 WORTH = 12.0  # in evidence, that another effect must bring
-COMPLETE = 0.97  # share of the gap explained beyond which no further effect is looked for
+STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 LACKING = 30.0  # of cost
 MOST_EFFECTS = 2
 RELEVANT = 3e-4  # of the friction
@@ -48,11 +48,6 @@ class Explanation(NamedTuple):
     base: Fitted
     rounds: list[Round]
     best: Fitted
-    floor: float  # the cost of a model that leaves nothing but the measuring noise
-
-    def share(self, fitted: Fitted) -> float:
-        """Of what recalibration leaves unexplained, the share that a fit explains."""
-        return (self.base.cost - fitted.cost) / max(self.base.cost - self.floor, 1e-9)
 
 
 def _in_parallel(function: Callable[[A], B], items: Sequence[A], say: Callable[[int], None]) -> list[B]:
@@ -123,18 +118,6 @@ def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progres
     return Round(before, screened, sorted(fits, key=lambda one: one.evidence))
 
 
-def floor(fitter: Fitter, fitted: Fitted) -> float:
-    """The cost that would be left were the model exact: that of white innovations of the scatter foreseen.
-
-    How large the measuring noise truly is, the third differences of the innovations tell: structure is smoother.
-    """
-    least = fitter.at(fitted.model, fitted.u, np.array([LEAST, LEAST]), fitted.track.course)
-    rough = np.diff(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter), 3, axis=1)
-    size = np.sum(fitter.counts[:, 3:] * rough**2) / 20.0 / np.sum(fitter.counts[:, 3:])  # 1 + 9 + 9 + 1
-    foreseen = 2.0 * np.sum(fitter.counts * np.log(np.asarray(least.track.scatter)))
-    return float(foreseen + np.sum(fitter.counts) * np.log(size))
-
-
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
@@ -147,6 +130,11 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     return none.cost - fitted.cost
 
 
+def strain(fitted: Fitted) -> float:
+    """By how many standard deviations of the prior the furthest nominal parameter was moved."""
+    return float(np.abs(fitted.u[: len(NAMES)]).max())
+
+
 def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Explanation:
     """Effects one after the other, as long as another is worth it."""
     best, rounds = base, []
@@ -156,7 +144,6 @@ def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progre
         if not found.fits or best.evidence - found.fits[0].evidence < WORTH:
             break
         best = found.fits[0]
-        so_far = Explanation(base, rounds, best, floor(fitter, best))
-        if so_far.share(best) > COMPLETE or lacking(fitter, best) < LACKING:
+        if lacking(fitter, best) < LACKING and strain(best) < STRAINED:
             break
-    return Explanation(base, rounds, best, floor(fitter, best))
+    return Explanation(base, rounds, best)

@@ -6,6 +6,7 @@ and round the log): the p-value is how often chance does as well. Lines in time 
 median of their neighbourhood, and paid for by how many places were looked at.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -147,7 +148,14 @@ def localise(gap: ForceGap, lanes: Lanes, owner: tuple[int, ...], rate: float, s
 
 
 def _bands(
-    dimension: str, signal: np.ndarray, where: Labels, counts: np.ndarray, number: int, scale: float, unit: str, what: str
+    dimension: str,
+    signal: np.ndarray,
+    where: Labels,
+    counts: np.ndarray,
+    number: int,
+    scale: float,
+    unit: str,
+    what: str,
 ) -> list[tuple[str, str, Labels, str]]:
     """Bands with equal shares of the time."""
     inside = where & (counts > 0)
@@ -155,7 +163,7 @@ def _bands(
         return []
     edges = np.unique(np.percentile(signal[inside], np.linspace(0, 100, number + 1)))
     found = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         last = high == edges[-1]
         name = f"{scale * low:.3g} to {scale * high:.3g} {unit}"
         here = inside & (signal >= low) & ((signal <= high) if last else (signal < high))
@@ -172,15 +180,15 @@ def _frequencies(gap: ForceGap, rate: float) -> list[Region]:
     axis = np.fft.rfftfreq(gap.force.shape[1], 1.0 / rate)
     floor = floor / np.abs(1.0 - fade * np.exp(-2j * np.pi * axis / rate)) ** 2
     found = []
-    for low, high in zip(BANDS[:-1], BANDS[1:], strict=True):
+    for low, high in itertools.pairwise(BANDS):
         inside = (axis >= low) & (axis < high)
         if not inside.any() or low > 0.5 * rate:
             continue
         share, expected = (float(one[inside].sum() / max(one.sum(), 1e-300)) for one in (power, floor))
         # independent cells of the spectrum: how often would white noise have as much here
         cells = max(1, int(inside.sum()))
-        p = float(np.exp(-cells * max(0.0, share / max(expected, 1e-9) - 1.0 - np.log(max(share / max(expected, 1e-9), 1e-9)))))
-        p = min(1.0, p) if share > expected else 1.0
+        ratio = share / max(expected, 1e-9)
+        p = float(np.exp(-cells * (ratio - 1.0 - np.log(ratio)))) if ratio > 1.0 else 1.0
         name = f"{low:g} to {min(high, 0.5 * rate):g} Hz"
         found.append(Region("frequency", name, share, expected, p, f"{_percent(share)} of the gap lies at {name}"))
     return found
