@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.parameters import Friction, Scalar
+from diffdrive.parameters import Drive, Friction, Scalar
 
 
 class Bristle(NamedTuple):
@@ -97,3 +97,13 @@ def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) 
     """The bristle's deflection after `duration` at constant `velocity`: the exact solution of dz/dt = v - r z."""
     fade = decay(rate * duration)
     return fade.end * deflection + duration * fade.mean * velocity
+
+
+def resisting_midway(
+    drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar, step: float
+) -> tuple[Scalar, Scalar]:
+    """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
+    at = bristle_at(drive.friction, velocity, bristle, load)
+    half = slide(bristle, velocity, at.rate, 0.5 * step)
+    force = friction_force(at, velocity, half) + drive.plant.damping.towards(velocity) * velocity
+    return force, slide(bristle, velocity, at.rate, step)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swing
+from diffdrive.friction import resisting_midway
 from diffdrive.parameters import Drive, Scalar, quantity
 
 EDGE = 5e-3  # s, over which a process force sets in and ends
@@ -125,6 +126,9 @@ class FrameVibration(TableEffect):
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The force of inertia seen from the base."""
-        push = -self.ratio * (seen.force - seen.friction) / drive.plant.mass
+        # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
+        halfway = seen.velocity + 0.5 * period * (1.0 + self.ratio) * (seen.force - seen.friction) / drive.plant.mass
+        resisting = resisting_midway(drive, halfway, seen.bristle, seen.load, period)[0]
+        push = -self.ratio * (seen.force - resisting) / drive.plant.mass
         ahead = swing(state, push, 2.0 * jnp.pi * self.frequency, self.damping, period)
         return ahead, Acts(force=-drive.plant.mass * (ahead.rate - state.rate) / period)

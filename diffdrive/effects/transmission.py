@@ -20,7 +20,7 @@ from jax import lax
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swing
-from diffdrive.friction import bristle_at, friction_force, slide
+from diffdrive.friction import resisting_midway
 from diffdrive.parameters import Drive, Scalar, quantity
 
 LONGEST_SUBSTEP = 25e-6  # s
@@ -43,14 +43,6 @@ class Motor(NamedTuple):
     bristle: Scalar
 
 
-def _resisting(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar, step: float) -> tuple[Scalar, Scalar]:
-    """Friction and damping at a velocity (N), in the middle of a step, and the bristle at its end."""
-    at = bristle_at(drive.friction, velocity, bristle, load)
-    half = slide(bristle, velocity, at.rate, 0.5 * step)
-    force = friction_force(at, velocity, half) + drive.plant.damping.towards(velocity) * velocity
-    return force, slide(bristle, velocity, at.rate, step)
-
-
 def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
     """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
@@ -61,8 +53,8 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     def substep(carry: Any, _: None) -> tuple[Any, None]:
         (q, bristle), velocity, rising, deflection, pulled, resisted = carry
         middle = velocity + 0.5 * h * rising
-        table, deflection = _resisting(drive, middle, deflection, seen.load, h)
-        own, bristle = _resisting(drive, middle + q.rate, bristle, seen.load, h)
+        table, deflection = resisting_midway(drive, middle, deflection, seen.load, h)
+        own, bristle = resisting_midway(drive, middle + q.rate, bristle, seen.load, h)
         push = (seen.force - (1.0 - r) * own) / (s * mass) + r * table / ((1.0 - s) * mass)
         inside = jnp.clip(q.deflection, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest

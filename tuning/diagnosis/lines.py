@@ -82,9 +82,12 @@ def lines_in_position(
     edges = max(int(8 * travel / shortest), 16)
     power = np.zeros(len(waves))
     centres = low + (np.arange(edges) + 0.5) * travel / edges
-    for one, where in zip(signal * counts, position, strict=True):
+    for one, where, there in zip(signal * counts, position, counts, strict=True):
         place = np.clip(((where - low) / travel * edges).astype(int), 0, edges - 1)
-        held = np.bincount(place, one, edges)
+        number = np.bincount(place, there, edges)
+        held = np.bincount(place, one, edges) / np.maximum(
+            number, 1.0
+        )  # every place speaks once, however long the rest
         for first in range(0, len(waves), 256):
             phase = np.exp(-2j * np.pi * np.outer(waves[first : first + 256], centres))
             power[first : first + 256] += np.abs(phase @ held) ** 2

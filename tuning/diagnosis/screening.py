@@ -21,7 +21,6 @@ from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import answers
 from tuning.diagnosis.lines import looked_for
 from tuning.diagnosis.model import (
-    Logged,
     Member,
     Model,
     Vector,

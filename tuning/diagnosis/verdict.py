@@ -81,6 +81,8 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     missing = before > LACKING + BLOWS * FEW_LOST
     unexplained = float(np.clip(after / before, 0.0, 1.0)) if missing else 0.0
     rough = any(member.candidate.coupled for member in best.model.members)
+    if rough and missing:
+        unexplained = min(unexplained, float(np.sum(best.process**2) / np.sum(base.process**2)))
     left = unexplained / (ROUGHLY if rough else LEFT)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if missing else 1.0
     beliefs: list[Belief] = []
