@@ -49,6 +49,11 @@ class Candidate(NamedTuple):
         """That of the catalogue."""
         return self.effect.name
 
+    @property
+    def relieves(self) -> bool:
+        """Whether nominal parameters, moved far, could do the same."""
+        return issubclass(self.effect, (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad))
+
 
 class Setting(NamedTuple):
     """The scales of a machine and its logs that priors and grids rest on."""

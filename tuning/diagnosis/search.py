@@ -15,7 +15,7 @@ import numpy as np
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
-from tuning.diagnosis.following import Course
+from tuning.diagnosis.following import LOST, Course
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
 
@@ -130,16 +130,26 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     return none.cost - fitted.cost
 
 
+def lost_samples(fitted: Fitted) -> int:
+    """At how many samples the filter was lost."""
+    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
+    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
+
+
 def strain(fitted: Fitted) -> float:
     """By how many standard deviations of the prior the furthest nominal parameter was moved."""
     return float(np.abs(fitted.u[: len(NAMES)]).max())
 
 
 def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Explanation:
-    """Effects one after the other, as long as another is worth it."""
+    """Effects one after the other, as long as another is worth it.
+
+    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
+    """
     best, rounds = base, []
     while len(rounds) < MOST_EFFECTS:
-        found = look(fitter, best, catalogue, progress)
+        whole = lacking(fitter, best) < LACKING and not lost_samples(best)
+        found = look(fitter, best, [one for one in catalogue if one.relieves or not whole], progress)
         rounds.append(found)
         if not found.fits or best.evidence - found.fits[0].evidence < WORTH:
             break

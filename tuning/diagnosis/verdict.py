@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.following import LOST
-from tuning.diagnosis.search import LACKING, WORTH, Explanation, Round, lacking
+from tuning.diagnosis.search import LACKING, WORTH, Explanation, Round, lacking, lost_samples
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
@@ -42,12 +41,6 @@ class Verdict(NamedTuple):
     beliefs: list[Belief]  # found effects first, then the surest
     unexplained: float  # share of the gap beyond the noise that nothing explains
     says: str
-
-
-def lost_samples(fitted: Fitted) -> int:
-    """At how many samples the filter was lost."""
-    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
-    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
 
 
 def _missing(fitter: Fitter, fitted: Fitted) -> float:
