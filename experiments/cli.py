@@ -272,6 +272,22 @@ def diagnose(
 
 
 @app.command()
+def withheld(
+    out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
+    cases: Annotated[int, typer.Option(min=1, help="How many machines.")] = 120,
+    seed: Annotated[int, typer.Option(help="Seed of the machines.")] = 0,
+) -> None:
+    """Check the diagnosis on machines with an effect that it is not told.
+
+    The machines are integrated by numerics of their own, their parameters are up to 3 % off nominal, and the effects
+    are drawn at random: none, one of the catalogue, two, or one from outside it. Takes a minute or two a machine.
+    """
+    from experiments.withheld.study import withheld as run
+
+    run(out, cases, seed)
+
+
+@app.command()
 def sweep(
     drive: DriveFile,
     motion: MotionText = DEFAULT_MOTION,

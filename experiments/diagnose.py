@@ -20,9 +20,11 @@ from tuning.diagnosis.diagnose import Diagnosis, diagnose, parameters
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
+from tuning.diagnosis.search import strain
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT
 
+HIDDEN = 1.05  # times the floor
 SHOWN = 8  # regions that are printed; the JSON has all
 
 
@@ -179,7 +181,12 @@ def _print(report: Report, found: Diagnosis, told: dict[str, Any]) -> None:
     if rows:
         report.table("causes", ("effect", "confidence", "parameters"), rows, "Causes, the surest first")
     report.say("\n4. How far does the gap shrink once it is added?")
-    if len(found.rungs) > 2:
+    if len(found.rungs) > 2 and found.rungs[1].force.rms < HIDDEN * found.floor:
+        report.say(
+            f"  Recalibration hides it: the gap is at its floor, but with a nominal parameter moved by "
+            f"{strain(found.explanation.base):.0f} standard deviations, against {strain(found.found):.1f} with the effect"
+        )
+    elif len(found.rungs) > 2:
         share = _percent(found.rungs[1].force.rms, found.rungs[-1].force.rms, found.floor)
         report.say(
             f"  On {found.split.says}: from {found.rungs[1].force.rms:.3g} N recalibrated to "

@@ -25,6 +25,8 @@ TOLERANCE = 1e-8
 SCALES = 1e-12  # m, absolute; velocities and the rest in proportion to their own scales
 ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the longest
 LONGEST_DELAY = 8
+MOST_STEPS = 20_000  # of a control period
+AWAY = 5e-3  # m off the reference
 
 
 class Faults(NamedTuple):
@@ -201,7 +203,9 @@ def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
 
 
 @partial(eqx.filter_jit)
-def _run(drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, told: Told, rate: float, kind: Kind) -> Any:
+def _run(
+    drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, told: Told, rate: float, kind: Kind
+) -> Any:
     period = 1.0 / rate
     term = diffrax.ODETerm(partial(_rates, kind=kind))
     unit = jnp.ones(())
@@ -235,13 +239,18 @@ def _run(drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, to
         later, now = forces[whole], forces[whole + 1]
         switch = time + (f.delay - jnp.floor(f.delay)) * period
         args = (drive, f, now, later, switch, load, push, rub)
-        begin = jax.tree.map(jnp.divide, state, scales)
-        found = diffrax.diffeqsolve(
-            scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, begin, args,
-            stepsize_controller=control, max_steps=100_000, throw=False,
-            saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
-        )  # fmt: skip
-        ahead = jax.tree.map(lambda y, scale: y[-1] * scale, found.ys, scales)
+
+        def onward(state: State) -> State:
+            begin = jax.tree.map(jnp.divide, state, scales)
+            found = diffrax.diffeqsolve(
+                scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, begin, args,
+                stepsize_controller=control, max_steps=MOST_STEPS, throw=False,
+                saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
+            )  # fmt: skip
+            return jax.tree.map(lambda y, scale: y[-1] * scale, found.ys, scales)
+
+        # a machine that has run away need not be followed any further
+        ahead = lax.cond(jnp.abs(error) < AWAY, onward, lambda state: state, state)
         ahead = ahead._replace(elements=jnp.clip(ahead.elements, -1.0, 1.0), age=jnp.maximum(ahead.age, 0.0))
         return (ahead, forces, error, k + 1.0), (measured, command)
 

@@ -108,7 +108,8 @@ def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progres
     )
     begun = sorted((one for one in begun if np.isfinite(one.evidence)), key=lambda one: one.evidence)
     gains = [before.evidence - one.evidence for one in begun]
-    ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > STAYS * gains[0]][:FINISH]
+    enough = STAYS * max(gains, default=0.0) - PROMISING
+    ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
     ended = _in_parallel(
         lambda one: fitter.fit(one.model, one.u, one.process, one.track.course),
         ahead,

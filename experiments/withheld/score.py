@@ -1,0 +1,128 @@
+"""The scorecard: answers against the key."""
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
+BINS = 10  # of confidence
+
+
+def visibility(told: dict[str, Any]) -> float:
+    """Largest gap of the recalibrated drive, or of the nominal one where recalibration takes it all, over its floor."""
+    gap = told.get("gap", {})
+    found = [0.0]
+    for signal, unit in (("force", "N"), ("position", "m"), ("command", "N")):
+        for stage in ("recalibrated_", ""):
+            rms, floor = gap.get(f"{stage}{signal}_rms_{unit}"), gap.get(f"noise_floor_{signal}_{unit}")
+            if isinstance(rms, float) and isinstance(floor, float) and floor > 0 and stage:
+                found.append(rms / floor)
+    return float(max(found))
+
+
+def score(answers: dict[str, dict[str, Any]], key: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Every figure of the check; `answers` and `key` by case."""
+    rows = [_row(name, answers[name], key[name]) for name in sorted(answers)]
+    single = [row for row in rows if row["kind"] == "single"]
+    clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
+    sound = [row for row in rows if row["kind"] == "none"]
+    outside = [row for row in rows if row["kind"] == "unknown"]
+    two = [row for row in rows if row["kind"] == "compound"]
+    return {
+        "cases": len(rows),
+        "clear_single": len(clear),
+        "top1_clear": _share(clear, "top1"),
+        "declared_clear": _share(clear, "declared"),
+        "top2_clear": _share(clear, "top2"),
+        "effect_verdict_clear": _share(clear, "said_effect"),
+        "faint_single": len(faint),
+        "top1_faint": _share(faint, "top1"),
+        "confidently_wrong_faint": _share(faint, "confidently_wrong"),
+        "confidently_wrong": _share(rows, "confidently_wrong"),
+        "none": len(sound),
+        "false_alarms": _share(sound, "said_effect"),
+        "outside": len(outside),
+        "unknown_recall": _share(outside, "said_unknown"),
+        "compounds": len(two),
+        "both_found": _share(two, "both"),
+        "calibration_error": _calibration(rows),
+        "median_shrink_held_out": _median([row["shrink"] for row in clear]),
+        "confusion": _confusion(rows),
+        "rows": rows,
+    }
+
+
+def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]:
+    true = [one["name"] for one in key["effects"]]
+    outside = any(one["outside"] for one in key["effects"])
+    kind = "unknown" if outside else ("none", "single", "compound")[len(true)]
+    causes = told["causes"]
+    found = [one["effect"] for one in causes if one["found"]]
+    ranked = [one["effect"] for one in causes]
+    sure = [one for one in causes if one["found"] and one["confidence"] >= 0.5]
+    first = causes[0] if causes else None
+    declared = set(found[:1]) | set(first["indistinguishable_from"] if first and first["found"] else [])
+    seen = visibility(told)
+    ladder = told.get("ladder", [])
+    return {
+        "case": name,
+        "kind": kind,
+        "true": true,
+        "size": [round(one["size"], 2) for one in key["effects"]],
+        "visibility": round(seen, 2),
+        "clear": seen >= CLEAR or min((one["size"] for one in key["effects"]), default=0.0) >= CLEAR,
+        "verdict": told["verdict"],
+        "found": found,
+        "top1": bool(true) and found[:1] == true[:1],
+        "top2": bool(true) and true[0] in ranked[:2],
+        "declared": bool(true) and true[0] in declared,
+        "both": set(true) <= set(found),
+        "said_effect": told["verdict"] == "effect",
+        "said_unknown": told["verdict"] == "unknown",
+        "confidently_wrong": told["verdict"] == "effect" and any(one["effect"] not in true for one in sure),
+        "sure": [(one["effect"], one["confidence"], one["effect"] in true) for one in causes if one["found"]],
+        "shrink": ladder[-1]["shrink"] if len(ladder) > 2 else None,
+        "seconds": told.get("seconds"),
+    }
+
+
+def _share(rows: list[dict[str, Any]], what: str) -> float | None:
+    return round(float(np.mean([row[what] for row in rows])), 3) if rows else None
+
+
+def _median(values: list[float | None]) -> float | None:
+    there = [one for one in values if one is not None]
+    return round(float(np.median(there)), 4) if there else None
+
+
+def _calibration(rows: list[dict[str, Any]]) -> float | None:
+    """Expected calibration error of the confidences of what was found."""
+    pairs = [(confidence, right) for row in rows for _, confidence, right in row["sure"]]
+    if not pairs:
+        return None
+    confidence, right = (np.array(one, float) for one in zip(*pairs, strict=True))
+    place = np.minimum((confidence * BINS).astype(int), BINS - 1)
+    off = [abs(confidence[place == k].mean() - right[place == k].mean()) * np.mean(place == k) for k in set(place)]
+    return round(float(np.sum(off)), 4)
+
+
+def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """What was answered for each effect that was there alone, for none, and for what lies outside."""
+    table: dict[str, Counter[str]] = {}
+    for row in rows:
+        if row["kind"] == "compound":
+            continue
+        said = row["found"][0] if row["verdict"] == "effect" and row["found"] else row["verdict"]
+        table.setdefault(row["true"][0] if row["true"] else "none", Counter())[said] += 1
+    return {name: dict(counts) for name, counts in sorted(table.items())}
+
+
+def read_answers(folder: Path) -> dict[str, dict[str, Any]]:
+    """The answers that are there."""
+    found = {}
+    for path in sorted(folder.glob("*/diagnosis.json")):
+        found[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
+    return found

@@ -1,0 +1,204 @@
+"""The diagnosis from end to end, and what it rests on: coverage, places, floors, scores."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sound_log import DRIVE, RATE, logged, two_sines
+
+from diffdrive.drive_file import read_drive, write_drive
+from diffdrive.effects.forces import ConstantForce
+from diffdrive.errors import ParameterError
+from diffdrive.logs import write_log
+from experiments.diagnose import diagnose_logs
+from experiments.withheld.score import score
+from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.candidates import setting
+from tuning.diagnosis.coverage import shortcomings
+from tuning.diagnosis.diagnose import diagnose, logged_of, parameters
+from tuning.diagnosis.following import Course
+from tuning.diagnosis.gap import ForceGap
+from tuning.diagnosis.lines import lines_in_position, lines_in_time
+from tuning.diagnosis.where import localise
+
+OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+
+
+def log_of(*effects):
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
+    return logged(dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects)), two_sines())
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return diagnose(DRIVE.drive, DRIVE.controller, [log_of()])
+
+
+@pytest.fixture(scope="module")
+def tilted(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tilted")
+    write_log(folder / "lap.parquet", log_of(ConstantForce(6.0)))
+    write_drive(folder / "drive.toml", DRIVE)
+    told = diagnose_logs([folder / "lap.parquet"], folder / "drive.toml", folder / "out")
+    return folder / "out", told
+
+
+def test_a_sound_machine_has_no_effect_and_no_gap_beyond_its_floor(sound):
+    assert sound.verdict.verdict == "none"
+    recalibrated = sound.rungs[1]
+    assert recalibrated.force.rms == pytest.approx(sound.floor, rel=0.08)
+    assert recalibrated.loop.position_rms == pytest.approx(recalibrated.loop.position_floor, rel=0.2)
+    assert sound.rungs[0].force.rms > 1.5 * sound.floor  # as the engineer believes it, it is off
+
+
+def test_a_tilt_is_named_measured_and_closes_the_gap_on_what_was_held_out(tilted):
+    _, told = tilted
+    assert told["verdict"] == "effect"
+    cause = told["causes"][0]
+    assert (cause["effect"], cause["found"]) == ("constant_force", True)
+    assert cause["confidence"] > 0.9
+    assert cause["parameters"]["force"] == pytest.approx(6.0, abs=0.1)
+    low, high = cause["intervals"]["force"]
+    assert low < 6.0 < high
+    assert cause["gap_after"] < 1.02 * cause["gap_before"]  # asymmetry, moved far, hides a tilt in such a log
+    assert cause["gap_after"] < 1.1 * told["gap"]["noise_floor_force_N"]
+
+
+def test_what_is_written_can_be_read(tilted):
+    out, told = tilted
+    assert json.loads((out / "diagnosis.json").read_text())["verdict"] == told["verdict"]
+    page = (out / "report.html").read_text()
+    assert "constant_force" in page
+    assert "src='http" not in page
+    assert page.count("data:image/png;base64") >= 3
+    augmented = read_drive(out / "augmented.toml").drive
+    assert float(augmented.effects[0].force) == pytest.approx(6.0, abs=0.1)
+
+
+def test_an_effect_that_is_not_considered_is_not_named():
+    found = diagnose(
+        DRIVE.drive,
+        DRIVE.controller,
+        [log_of(ConstantForce(6.0))],
+        without=("constant_force", "friction_asymmetry", "position_spring"),
+    )
+    assert "constant_force" not in [one.effect for one in found.verdict.beliefs]
+    assert found.verdict.verdict == "unknown" or found.verdict.beliefs[0].confidence < 0.9
+
+
+def test_parameters_come_with_intervals_about_them(sound):
+    for belief in sound.verdict.beliefs:
+        for value, (low, high) in parameters(belief.fitted, len(belief.fitted.model.members) - 1).values():
+            assert np.all(np.asarray(low) <= np.asarray(value))
+            assert np.all(np.asarray(value) <= np.asarray(high))
+
+
+def test_a_drive_with_effects_is_refused():
+    drive = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(1.0),))
+    with pytest.raises(ParameterError, match="constant_force"):
+        logged_of(drive, [log_of()])
+
+
+def lacks_of(position, command=None):
+    """Shortcomings of a log of this position (m)."""
+    log = log_of()
+    n = len(position)
+    flat = dataclasses.replace(
+        log,
+        time=np.arange(n) / RATE,
+        position=position,
+        command=100.0 * np.sin(np.arange(n)) if command is None else command,
+        reference=position,
+        load=np.zeros(n),
+    )
+    at = logged_of(DRIVE.drive, [flat])
+    return [one.why for one in shortcomings(at, setting(at.drive, at.lanes, 1.0 / RATE))]
+
+
+def test_logs_that_cannot_tell_say_so():
+    time = np.arange(round(4.0 * RATE)) / RATE
+    assert lacks_of(0.02 * np.sin(3.0 * time)) == []
+    assert "travels" in lacks_of(1e-7 * np.sin(3.0 * time))[0]
+    one_way = lacks_of(0.02 * time)
+    assert any("one direction" in why for why in one_way)
+    assert any("one speed" in why for why in one_way)
+    assert any("limit" in why for why in lacks_of(0.02 * np.sin(3.0 * time), np.sign(np.sin(3.0 * time))))
+
+
+def gap_with(force, surprise, velocity, position):
+    """A gap as `localise` takes it, of one lane."""
+    course = Course(*(np.asarray(one)[None] for one in (position, velocity, 0 * velocity, 0 * velocity)))
+    return ForceGap(force[None], course, surprise[None], np.ones((1, len(force))))
+
+
+def test_the_place_of_a_gap_is_found_and_chance_is_not():
+    log = log_of()
+    lanes = logged_of(DRIVE.drive, [log]).lanes
+    time = np.arange(lanes.position.shape[1]) / RATE
+    position, velocity = 0.02 * np.sin(9.0 * time), 0.18 * np.cos(9.0 * time)
+    room = np.random.default_rng(0)
+    noise = room.standard_normal(len(time))
+    forwards = gap_with(noise, noise**2 * (velocity > 0), velocity, position)
+    found = {(one.dimension, one.region): one for one in localise(forwards, lanes, (0,), RATE)}
+    assert found["direction", "positive"].share == pytest.approx(1.0, abs=0.01)
+    assert found["direction", "positive"].p_value < 0.01
+    even = gap_with(noise, noise**2, velocity, position)
+    found = {(one.dimension, one.region): one for one in localise(even, lanes, (0,), RATE)}
+    assert found["direction", "positive"].p_value > 0.01
+    assert found["direction", "positive"].share == pytest.approx(0.5, abs=0.05)
+
+
+def test_lines_in_time_and_in_position_are_told_apart():
+    time = np.arange(20_000) / 2000.0
+    position = 0.03 * np.sin(0.8 * time) + 0.004 * np.sin(7.1 * time)
+    noise = np.random.default_rng(1).standard_normal(len(time))
+    in_place = noise + 2.0 * np.sin(2 * np.pi * position / 1.25e-3)
+    in_time = noise + 2.0 * np.sin(2 * np.pi * 61.0 * time)
+    counts = np.ones((1, len(time)))
+    best = lines_in_position(in_place[None], position[None], counts)[0]
+    assert best.value == pytest.approx(1.25e-3, rel=0.01)
+    assert best.p_value < 0.01
+    assert lines_in_position(noise[None], position[None], counts)[0].p_value > 1e-4
+    line = lines_in_time(in_time[None], 2000.0)[0]
+    assert line.value == pytest.approx(61.0, abs=0.1)
+    assert line.p_value < 1e-3
+
+
+def told_of(verdict, *found, confidence=0.9, others=()):
+    causes = [
+        {"effect": name, "found": True, "confidence": confidence, "indistinguishable_from": list(others)}
+        for name in found
+    ]
+    gap = {"recalibrated_force_rms_N": 5.0, "noise_floor_force_N": 1.0}
+    return {"verdict": verdict, "causes": causes, "gap": gap, "ladder": []}
+
+
+def test_the_scorecard_counts_what_it_says():
+    def truth(*names, outside=False):
+        return {"effects": [{"name": name, "size": 2.0, "outside": outside} for name in names]}
+
+    answers = {
+        "1": told_of("effect", "cogging"),
+        "2": told_of("effect", "lead_error", others=["cogging"]),
+        "3": told_of("effect", "cogging"),
+        "4": told_of("none"),
+        "5": told_of("unknown"),
+        "6": told_of("effect", "cogging", "backlash"),
+    }
+    key = {
+        "1": truth("cogging"),
+        "2": truth("cogging"),
+        "3": truth(),
+        "4": truth(),
+        "5": truth("chip", outside=True),
+        "6": truth("backlash", "cogging"),
+    }
+    card = score(answers, key)
+    assert (card["clear_single"], card["none"], card["outside"], card["compounds"]) == (2, 2, 1, 1)
+    assert (card["top1_clear"], card["declared_clear"]) == (0.5, 1.0)
+    assert (card["false_alarms"], card["unknown_recall"], card["both_found"]) == (0.5, 1.0, 1.0)
+    # of five causes at 0.9, three are right
+    assert card["calibration_error"] == pytest.approx(0.3)
