@@ -183,8 +183,8 @@ def _print(report: Report, found: Diagnosis, told: dict[str, Any]) -> None:
     report.say("\n4. How far does the gap shrink once it is added?")
     if len(found.rungs) > 2 and found.rungs[1].force.rms < HIDDEN * found.floor:
         report.say(
-            f"  Recalibration hides it: the gap is at its floor, but with a nominal parameter moved by "
-            f"{strain(found.explanation.base):.0f} standard deviations, against {strain(found.found):.1f} with the effect"
+            "  Recalibration hides it: the gap is at its floor, but with a nominal parameter moved by "
+            f"{strain(found.explanation.base):.0f} standard deviations, against {strain(found.found):.1f} with it"
         )
     elif len(found.rungs) > 2:
         share = _percent(found.rungs[1].force.rms, found.rungs[-1].force.rms, found.floor)
