@@ -202,7 +202,7 @@ def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
     )
 
 
-@partial(eqx.filter_jit)
+@eqx.filter_jit
 def _run(
     drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, told: Told, rate: float, kind: Kind
 ) -> Any:
