@@ -26,6 +26,7 @@ from tuning.diagnosis.search import Explanation, Progress, Round, explain, recal
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.fit import lanes_of, noise_floor, sampling_of
+from tuning.prediction import Lanes
 from tuning.replay import long_pieces
 
 SUBSTEP = 50e-6  # s
@@ -52,6 +53,23 @@ class Diagnosis:
         return self.explanation.best
 
 
+def _rounded(count: int) -> int:
+    """The next of lengths an eighth apart: logs of nearly the same length share their compiled programs."""
+    step = max(1, 2 ** (int(count - 1).bit_length() - 4))
+    return -(-count // step) * step
+
+
+def _padded(lanes: Lanes) -> Lanes:
+    """The lanes with samples that do not count at their ends."""
+    more = _rounded(lanes.position.shape[1]) - lanes.position.shape[1]
+    longer = {
+        name: jnp.pad(getattr(lanes, name), ((0, 0), (0, more)), mode="constant" if name == "counts" else "edge")
+        for name in Lanes._fields
+        if name != "velocity"
+    }
+    return Lanes(**longer, velocity=lanes.velocity)
+
+
 def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     """The logs as the diagnosis takes them."""
     if drive.effects:
@@ -64,7 +82,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     actuator = drive.actuator
     delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0))
     noise = jnp.asarray(noise_floor(drive, lanes))
-    return Logged(as_arrays(drive), delay, lanes, owner, noise, sampling_of(float(round(logs[0].rate, 6)), SUBSTEP))
+    sampling = sampling_of(float(round(logs[0].rate, 6)), SUBSTEP)
+    return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling)
 
 
 def diagnose(

@@ -153,7 +153,7 @@ class Fitter:
 
     def with_process(self, point: _Point, model: Model, processes: np.ndarray) -> _Point:
         """The same point under the likeliest of these process forces, its effects along its own track."""
-        processes = np.unique(np.clip(processes, LEAST, MOST), axis=0)
+        processes = np.clip(processes, LEAST, MOST)  # as many as were given: another number is another program
         loose, coupled = model.apart(model.effects(point.u))
         acting = exposed(self.logged, point.own, loose, point.onward)
         found = np.asarray(_deviances(point.drive, acting, coupled, jnp.asarray(processes), self.logged))
