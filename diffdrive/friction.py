@@ -104,6 +104,8 @@ def resisting_midway(
 ) -> tuple[Scalar, Scalar]:
     """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
     at = bristle_at(drive.friction, velocity, bristle, load)
-    half = slide(bristle, velocity, at.rate, 0.5 * step)
+    fade = decay(0.5 * at.rate * step)
+    shift = 0.5 * step * fade.mean * velocity
+    half = fade.end * bristle + shift
     force = friction_force(at, velocity, half) + drive.plant.damping.towards(velocity) * velocity
-    return force, slide(bristle, velocity, at.rate, step)
+    return force, fade.end * half + shift

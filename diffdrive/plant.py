@@ -10,8 +10,10 @@ bristle sits in its steady state; both limits, and everything between, are stabl
 (docs/numerics.md).
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -42,25 +44,64 @@ def _mean_velocity(
     return mean, fade
 
 
+def _first_slip(drive: Drive, state: PlantState, force: Scalar, load: Scalar, step: float) -> Scalar:
+    """The velocity at which the first substep takes the friction."""
+    return _mean_velocity(drive, state, state.velocity, force, load, step)[0]
+
+
+def _substep(
+    drive: Drive, state: PlantState, slip: Scalar, force: Scalar, load: Scalar, step: float
+) -> tuple[PlantState, Scalar]:
+    """The state, and the velocity at which the next substep takes the friction."""
+    mean, fade = _mean_velocity(drive, state, slip, force, load, step)
+    ahead = PlantState(
+        position=state.position + step * mean,
+        velocity=2.0 * mean - state.velocity,
+        bristle=fade.end * state.bristle + step * fade.mean * mean,
+    )
+    # the next midpoint velocity is extrapolated: second order without a second pass
+    return lax.optimization_barrier((ahead, 2.0 * ahead.velocity - mean))
+
+
 def advance(drive: Drive, state: PlantState, force: Scalar, load: Scalar, period: float, substeps: int) -> PlantState:
     """The state one `period` (s) later under a constant `force` (N) and applied `load` (N)."""
     step = period / substeps
 
-    def substep(carry: tuple[PlantState, Scalar], _: None) -> tuple[tuple[PlantState, Scalar], None]:
-        state, slip = carry
-        mean, fade = _mean_velocity(drive, state, slip, force, load, step)
-        ahead = PlantState(
-            position=state.position + step * mean,
-            velocity=2.0 * mean - state.velocity,
-            bristle=fade.end * state.bristle + step * fade.mean * mean,
-        )
-        # the next substep's midpoint velocity, extrapolated: second order without a second pass
-        carry = lax.optimization_barrier((ahead, 2.0 * ahead.velocity - mean))
-        return carry, None
+    def body(carry: tuple[PlantState, Scalar], _: None) -> tuple[tuple[PlantState, Scalar], None]:
+        return _substep(drive, *carry, force, load, step), None
 
-    slip, _ = _mean_velocity(drive, state, state.velocity, force, load, step)
-    (state, _), _ = lax.scan(substep, (state, slip), None, length=substeps)
-    return state
+    begin = (state, _first_slip(drive, state, force, load, step))
+    return lax.scan(body, begin, None, length=substeps)[0][0]
+
+
+def advance_along(
+    drive: Drive,
+    state: PlantState,
+    force: Scalar,
+    load: Scalar,
+    period: float,
+    substeps: int,
+    directions: Sequence[tuple[PlantState, Scalar]],
+) -> tuple[PlantState, list[PlantState]]:
+    """`advance`, and its derivatives along each of some directions of state and force.
+
+    All tangents are carried through one loop; the derivative of the loop would run it anew for each direction.
+    """
+    step = period / substeps
+
+    def along(function: Any, at: Any, tangents: Any) -> tuple[Any, Any]:
+        found = [jax.jvp(function, at, one) for one in tangents]  # the compiler computes the value once
+        return found[0][0], tuple(tangent for _, tangent in found)
+
+    def body(carry: Any, _: None) -> tuple[Any, None]:
+        at, tangents = carry
+        ahead = [(*tangent, push) for tangent, (_, push) in zip(tangents, directions, strict=True)]
+        return along(lambda *now: _substep(drive, *now, load, step), (*at, force), ahead), None
+
+    slip, slips = along(lambda *now: _first_slip(drive, *now, load, step), (state, force), directions)
+    tangents = tuple((tangent, one) for (tangent, _), one in zip(directions, slips, strict=True))
+    ((state, _), tangents), _ = lax.scan(body, ((state, slip), tangents), None, length=substeps)
+    return state, [tangent for tangent, _ in tangents]
 
 
 def at_rest(position: Scalar) -> PlantState:

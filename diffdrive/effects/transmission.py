@@ -20,10 +20,11 @@ from jax import lax
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swing
-from diffdrive.friction import resisting_midway
+from diffdrive.friction import coulomb, resisting_midway
 from diffdrive.parameters import Drive, Scalar, quantity
 
 LONGEST_SUBSTEP = 25e-6  # s
+REGAINED = 0.01  # s, in which an observer brings the motor to the side of the gap from which it pushes
 
 
 class Screw(NamedTuple):
@@ -116,13 +117,10 @@ class Backlash(TableEffect):
 
     def nudged(self, state: Any, lacking: Scalar, drive: Drive, period: float) -> Any:
         """The motor moved towards the side from which it would push so."""
-        level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
-            drive.friction.initial_load
-        )
+        level = coulomb(drive.friction, 1.0, 0.0)
         stiffness = (
             self.motor_share * (1.0 - self.motor_share) * drive.plant.mass * (2.0 * jnp.pi * self.frequency) ** 2
         )
-        T = 0.01
-        moved = period / T * lacking / level * (self.gap + level / stiffness)
+        moved = period / REGAINED * lacking / level * (self.gap + level / stiffness)
         q = state.against
         return state._replace(against=q._replace(deflection=q.deflection + moved))

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.effects.acting import Effects
+from diffdrive.friction import coulomb
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
@@ -21,12 +22,14 @@ from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Exposure, Process, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine
+from tuning.diagnosis.segments import begin_velocity
 from tuning.evolution import Budget, evolve
 from tuning.prediction import Lanes
 
-STRETCHES, LENGTH, LEAD = 12, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
+STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
 SAMPLE, SIMULATIONS, POPULATION = 256, 1000, 3  # at first, in all; members per number searched
+PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 WHITE = 0.1  # of it
 
@@ -70,22 +73,20 @@ def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stret
     signals = {name: piece(getattr(logged.lanes, name)) for name in Lanes._fields if name != "velocity"}
     settled = jnp.asarray((np.arange(length) >= lead).astype(float))
     signals["counts"] = signals["counts"] * settled
-    few = max(5, round(5e-3 * rate))
-    time = np.arange(few) / rate
-    velocity = [np.polyfit(time, np.asarray(one)[:few], 1)[0] for one in signals["position"]]
-    lanes = Lanes(**signals, velocity=jnp.asarray(np.array(velocity)))
+    lanes = Lanes(**signals, velocity=begin_velocity(signals["position"], rate))
     return Stretches(lanes, Exposure(*map(piece, under)), tuple(logged.owner[lane] for lane, _ in begins))
 
 
 @eqx.filter_jit
 def _deviances(
-    drive: Drive, stretches: Stretches, coupled: Effects, processes: Float[Array, "s 2"], logged: Logged
+    drive: Drive, stretches: Stretches, coupled: Effects, push: Float[Array, " s"], process: Any, logged: Logged
 ) -> Float[Array, " s"]:
-    def one(coupled: Effects, process: Float[Array, " 2"]) -> Float[Array, ""]:
+    def one(coupled: Effects, push: Float[Array, ""], process: Float[Array, " 2"]) -> Float[Array, ""]:
         given = (Process(*process), logged.noise, stretches.lanes, logged.sampling)
-        return follow(drive, stretches.under, coupled, *given).deviance
+        pushed = stretches.under._replace(force=stretches.under.force + push)
+        return follow(drive, pushed, coupled, *given).deviance
 
-    return jax.vmap(one)(coupled, processes)
+    return jax.vmap(one)(coupled, push, process)
 
 
 def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> dict[str, Vector]:
@@ -95,7 +96,7 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> di
     loose, others = fitted.model.apart(effects)
     own, drive = machine(logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
     stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), telling(fitted))
-    free = candidate.parameters
+    free, level = candidate.parameters, float(coulomb(drive.friction, 1.0, 0.0))
 
     def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:
         found = {one.name: one.value(2 * REACH * (at - 0.5)) for one, at in zip(free, share, strict=False)}
@@ -110,9 +111,10 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> di
         stacked = [(*there, in_stretches(share)) for share in shares]
         lasting = PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[:, -1]
         processes = jnp.asarray(np.stack([lasting, WHITE * lasting], axis=1))
+        push = jnp.asarray(PUSH * level * (2.0 * shares[:, -2] - 1.0))
         members = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
-        return np.asarray(_deviances(drive, stretches, members, processes, logged))
+        return np.asarray(_deviances(drive, stretches, members, push, processes, logged))
 
     budget = Budget(SIMULATIONS, np.inf, -np.inf)
-    found = evolve(costs, np.full(len(free) + 1, 0.5), budget, population=POPULATION, sample=SAMPLE)
+    found = evolve(costs, np.full(len(free) + 2, 0.5), budget, population=POPULATION, sample=SAMPLE)
     return values(found.share)

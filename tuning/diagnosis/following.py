@@ -23,8 +23,10 @@ from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.effects import acting
 from diffdrive.effects.base import Effect, Seen
+from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
+from tuning.diagnosis.segments import begin_velocity, segments
 from tuning.prediction import Lanes, delayed, moving
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
@@ -125,12 +127,6 @@ def exposure(
     return lax.map(lambda both: one(*both), (lanes, course, effects))
 
 
-def _along(function: Any, at: Any, directions: Any) -> list[Any]:
-    """The value of a function and its derivatives in several directions."""
-    value, first = jax.jvp(function, at, directions[0])
-    return [value, first, *(jax.jvp(function, at, one)[1] for one in directions[1:])]
-
-
 def follow(
     drive: Drive,
     under: Exposure,
@@ -150,10 +146,7 @@ def follow(
     jolt = (process.white * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
-    level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
-        drive.friction.initial_load
-    )
-    loose = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
+    loose = 0.5 * coulomb(drive.friction, 1.0, 0.0) / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
     spread = (measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)
     again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
 
@@ -182,28 +175,37 @@ def follow(
             acts = Exposure(*(a + b for a, b in zip(acts, (*more, 0.0, 0.0), strict=True)))
             machine = acting.bent(drive, acts)
 
-        def period(velocity: Scalar, deflection: Scalar, lacking: Scalar) -> plant.PlantState:
-            table = plant.PlantState(jnp.zeros_like(velocity), velocity, deflection)
-            force = acts.force + lacking
-            return plant.advance(machine, table, force, load, sampling.period, sampling.plant_steps)
-
-        ones = [tuple(1.0 * (i == j) * jnp.ones_like(velocity) for j in range(3)) for i in range(3)]
-        moved, *columns = _along(period, (velocity, deflection, lacking), ones)
+        one, nil = jnp.ones_like(velocity), jnp.zeros_like(velocity)
+        ways = [(plant.PlantState(nil, one, nil), nil), (plant.PlantState(nil, nil, one), nil)]
+        ways.append((plant.PlantState(nil, nil, nil), one))
+        table, force = plant.PlantState(nil, velocity, deflection), acts.force + lacking
+        step = (sampling.period, sampling.plant_steps)
+        moved, columns = plant.advance_along(machine, table, force, load, *step, ways)
         rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
         return (ahead, covariance, effects), (*state, resisting, jnp.sqrt(doubt), innovation, scatter, pull)
 
-    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...]) -> Any:
+    pieces = segments(lanes.position.shape[1], sampling.rate)
+    time = jnp.asarray(pieces.samples * sampling.period)
+
+    def segment(lane: Lanes, acts: Exposure, time: Any, coupled: tuple[Effect, ...]) -> Any:
         table = moving(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
         effects = acting.at_rest(coupled, acts.force[0])
-        time = jnp.arange(len(lane.position), dtype=acts.force.dtype) * sampling.period
 
         def step(carry: Any, at: Any) -> Any:
             return body(carry, (*at, coupled))
 
         return lax.scan(step, (begin, diagonal(spread), effects), (lane.position, lane.load, acts, time))[1]
+
+    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...]) -> Any:
+        cut = {name: pieces.cut(getattr(lane, name)) for name in Lanes._fields if name != "velocity"}
+        velocity = begin_velocity(cut["position"], sampling.rate).at[0].set(lane.velocity)
+        found = jax.vmap(segment, (0, 0, 0, None))(
+            Lanes(**cut, velocity=velocity), Exposure(*map(pieces.cut, acts)), time, coupled
+        )
+        return jax.tree.map(pieces.joined, found)
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled))
     position, velocity, bristle, lacking, friction, doubt, innovation, scatter, pull = found

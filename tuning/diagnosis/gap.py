@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
+from diffdrive.friction import coulomb
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
@@ -66,9 +67,7 @@ class ForceGap(NamedTuple):
 
 def comparing(drive: Drive) -> Float[np.ndarray, " 2"]:
     """The process forces (N) of the filter that compares models."""
-    friction = drive.friction
-    level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
-    return np.array([TRUSTED * level, LEAST])
+    return np.array([TRUSTED * float(coulomb(drive.friction, 1.0, 0.0)), LEAST])
 
 
 def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, "lanes n"]:

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import jax.numpy as jnp
 import numpy as np
 
+from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
@@ -124,9 +125,7 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
 
     A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much.
     """
-    friction = fitted.own.friction
-    level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
-    least = np.minimum(fitted.process, RELEVANT * level)
+    least = np.minimum(fitted.process, RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0)))
     none = fitter.at(fitted.model, fitted.u, least, fitted.track.course)
     return none.cost - fitted.cost
 
