@@ -276,15 +276,23 @@ def withheld(
     out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
     cases: Annotated[int, typer.Option(min=1, help="How many machines.")] = 120,
     seed: Annotated[int, typer.Option(help="Seed of the machines.")] = 0,
+    bench: Annotated[
+        Path | None,
+        typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
+    ] = None,
 ) -> None:
     """Check the diagnosis on machines with an effect that it is not told.
 
     The machines are integrated by numerics of their own, their parameters are up to 3 % off nominal, and the effects
     are drawn at random: none, one of the catalogue, two, or one from outside it. Takes a minute or two a machine.
     """
+    from experiments.withheld.study import examined
     from experiments.withheld.study import withheld as run
 
-    run(out, cases, seed)
+    if bench is None:
+        run(out, cases, seed)
+    else:
+        examined(out, bench, bench / "key.json")
 
 
 @app.command()

@@ -1,6 +1,6 @@
 """The diagnosis of every case in a folder, in a process of its own that knows neither key nor seed.
 
-    python -m experiments.withheld.answer FOLDER [--without-each]
+    python -m experiments.withheld.answer FOLDER OUT
 
 Cases that have an answer are left alone, so that an interrupted run goes on.
 """
@@ -25,20 +25,20 @@ UNASKED = Experiment("", [], 0.0, "not asked")
 def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     """What the diagnosis says of one case."""
     description = read_drive(place / "drive.toml")
-    paths = [place / "log-a.parquet", place / "log-b.parquet"]
-    logs = read_logs(paths, description.mapping, description.sampling.rate)
+    logs = read_logs(sorted(place.glob("log-*.parquet")), description.mapping, description.sampling.rate)
     began = time.perf_counter()
     found = diagnose(description.drive, description.controller, logs, without=without)
     told: dict[str, Any] = plain(as_json(found, UNASKED))
     return told | {"seconds": round(time.perf_counter() - began, 1)}
 
 
-def main(folder: Path) -> None:
-    """Answer every case that has no answer yet."""
+def main(folder: Path, out: Path) -> None:
+    """Answer every case of `folder` that has no answer in `out` yet."""
     for place in sorted(one for one in folder.iterdir() if (one / "drive.toml").exists()):
-        path = place / "diagnosis.json"
+        path = out / place.name / "diagnosis.json"
         if path.exists():
             continue
+        path.parent.mkdir(parents=True, exist_ok=True)
         try:
             told = answer(place)
         except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
@@ -50,4 +50,4 @@ def main(folder: Path) -> None:
 if __name__ == "__main__":
     configure()
     keep_compiled()
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

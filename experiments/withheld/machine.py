@@ -22,7 +22,6 @@ from jaxtyping import Array, Float
 from diffdrive.parameters import Drive, Scalar, as_arrays
 
 TOLERANCE = 1e-8
-SCALES = 1e-12  # m, absolute; velocities and the rest in proportion to their own scales
 ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the longest
 LONGEST_DELAY = 8
 MOST_STEPS = 20_000  # of a control period

@@ -126,3 +126,13 @@ def read_answers(folder: Path) -> dict[str, dict[str, Any]]:
     for path in sorted(folder.glob("*/diagnosis.json")):
         found[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
     return found
+
+
+def read_key(path: Path) -> dict[str, dict[str, Any]]:
+    """A key file; where the sizes of the effects are not said, whether they are clear."""
+    opened: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+    for case in opened.values():
+        for one in case["effects"]:
+            one.setdefault("outside", case.get("kind") == "unknown")
+            one.setdefault("size", CLEAR if case.get("visibility") == "clear" else 0.0)
+    return opened

@@ -43,6 +43,7 @@ class Candidate(NamedTuple):
     parameters: tuple[Parameter, ...]
     grid: tuple[dict[str, float], ...] = ({},)
     coupled: bool = False  # it acts by the table's velocity and friction, and these by it
+    searched: bool = False  # its cost is steep near the truth and flat elsewhere: no slope leads there
 
     @property
     def name(self) -> str:
@@ -270,6 +271,7 @@ def _compliance(at: Setting) -> Candidate:
             _positive("table_friction", 0.5, 0.5),
         ),
         coupled=True,
+        searched=True,
     )
 
 
@@ -284,6 +286,7 @@ def _backlash(at: Setting) -> Candidate:
             _positive("table_friction", 0.5, 0.5),
         ),
         coupled=True,
+        searched=True,
     )
 
 

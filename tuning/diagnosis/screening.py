@@ -126,8 +126,8 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     model = joined(fitted.model, candidate)
     first = not fitted.model.members
     before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
-    points = [evolved(fitted, model, candidate, before)] if candidate.coupled else looked_for(fitted, candidate)
-    starts = [before, fitted.u] if first and not candidate.coupled else [before]
+    points = [evolved(fitted, model, candidate, before)] if candidate.searched else looked_for(fitted, candidate)
+    starts = [before, fitted.u] if first and not candidate.searched else [before]
     found = []
     for values in points:
         for calibration in starts:

@@ -24,6 +24,7 @@ THREADS = 2
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
+SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that another effect must bring
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 LACKING = 30.0  # of cost
@@ -94,11 +95,24 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
 
 
 def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Round:
-    """One more effect."""
+    """One more effect; those that have to be searched for only where the others leave something to explain."""
     there = {member.candidate.name for member in before.model.members}
     left = [one for one in catalogue if one.name not in there]
+    screened, fits = _race(fitter, before, [one for one in left if not one.searched], progress)
+    settled = fits and before.evidence - fits[0].evidence > SETTLED and explained(fitter, fits[0])
+    if not settled:
+        more = _race(fitter, before, [one for one in left if one.searched], progress)
+        screened, fits = screened + more[0], fits + more[1]
+    by_evidence = sorted(fits, key=lambda one: one.evidence)
+    return Round(before, sorted(screened, key=lambda one: -one.evidence), by_evidence)
+
+
+def _race(
+    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress
+) -> tuple[list[Screened], list[Fitted]]:
+    """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
     screened = _in_parallel(
-        lambda one: _screened(fitter, before, one), left, lambda k: progress("screening", k, len(left))
+        lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
     promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
@@ -116,8 +130,7 @@ def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progres
         ahead,
         lambda k: progress("fitting", len(promising) + k, len(promising) + len(ahead)),
     )
-    fits = [*ended, *begun[len(ahead) :]]
-    return Round(before, screened, sorted(fits, key=lambda one: one.evidence))
+    return screened, sorted([*ended, *begun[len(ahead) :]], key=lambda one: one.evidence)
 
 
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
@@ -134,6 +147,11 @@ def lost_samples(fitted: Fitted) -> int:
     """At how many samples the filter was lost."""
     ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
     return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
+
+
+def explained(fitter: Fitter, fitted: Fitted) -> bool:
+    """Whether nothing is missing, and no nominal parameter had to move far for it."""
+    return lacking(fitter, fitted) < LACKING and not lost_samples(fitted) and strain(fitted) < STRAINED
 
 
 def strain(fitted: Fitted) -> float:
@@ -154,6 +172,6 @@ def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progre
         if not found.fits or best.evidence - found.fits[0].evidence < WORTH:
             break
         best = found.fits[0]
-        if lacking(fitter, best) < LACKING and strain(best) < STRAINED:
+        if explained(fitter, best):
             break
     return Explanation(base, rounds, best)
