@@ -10,6 +10,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from experiments.cli_options import Believed, Columns, DriveFile, Loads, Logs, Out, Units
+from experiments.cli_studies import studies
 from experiments.runtime import configure, keep_compiled
 
 app = typer.Typer(
@@ -22,10 +24,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-DriveFile = Annotated[Path, typer.Argument(help="Drive file (TOML); `diffdrive template` prints one.")]
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Folder for figures, tables and result.json; made if it does not exist.")
-]
 MotionText = Annotated[
     str,
     typer.Option(
@@ -161,38 +159,13 @@ def tune(
         raise typer.Exit(3)
 
 
-@app.command("tuning-study")
-def tuning_study(
-    out: Out = None,
-    evaluations: Annotated[int, typer.Option(min=50, help="Of each derivative-free search.")] = 2550,
-    runs: Annotated[int, typer.Option(min=1, help="Of each derivative-free search.")] = 3,
-    starts: Annotated[int, typer.Option(min=1, help="Random starts of the gradient search.")] = 10,
-) -> None:
-    """The gradient tuner against CMA-ES, Nelder-Mead and random search on one compiled ensemble (docs/tuning.md).
-
-    Cost to come near the best against evaluations, time and number of parameters; random starts; held-out scenarios.
-    """
-    from experiments import tuning_study as study
-    from experiments.report import Report
-
-    with Report("gradient tuning against derivative-free searches", out) as report:
-        study.tuning_study(report, evaluations=evaluations, runs=runs, starts=starts)
-
-
 @app.command()
 def identify(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
-    ],
-    drive: Annotated[Path, typer.Option(help="Drive file: what is believed about the axis, and how its logs read.")],
+    logs: Logs,
+    drive: Believed,
     out: Out = None,
-    column: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
-    ] = None,
-    unit: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
-    ] = None,
+    column: Columns = None,
+    unit: Units = None,
     fix: Annotated[
         list[str] | None,
         typer.Option(help="A parameter, as the drive file calls it, that stays as believed; repeatable."),
@@ -200,12 +173,7 @@ def identify(
     bound: Annotated[
         list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
     ] = None,
-    load: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable."
-        ),
-    ] = None,
+    load: Loads = None,
     starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the inverse dynamics' answer.")] = 6,
     seed: Annotated[int, typer.Option(help="Seed of the other starts.")] = 0,
     held_out: Annotated[
@@ -234,27 +202,24 @@ def identify(
 
 @app.command()
 def diagnose(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
-    ],
-    drive: Annotated[Path, typer.Option(help="Drive file: what is believed about the axis, and how its logs read.")],
+    logs: Logs,
+    drive: Believed,
     out: Out = None,
-    column: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
-    ] = None,
-    unit: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
-    ] = None,
-    load: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable."
-        ),
-    ] = None,
+    column: Columns = None,
+    unit: Units = None,
+    load: Loads = None,
     without: Annotated[
         list[str] | None, typer.Option(help="An effect of the catalogue that is not to be considered; repeatable.")
     ] = None,
+    most_effects: Annotated[int, typer.Option(min=1, max=4, help="How many effects at once, at most.")] = 2,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            min=1e-4,
+            max=1.0,
+            help="How well the drive file is known: 0.02 is right to 2 %, give or take (a standard deviation).",
+        ),
+    ] = 0.02,
 ) -> None:
     """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
 
@@ -267,32 +232,9 @@ def diagnose(
     from experiments.diagnose import diagnose_logs
 
     diagnose_logs(
-        logs, drive, out, columns=column or (), units=unit or (), loads=load or (), without=without or ()
+        logs, drive, out, columns=column or (), units=unit or (), loads=load or (), without=without or (),
+        most_effects=most_effects, tolerance=tolerance,
     )  # fmt: skip
-
-
-@app.command()
-def withheld(
-    out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
-    cases: Annotated[int, typer.Option(min=1, help="How many machines.")] = 120,
-    seed: Annotated[int, typer.Option(help="Seed of the machines.")] = 0,
-    bench: Annotated[
-        Path | None,
-        typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
-    ] = None,
-) -> None:
-    """Check the diagnosis on machines with an effect that it is not told.
-
-    The machines are integrated by numerics of their own, their parameters are up to 3 % off nominal, and the effects
-    are drawn at random: none, one of the catalogue, two, or one from outside it. Takes a minute or two a machine.
-    """
-    from experiments.withheld.study import examined
-    from experiments.withheld.study import withheld as run
-
-    if bench is None:
-        run(out, cases, seed)
-    else:
-        examined(out, bench, bench / "key.json")
 
 
 @app.command()
@@ -313,92 +255,6 @@ def sweep(
 
     if not sweep_drive(drive, motion, lanes, max_load, spread, settle, seed, out):
         raise typer.Exit(3)
-
-
-@app.command()
-def convergence(
-    drive: DriveFile,
-    speeds: Annotated[str, typer.Option(help="Speeds, separated by ;")] = "1;3;10;15;20;40;100 mm/s",
-    out: Out = None,
-) -> None:
-    """Say at which speeds the load estimator of the paper's eq. (20) converges, and how fast; code 3 if not at all.
-
-    The drive file's controller must be of kind "pd+fc+le".
-    """
-    from experiments.single import convergence_table
-
-    if not convergence_table(drive, speeds, out):
-        raise typer.Exit(3)
-
-
-@app.command()
-def reproduce(out: Out = None) -> None:
-    """The paper's Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, ours beside theirs, with every assumption."""
-    from experiments.reproduce import reproduce as run
-
-    run(out)
-
-
-@app.command()
-def benchmark(out: Out = None) -> None:
-    """Time the loop: lanes, recording and gradients, as ratios in one run."""
-    from experiments.benchmark import benchmark as run
-
-    run(out)
-
-
-@app.command()
-def emps(
-    data: Annotated[
-        Path | None, typer.Option(help="Folder of the benchmark's .mat files; by default that beside the checkout.")
-    ] = None,
-    out: Out = None,
-) -> None:
-    """The EMPS benchmark, a real axis: log checks, inverse dynamics, identification and replay, beside its figures.
-
-    Fits the estimation file only; the pulse file is held out. Takes a minute or two.
-    """
-    from experiments.emps_study import emps_study
-    from experiments.report import Report
-
-    with Report("EMPS: what can be learnt from a real axis", out) as report:
-        emps_study(report, data)
-
-
-@app.command()
-def evolution(
-    data: Annotated[
-        Path | None, typer.Option(help="Folder of the EMPS files; by default that beside the checkout.")
-    ] = None,
-    synthetic: Annotated[bool, typer.Option(help="A simulated log in place of the EMPS estimation file.")] = False,
-    seconds: Annotated[float, typer.Option(min=1.0, help="The most that one evolution may take.")] = 300.0,
-    runs: Annotated[int, typer.Option(min=1, max=20, help="How often both searches run, by turns.")] = 3,
-    out: Out = None,
-) -> None:
-    """Gradient search against differential evolution on one identification problem: what equal quality costs.
-
-    Then the paper's route beside them: Stribeck curve first, bristle after. Takes some minutes.
-    """
-    from experiments.evolution_study import emps_case, evolution_study, synthetic_case
-    from experiments.report import Report
-
-    with Report("Gradient search against differential evolution", out) as report:
-        evolution_study(report, synthetic_case() if synthetic else emps_case(data), seconds=seconds, runs=runs)
-
-
-@app.command()
-def recovery(
-    out: Annotated[Path, typer.Option(help="Folder; a study that was interrupted goes on from what is in it.")],
-    draws: Annotated[int, typer.Option(min=1, help="How many random drives.")] = 200,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one per core.")] = None,
-) -> None:
-    """How well identification recovers known drives, and whether its intervals hold the truth.
-
-    A drive takes some 20 s of one core.
-    """
-    from experiments.recovery import study
-
-    study(out, draws, workers)
 
 
 @app.command()
@@ -434,6 +290,9 @@ def _plain_warning(error: Console) -> Callable[..., None]:
         error.print(f"warning: {message}", markup=False, style="yellow", soft_wrap=True)
 
     return show
+
+
+app.add_typer(studies)
 
 
 def main() -> None:

@@ -16,11 +16,12 @@ from experiments.checked_logs import parse_loads, read_checked
 from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page
 from experiments.report import Report, plain
+from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.diagnose import Diagnosis, diagnose, parameters
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
-from tuning.diagnosis.search import strain
+from tuning.diagnosis.search import MOST_EFFECTS, strain
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT
 
@@ -37,6 +38,8 @@ def diagnose_logs(
     units: Sequence[str] = (),
     loads: Sequence[str] = (),
     without: Sequence[str] = (),
+    most_effects: int = MOST_EFFECTS,
+    tolerance: float = TOLERANCE,
 ) -> dict[str, Any]:
     """`diffdrive diagnose`; returns what diagnosis.json holds.
 
@@ -53,7 +56,10 @@ def diagnose_logs(
             paths, description, report, name="findings", force=True, loads=parse_loads(loads, list(paths))
         )
         with report.stages() as progress:
-            found = diagnose(description.drive, description.controller, logs, without=without, progress=progress)
+            found = diagnose(
+                description.drive, description.controller, logs,
+                without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
+            )  # fmt: skip
         with report.working("looking for the motion that would decide"):
             offer = next_experiment(found, description)
         told = as_json(found, offer)
@@ -108,6 +114,8 @@ def _cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
         "effect": belief.effect,
         "confidence": belief.confidence,
         "found": belief.found,
+        "round": belief.round + 1,
+        "evidence": belief.gain,
         "parameters": {name: value for name, (value, _) in numbers.items()},
         "intervals": {name: interval for name, (_, interval) in numbers.items()},
         "units": {name: units[name] for name in numbers},
@@ -128,6 +136,7 @@ def _rung(rung: Rung) -> dict[str, Any]:
         "shrink_interval": rung.shrink[1:],
         "position_rms_m": loop and loop.position_rms,
         "command_rms_N": loop and loop.command_rms,
+        "deviance": rung.deviance,
     }
 
 

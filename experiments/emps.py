@@ -11,6 +11,7 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.logs import Log, Mapping, read_log
 from diffdrive.motion import Limits
 from diffdrive.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor
+from experiments.data_folder import beside
 
 FILES = {"estimation": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 COLUMNS = {"time": "t", "reference": "qg", "position": "qm", "command": "vir"}
@@ -30,11 +31,7 @@ class Record(NamedTuple):
 
 def find_folder() -> Path | None:
     """The EMPS data beside this checkout or the working folder, or None."""
-    for beside in (Path.cwd(), Path(__file__).resolve().parent.parent):
-        folder = beside.parent / "shared" / "data" / "emps"
-        if (folder / FILES["estimation"]).is_file():
-            return folder
-    return None
+    return beside("emps", FILES["estimation"])
 
 
 def read(path: Path, *, newtons: bool = True) -> Record:

@@ -4,24 +4,33 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from diffdrive.effects.acting import bent
+from diffdrive.effects.base import Acts
 from diffdrive.friction import bristle_at, friction_force, slide
 from diffdrive.parameters import Drive, Scalar
 
 
 def friction_along(
-    drive: Drive, velocity: Float[Array, " n"], load: Float[Array, " n"], period: Scalar
+    drive: Drive,
+    velocity: Float[Array, " n"],
+    load: Float[Array, " n"],
+    period: Scalar,
+    acts: Acts | None = None,
 ) -> Float[Array, " n"]:
     """Friction and damping (N) at these velocities (m/s) and loads (N), the bristle relaxed at the start.
 
-    Between two samples, `period` (s) apart, the bristle moves at their mean velocity.
+    Between two samples, `period` (s) apart, the bristle moves at their mean velocity. `acts`, [n] each, bend the
+    friction.
     """
 
-    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-        now, ahead, applied = at
-        force = friction_force(bristle_at(drive.friction, now, deflection, applied), now, deflection)
+    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, Scalar]:
+        now, ahead, applied, acts = at
+        friction = bent(drive, acts).friction
+        force = friction_force(bristle_at(friction, now, deflection, applied), now, deflection)
         mean = 0.5 * (now + ahead)
-        rate = bristle_at(drive.friction, mean, deflection, applied).rate
+        rate = bristle_at(friction, mean, deflection, applied).rate
         return slide(deflection, mean, rate, period), force + drive.plant.damping.towards(now) * now
 
     ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
-    return lax.scan(body, jnp.zeros(()), (velocity, ahead, load))[1]
+    nothing = Acts(*(jnp.zeros_like(velocity) for _ in Acts._fields))
+    return lax.scan(body, jnp.zeros(()), (velocity, ahead, load, acts or nothing))[1]

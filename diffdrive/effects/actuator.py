@@ -61,7 +61,10 @@ class ActuatorLag(ActuatorEffect):
 
 
 class LoopDelay(ActuatorEffect):
-    """Dead time anywhere in the loop; a log does not tell where."""
+    """Dead time anywhere in the loop; a log does not tell where.
+
+    A diagnosis may find less than none: then it is the drive file that claims too much.
+    """
 
     name: ClassVar[str] = "loop_delay"
     delay: Scalar = quantity("1", "control periods", at_least=0.0, default=0.0)
@@ -73,7 +76,8 @@ class LoopDelay(ActuatorEffect):
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
         """What arrives over the period: one force, and from somewhere within the period the next."""
         forces = (force, *state)
-        late = [jnp.clip(1.0 - jnp.abs(self.delay - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
-        steps = [late[k] * late[k + 1] * (forces[k] - forces[k + 1]) for k in range(LONGEST_DELAY)]
-        mean = sum(share * one for share, one in zip(late, forces, strict=True))
+        late = jnp.maximum(self.delay, 0.0)
+        shares = [jnp.clip(1.0 - jnp.abs(late - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
+        steps = [shares[k] * shares[k + 1] * (forces[k] - forces[k + 1]) for k in range(LONGEST_DELAY)]
+        mean = sum(share * one for share, one in zip(shares, forces, strict=True))
         return forces[:-1], Push(mean, 6.0 * sum(steps))

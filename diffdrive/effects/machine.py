@@ -14,6 +14,10 @@ def _scaled(pair: Directional, logarithm: Scalar) -> Directional:
     return Directional(pair.positive * factor, pair.negative * factor)
 
 
+def _raised(pair: Directional, by: Scalar) -> Directional:
+    return Directional(pair.positive + by, pair.negative + by)
+
+
 class PayloadMass(MachineEffect):
     """Moving mass beyond the drive file's: a workpiece, a fixture."""
 
@@ -26,25 +30,26 @@ class PayloadMass(MachineEffect):
 
 
 class FrictionShape(MachineEffect, TableEffect):
-    """A Stribeck curve of another shape: its fall, its width, its viscous part, and that part curved in speed."""
+    """Another Stribeck curve: its level, its fall, its width, its viscous part, and that part curved in speed."""
 
     name: ClassVar[str] = "friction_shape"
     stribeck_velocity: Scalar = quantity("1", "logarithm of the factor on the Stribeck velocity", default=0.0)
     breakaway_gap: Scalar = quantity("1", "logarithm of the factor on the breakaway gap", default=0.0)
-    viscous: Scalar = quantity("1", "logarithm of the factor on viscous friction and damping", default=0.0)
+    coulomb: Scalar = quantity("N", "more Coulomb friction, in both directions", default=0.0)
+    viscous: Scalar = quantity("N*s/m", "more viscous friction, in both directions", default=0.0)
     curvature: Scalar = quantity("N*s^2/m^2", "growth of the viscous coefficient with speed", default=0.0)
 
     def alter(self, drive: Drive) -> Drive:
         """The drive with its curve bent."""
-        friction, plant = drive.friction, drive.plant
+        friction = drive.friction
         return dataclasses.replace(
             drive,
-            plant=dataclasses.replace(plant, damping=_scaled(plant.damping, self.viscous)),
             friction=dataclasses.replace(
                 friction,
+                coulomb_screw=_raised(friction.coulomb_screw, self.coulomb),
                 stribeck_velocity=_scaled(friction.stribeck_velocity, self.stribeck_velocity),
                 breakaway_gap=_scaled(friction.breakaway_gap, self.breakaway_gap),
-                viscous=_scaled(friction.viscous, self.viscous),
+                viscous=_raised(friction.viscous, self.viscous),
             ),
         )
 

@@ -16,6 +16,10 @@ from diffdrive.effects.base import Effect
 from diffdrive.parameters import Drive
 from tuning.prediction import Lanes
 
+LEAST = 0.05  # of the largest command: the scale of a friction that the drive file does not know
+SLIPPERY = 1e-6  # a load coefficient that is none
+SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
+
 
 class Parameter(NamedTuple):
     """A free parameter of an effect and its prior."""
@@ -60,9 +64,10 @@ class Setting(NamedTuple):
     """The scales of a machine and its logs that priors and grids rest on."""
 
     mass: float  # kg
-    friction: float  # N, Coulomb
+    friction: float  # N, Coulomb; a share of the command where the drive file knows next to none
     load_coefficient: float
     viscous: float  # N s/m
+    delay: float  # control periods, that the drive file claims
     bristle: float  # m, by which the bristle bends before it slides
     period: float  # s
     duration: float  # s
@@ -81,21 +86,25 @@ def setting(drive: Drive, lanes: Lanes, period: float) -> Setting:
     viscous = 0.5 * float(
         friction.viscous.positive + friction.viscous.negative + plant.damping.positive + plant.damping.negative
     )
+    actuator = drive.actuator
     counted = np.asarray(lanes.counts) > 0
+    command = float(np.abs(np.asarray(lanes.command)[counted]).max())
     position = np.asarray(lanes.position)
     speed = np.abs(np.diff(position, axis=1))[:, :: max(1, round(1e-3 / period))] / period
+    fastest = float(np.percentile(speed, 99))
     return Setting(
         mass=float(plant.mass),
-        friction=level,
-        load_coefficient=max(guide, 1e-6),
-        viscous=max(viscous, 1.0),
+        friction=max(level, LEAST * command),
+        load_coefficient=max(guide, SLIPPERY),
+        viscous=max(viscous, LEAST * command / max(fastest, 1e-4)),
+        delay=actuator.delay_samples + float(actuator.delay_fraction or 0.0),
         bristle=level / float(friction.bristle_stiffness.positive),
         period=period,
         duration=float(counted.sum(axis=1).max() * period),
         low=float(position[counted].min()),
         high=float(position[counted].max()),
-        speed=float(np.percentile(speed, 99)),
-        command=float(np.abs(np.asarray(lanes.command)[counted]).max()),
+        speed=fastest,
+        command=command,
     )
 
 
@@ -121,13 +130,16 @@ def _payload_mass(at: Setting) -> Candidate:
 
 def _friction_shape(at: Setting) -> Candidate:
     curve = 0.1 * at.viscous / max(at.speed, 1e-3)
+    # where the drive file knows how friction grows with load, more Coulomb friction is more load
+    level = () if at.load_coefficient > SLIPPERY else (_amplitude("coulomb", 0.2 * at.friction),)
     return Candidate(
         machine.FrictionShape,
         (
             _amplitude("stribeck_velocity", 0.3),
             _amplitude("breakaway_gap", 0.3),
-            _amplitude("viscous", 0.3),
+            _amplitude("viscous", 0.3 * at.viscous),
             _amplitude("curvature", curve),
+            *level,
         ),
     )
 
@@ -223,9 +235,8 @@ def _cogging(at: Setting) -> Candidate:
     force = 0.04 * at.friction
     names = ("cosine", "sine", "cosine2", "sine2", "cosine6", "sine6")
     shares = (1.0, 1.0, 0.4, 0.4, 0.4, 0.4)
-    stroke = at.high - at.low
-    count = int(np.clip(4.0 * stroke / 5e-4, 10, 400))
-    periods = 1.0 / np.linspace(1.0 / min(5e-3, max(stroke, 6e-4)), 1.0 / 5e-4, count)
+    # from a direct drive with many poles to a linear motor's magnets, where the stroke has two of them
+    periods = np.array([SHORTEST_COGGING, np.clip(0.5 * (at.high - at.low), 2.0 * SHORTEST_COGGING, LONGEST_COGGING)])
     return Candidate(
         forces.Cogging,
         (
@@ -311,7 +322,10 @@ def _actuator_lag(at: Setting) -> Candidate:
 
 
 def _loop_delay(at: Setting) -> Candidate:
-    return Candidate(actuator.LoopDelay, (_positive("delay", 1.0, 0.8),), _grid(delay=np.array([0.4, 1.1, 2.1, 4.1])))
+    less = [-at.delay, -0.5 * at.delay] if at.delay else []
+    return Candidate(
+        actuator.LoopDelay, (Parameter("delay", 0.0, 1.5),), _grid(delay=np.array([0.4, 1.1, 2.1, 4.1, *less]))
+    )
 
 
 def _lead_error(at: Setting) -> Candidate:

@@ -22,7 +22,7 @@ from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.model import Logged
-from tuning.diagnosis.search import Explanation, Progress, Round, explain, recalibrated
+from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.fit import lanes_of, noise_floor, sampling_of
@@ -31,6 +31,7 @@ from tuning.replay import long_pieces
 
 SUBSTEP = 50e-6  # s
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
+DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,14 @@ def diagnose(
     *,
     without: Sequence[str] = (),
     tolerance: float = TOLERANCE,
+    most_effects: int = MOST_EFFECTS,
     progress: Progress = lambda what, done, most: None,
 ) -> Diagnosis:
     """Find what a drive lacks to move as its logs do.
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
-    nominal parameter. Raises `LogError` for logs without a long enough piece, and `ParameterError` for a drive that has
-    effects already.
+    nominal parameter; `most_effects` is how many are looked for, one after the other. Raises `LogError` for logs
+    without a long enough piece, and `ParameterError` for a drive that has effects already.
     """
     logged = logged_of(drive, logs)
     fitter = Fitter(logged)
@@ -110,10 +112,11 @@ def diagnose(
     progress("recalibrating", 1, 1)
     open_loop = isinstance(controller, UnknownController) or logs[0].reference is None
     catalogue = [one for one in candidates(at) if one.name not in without]
-    found = explain(fitter, base, catalogue, progress)
+    found = explain(fitter, base, catalogue, progress, most_effects)
     verdict = _within(judge(fitter, found), lacks)
     progress("judging on held-out data", 0, 1)
     rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
+    verdict = _confirmed(verdict, rungs)
     gap = force_gap(fitter, base, base.model, base.u)
     where = localise(gap, logged.lanes, logged.owner, logged.sampling.rate)
     where = [*_subsystems(found), *_signals(rungs), *where]
@@ -126,6 +129,18 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
     if not lacks:
         return verdict
     says = "; ".join(f"{one.why}: {one.what} cannot be decided, log {one.motion}" for one in lacks)
+    beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
+    return Verdict("unknown", beliefs, verdict.unexplained, says)
+
+
+def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
+    """No sure cause that foresees the held-out logs worse than the recalibrated drive does."""
+    worse = rungs[-1].deviance - rungs[1].deviance
+    gained = sum(one.gain for one in verdict.beliefs if one.found)
+    if worse < max(WORTH, DENIED * gained):
+        return verdict
+    names = " and ".join(one.effect for one in verdict.beliefs if one.found)
+    says = f"{names} would explain the logs that were fitted, but foresees those held out worse than without"
     beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
     return Verdict("unknown", beliefs, verdict.unexplained, says)
 

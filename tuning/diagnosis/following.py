@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.effects import acting
+from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect, Seen
 from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
@@ -108,7 +109,8 @@ def exposure(
     period = sampling.period
 
     def one(lane: Lanes, course: Course, effects: tuple[Effect, ...]) -> Exposure:
-        asked = delayed(limited(drive.actuator, lane.command), delay)
+        early = [jnp.minimum(effect.delay, 0.0) for effect in effects if isinstance(effect, LoopDelay)]
+        asked = delayed(limited(drive.actuator, lane.command), jnp.maximum(delay + sum(early), 0.0))
 
         def step(states: Any, at: tuple[Scalar, ...]) -> tuple[Any, Exposure]:
             count, position, velocity, bristle, friction, force, pushed, load = at
@@ -146,7 +148,8 @@ def follow(
     jolt = (process.white * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
-    loose = 0.5 * coulomb(drive.friction, 1.0, 0.0) / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
+    level = coulomb(drive.friction, 1.0, 0.0)
+    loose = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
     spread = (measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)
     again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
 

@@ -17,13 +17,14 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.friction import coulomb
+from diffdrive.effects.actuator import LoopDelay
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
+from tuning.diagnosis.candidates import setting
 from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
-from tuning.diagnosis.model import Model, Vector
+from tuning.diagnosis.model import Logged, Model, Vector
 from tuning.replay import Given, begun, given
 
 TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
@@ -65,9 +66,9 @@ class ForceGap(NamedTuple):
         return squares[picks].sum(axis=1) / counts[picks].sum(axis=1)
 
 
-def comparing(drive: Drive) -> Float[np.ndarray, " 2"]:
+def comparing(logged: Logged) -> Float[np.ndarray, " 2"]:
     """The process forces (N) of the filter that compares models."""
-    return np.array([TRUSTED * float(coulomb(drive.friction, 1.0, 0.0)), LEAST])
+    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, LEAST])
 
 
 def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, "lanes n"]:
@@ -79,7 +80,7 @@ def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.nda
 
 def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector) -> ForceGap:
     """The force that a model lacks, its effects stepped along the track of `fitted`."""
-    process = comparing(fitter.logged.drive)
+    process = comparing(fitter.logged)
     track = fitter.at(model, u, process, fitted.track.course).track
     rate = fitter.logged.sampling.rate
     every = np.asarray(fitter.logged.lanes.counts)
@@ -104,7 +105,13 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
     """The drive of a fit as it was on one of the logs: with its effects, their parameters those of that log."""
     lane = fitted.model.logged.owner.index(log)
     effects = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
-    return dataclasses.replace(fitted.own, effects=effects)
+    early = [one for one in effects if isinstance(one, LoopDelay) and one.delay < 0]
+    late = float(fitted.model.logged.delay) + sum(float(one.delay) for one in early)
+    if early:  # less delay than the drive file claims
+        whole, part = divmod(max(late, 0.0), 1.0)
+        actuator = dataclasses.replace(fitted.own.actuator, delay_samples=int(whole), delay_fraction=part)
+        fitted = fitted._replace(own=dataclasses.replace(fitted.own, actuator=actuator))
+    return dataclasses.replace(fitted.own, effects=tuple(one for one in effects if one not in early))
 
 
 @eqx.filter_jit
@@ -167,7 +174,7 @@ def _told(track: Track, linear: Slopes, off: Any, period: float) -> Float[Array,
 def force_floor(fitter: Fitter, fitted: Fitted) -> float:
     """Root mean square (N) of the force that a model without a gap would seem to lack, from the measuring noise."""
     logged = fitter.logged
-    point = fitter.at(fitted.model, fitted.u, comparing(logged.drive), fitted.track.course)
+    point = fitter.at(fitted.model, fitted.u, comparing(logged), fitted.track.course)
     linear = slopes_of(point.drive, point.acting, point.track, logged.lanes, logged.sampling)
     noise = float(logged.noise) * np.sqrt(float(fitted.track.size))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.search import Explanation
@@ -30,6 +30,7 @@ class Rung(NamedTuple):
     interval: tuple[float, float]  # N
     shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
     loop: LoopGap | None
+    deviance: float  # -2 log probability of the held-out logs, up to a constant shared by the rungs
 
 
 class Split(NamedTuple):
@@ -84,6 +85,9 @@ def climb(
     drawn = [gap.drawn(rate) for gap in gaps]
     rungs = []
     for (name, one), gap, squares in zip(fits, gaps, drawn, strict=True):
+        foreseen = test.with_process(
+            test.at(one.model, one.u, one.process, one.track.course), one.model, one.process * NEAR
+        )
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         loop = None
@@ -92,5 +96,5 @@ def climb(
             noise = float(fitter.logged.noise)
             loop = loop_gap(drives, controller, [logs[log] for log in parts.logs], noise, fitter.logged.sampling)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
-        rungs.append(Rung(name, one, gap, gap.interval(rate), shrink, loop))
+        rungs.append(Rung(name, one, gap, gap.interval(rate), shrink, loop, foreseen.cost - float(one.u @ one.u)))
     return rungs, parts

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy import fft
 
 from diffdrive.effects.forces import Cogging, ProcessForce
 from tuning.diagnosis.candidates import Candidate
@@ -75,22 +76,18 @@ def lines_in_position(
     at = position[counts > 0]
     low, travel = float(at.min()), max(float(np.ptp(at)), 1e-9)
     longest = 0.5 * travel if longest is None else longest
-    waves = np.arange(1.0 / longest, 1.0 / shortest, 0.25 / travel)
+    bins = np.arange(max(1, round(4.0 * travel / longest)), round(4.0 * travel / shortest))
+    waves = bins / (4.0 * travel)
     if len(waves) < 4:
         return []
     # the signal summed over equal places, then a transform of that
-    edges = max(int(8 * travel / shortest), 16)
+    edges = fft.next_fast_len(max(int(8 * travel / shortest), 16), real=True)
     power = np.zeros(len(waves))
-    centres = low + (np.arange(edges) + 0.5) * travel / edges
     for one, where, there in zip(signal * counts, position, counts, strict=True):
         place = np.clip(((where - low) / travel * edges).astype(int), 0, edges - 1)
         number = np.bincount(place, there, edges)
-        held = np.bincount(place, one, edges) / np.maximum(
-            number, 1.0
-        )  # every place speaks once, however long the rest
-        for first in range(0, len(waves), 256):
-            phase = np.exp(-2j * np.pi * np.outer(waves[first : first + 256], centres))
-            power[first : first + 256] += np.abs(phase @ held) ** 2
+        held = np.bincount(place, one, edges) / np.maximum(number, 1.0)  # each place speaks once, however long the rest
+        power += np.abs(fft.rfft(held, 4 * edges)[bins]) ** 2
     energy = max(float(np.sum(signal**2 * counts)) * float(counts.sum()), 1e-300)
     found = []
     for k, p in _stand_out(power):

@@ -28,6 +28,8 @@ SETTLED = 200.0  # in evidence, of an effect that explains everything: no other 
 WORTH = 12.0  # in evidence, that another effect must bring
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 LACKING = 30.0  # of cost
+LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
+BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 MOST_EFFECTS = 2
 RELEVANT = 3e-4  # of the friction
 
@@ -94,12 +96,12 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
     return fitter.fit(model, begun.u, begun.process, begun.track.course, most)
 
 
-def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Round:
-    """One more effect; those that have to be searched for only where the others leave something to explain."""
+def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, little: float) -> Round:
+    """One more effect; those that have to be searched for only where the others leave more than `little`."""
     there = {member.candidate.name for member in before.model.members}
     left = [one for one in catalogue if one.name not in there]
     screened, fits = _race(fitter, before, [one for one in left if not one.searched], progress)
-    settled = fits and before.evidence - fits[0].evidence > SETTLED and explained(fitter, fits[0])
+    settled = fits and before.evidence - fits[0].evidence > SETTLED and explained(fitter, fits[0], little)
     if not settled:
         more = _race(fitter, before, [one for one in left if one.searched], progress)
         screened, fits = screened + more[0], fits + more[1]
@@ -149,9 +151,14 @@ def lost_samples(fitted: Fitted) -> int:
     return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
 
 
-def explained(fitter: Fitter, fitted: Fitted) -> bool:
-    """Whether nothing is missing, and no nominal parameter had to move far for it."""
-    return lacking(fitter, fitted) < LACKING and not lost_samples(fitted) and strain(fitted) < STRAINED
+def missing(fitter: Fitter, fitted: Fitted) -> float:
+    """What a fit leaves unexplained, of cost."""
+    return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
+
+
+def explained(fitter: Fitter, fitted: Fitted, little: float) -> bool:
+    """Whether no more than `little` is missing, and no nominal parameter had to move far for it."""
+    return missing(fitter, fitted) < little and strain(fitted) < STRAINED
 
 
 def strain(fitted: Fitted) -> float:
@@ -159,19 +166,22 @@ def strain(fitted: Fitted) -> float:
     return float(np.abs(fitted.u[: len(NAMES)]).max())
 
 
-def explain(fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress) -> Explanation:
-    """Effects one after the other, as long as another is worth it.
+def explain(
+    fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
+) -> Explanation:
+    """Effects one after the other, as long as another is worth it, up to `most`.
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
     """
     best, rounds = base, []
-    while len(rounds) < MOST_EFFECTS:
-        whole = lacking(fitter, best) < LACKING and not lost_samples(best)
-        found = look(fitter, best, [one for one in catalogue if one.relieves or not whole], progress)
+    little = max(LACKING, LEFT * missing(fitter, base))
+    while len(rounds) < most:
+        whole = missing(fitter, best) < little
+        found = look(fitter, best, [one for one in catalogue if one.relieves or not whole], progress, little)
         rounds.append(found)
         if not found.fits or best.evidence - found.fits[0].evidence < WORTH:
             break
         best = found.fits[0]
-        if explained(fitter, best):
+        if explained(fitter, best, little):
             break
     return Explanation(base, rounds, best)

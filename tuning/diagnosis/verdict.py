@@ -11,15 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.search import LACKING, WORTH, Explanation, Round, lacking, lost_samples
+from tuning.diagnosis.search import BLOWS, LACKING, LEFT, WORTH, Explanation, Round, missing
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
-LEFT = 0.02  # of what was missing: where more is left, something unknown is likelier than not
-ROUGHLY = 0.5  # the same for effects whose details differ from machine to machine
+ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from machine to machine
 SHARPNESS = 3.0  # by which factor more or less makes it sure
-BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 FEW_LOST = 3  # samples
 
 
@@ -30,6 +28,7 @@ class Belief(NamedTuple):
     confidence: float
     found: bool  # part of the explanation
     round: int  # in which it was looked for
+    gain: float  # in evidence, over what was known before that round
     fitted: Fitted
     alternatives: list[str]  # that these logs cannot exclude in its place
 
@@ -41,10 +40,6 @@ class Verdict(NamedTuple):
     beliefs: list[Belief]  # found effects first, then the surest
     unexplained: float  # share of the gap beyond the noise that nothing explains
     says: str
-
-
-def _missing(fitter: Fitter, fitted: Fitted) -> float:
-    return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
 
 
 def _probabilities(gains: Float[np.ndarray, " k"], unexplained: float) -> Float[np.ndarray, " k"]:
@@ -61,7 +56,15 @@ def _believed(looked: Round, number: int, unexplained: float, found: bool, certa
     names = [one.model.members[-1].candidate.name for one in looked.fits]
     close = [name for name, share in zip(names, shares, strict=True) if share > DECLARED * shares[0]]
     return [
-        Belief(name, float(certain * share), found and k == 0, number, one, [other for other in close if other != name])
+        Belief(
+            name,
+            float(certain * share),
+            found and k == 0,
+            number,
+            float(gains[k]),
+            one,
+            [other for other in close if other != name],
+        )
         for k, (name, share, one) in enumerate(zip(names, shares, looked.fits, strict=True))
     ]
 
@@ -70,14 +73,14 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
     effects = len(best.model.members)
-    before, after = _missing(fitter, base), _missing(fitter, best)
-    missing = before > LACKING + BLOWS * FEW_LOST
-    unexplained = float(np.clip(after / before, 0.0, 1.0)) if missing else 0.0
+    before, after = missing(fitter, base), missing(fitter, best)
+    lacks = before > LACKING + BLOWS * FEW_LOST
+    unexplained = float(np.clip(after / before, 0.0, 1.0)) if lacks else 0.0
     rough = any(member.candidate.coupled for member in best.model.members)
-    if rough and missing:
+    if rough and lacks:
         unexplained = min(unexplained, float(np.sum(best.process**2) / np.sum(base.process**2)))
     left = unexplained / (ROUGHLY if rough else LEFT)
-    known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if missing else 1.0
+    known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
@@ -87,7 +90,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         beliefs += _believed(looked, number, unexplained, number < effects, float(certain))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
-        if not missing:
+        if not lacks:
             says = "the recalibrated drive explains the logs to the noise: no effect is missing"
             return Verdict("none", beliefs, 0.0, says)
         says = "structure remains that no effect of the catalogue explains"

@@ -1,0 +1,156 @@
+"""The commands that measure the tool itself: studies, checks and benchmarks."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli_options import DriveFile, Out
+
+PANEL = "Studies of the tool itself"
+
+studies = typer.Typer()
+
+
+@studies.command("tuning-study", rich_help_panel=PANEL)
+def tuning_study(
+    out: Out = None,
+    evaluations: Annotated[int, typer.Option(min=50, help="Of each derivative-free search.")] = 2550,
+    runs: Annotated[int, typer.Option(min=1, help="Of each derivative-free search.")] = 3,
+    starts: Annotated[int, typer.Option(min=1, help="Random starts of the gradient search.")] = 10,
+) -> None:
+    """The gradient tuner against CMA-ES, Nelder-Mead and random search on one compiled ensemble (docs/tuning.md).
+
+    Cost to come near the best against evaluations, time and number of parameters; random starts; held-out scenarios.
+    """
+    from experiments import tuning_study as study
+    from experiments.report import Report
+
+    with Report("gradient tuning against derivative-free searches", out) as report:
+        study.tuning_study(report, evaluations=evaluations, runs=runs, starts=starts)
+
+
+@studies.command(rich_help_panel=PANEL)
+def withheld(
+    out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
+    cases: Annotated[int, typer.Option(min=1, help="How many machines.")] = 120,
+    seed: Annotated[int, typer.Option(help="Seed of the machines.")] = 0,
+    bench: Annotated[
+        Path | None,
+        typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
+    ] = None,
+) -> None:
+    """Check the diagnosis on machines with an effect that it is not told.
+
+    The machines are integrated by numerics of their own, their parameters are up to 3 % off nominal, and the effects
+    are drawn at random: none, one of the catalogue, two, or one from outside it. Takes a minute or two a machine.
+    """
+    from experiments.withheld.study import examined
+    from experiments.withheld.study import withheld as run
+
+    if bench is None:
+        run(out, cases, seed)
+    else:
+        examined(out, bench, bench / "key.json")
+
+
+@studies.command("real-axes", rich_help_panel=PANEL)
+def real_axes(
+    axis: Annotated[str, typer.Option(help="all, emps or laas.")] = "all",
+    out: Out = None,
+) -> None:
+    """Check the diagnosis on measured axes: EMPS with a known term withheld, and as it is; a motor with strong cogging.
+
+    Needs the data in shared/data beside the checkout; what is not there is left out. Takes about a quarter of an hour.
+    """
+    from experiments.real_axes import real_axes as study
+    from experiments.report import Report
+
+    with Report("diagnosis of measured axes", out) as report:
+        study(report, axis)
+
+
+@studies.command()
+def convergence(
+    drive: DriveFile,
+    speeds: Annotated[str, typer.Option(help="Speeds, separated by ;")] = "1;3;10;15;20;40;100 mm/s",
+    out: Out = None,
+) -> None:
+    """Say at which speeds the load estimator of the paper's eq. (20) converges, and how fast; code 3 if not at all.
+
+    The drive file's controller must be of kind "pd+fc+le".
+    """
+    from experiments.single import convergence_table
+
+    if not convergence_table(drive, speeds, out):
+        raise typer.Exit(3)
+
+
+@studies.command(rich_help_panel=PANEL)
+def reproduce(out: Out = None) -> None:
+    """The paper's Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, ours beside theirs, with every assumption."""
+    from experiments.reproduce import reproduce as run
+
+    run(out)
+
+
+@studies.command(rich_help_panel=PANEL)
+def benchmark(out: Out = None) -> None:
+    """Time the loop: lanes, recording and gradients, as ratios in one run."""
+    from experiments.benchmark import benchmark as run
+
+    run(out)
+
+
+@studies.command(rich_help_panel=PANEL)
+def emps(
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of the benchmark's .mat files; by default that beside the checkout.")
+    ] = None,
+    out: Out = None,
+) -> None:
+    """The EMPS benchmark, a real axis: log checks, inverse dynamics, identification and replay, beside its figures.
+
+    Fits the estimation file only; the pulse file is held out. Takes a minute or two.
+    """
+    from experiments.emps_study import emps_study
+    from experiments.report import Report
+
+    with Report("EMPS: what can be learnt from a real axis", out) as report:
+        emps_study(report, data)
+
+
+@studies.command(rich_help_panel=PANEL)
+def evolution(
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of the EMPS files; by default that beside the checkout.")
+    ] = None,
+    synthetic: Annotated[bool, typer.Option(help="A simulated log in place of the EMPS estimation file.")] = False,
+    seconds: Annotated[float, typer.Option(min=1.0, help="The most that one evolution may take.")] = 300.0,
+    runs: Annotated[int, typer.Option(min=1, max=20, help="How often both searches run, by turns.")] = 3,
+    out: Out = None,
+) -> None:
+    """Gradient search against differential evolution on one identification problem: what equal quality costs.
+
+    Then the paper's route beside them: Stribeck curve first, bristle after. Takes some minutes.
+    """
+    from experiments.evolution_study import emps_case, evolution_study, synthetic_case
+    from experiments.report import Report
+
+    with Report("Gradient search against differential evolution", out) as report:
+        evolution_study(report, synthetic_case() if synthetic else emps_case(data), seconds=seconds, runs=runs)
+
+
+@studies.command(rich_help_panel=PANEL)
+def recovery(
+    out: Annotated[Path, typer.Option(help="Folder; a study that was interrupted goes on from what is in it.")],
+    draws: Annotated[int, typer.Option(min=1, help="How many random drives.")] = 200,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one per core.")] = None,
+) -> None:
+    """How well identification recovers known drives, and whether its intervals hold the truth.
+
+    A drive takes some 20 s of one core.
+    """
+    from experiments.recovery import study
+
+    study(out, draws, workers)

@@ -1,0 +1,58 @@
+"""A drive with effects by inverse dynamics: the force that it would have taken to move as a log does.
+
+    M a + friction - constant_force - what the effects add = command + disturbance
+
+with velocity and acceleration from the filtered position, both sides decimated to the band of the dynamics
+(tuning/inverse_dynamics.py). The force is held over a period, so that the acceleration at a sample belongs to the mean
+of the forces before and after it.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.effects import acting
+from diffdrive.effects.base import Acts
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive, as_arrays
+from tuning.diagnosis.following import Course, exposure
+from tuning.fit import sampling_of
+from tuning.friction_along import friction_along
+from tuning.inverse_dynamics import DYNAMICS
+from tuning.prediction import Lanes
+from tuning.stretches import Stretch, stretches
+from tuning.zero_phase import decimate, differentiate
+
+
+def force_error(drive: Drive, log: Log, dynamics: float = DYNAMICS) -> float:
+    """100 |force - model| / |force| up to `dynamics` (Hz); raises `LogError` where no piece is long enough."""
+    found = [_sides(drive, log, one, dynamics) for one in stretches([log], dynamics)[0]]
+    off, force = (np.concatenate(one) for one in zip(*found, strict=True))
+    return 100.0 * float(np.linalg.norm(off) / np.linalg.norm(force))
+
+
+def _sides(drive: Drive, log: Log, source: Stretch, dynamics: float) -> tuple[np.ndarray, np.ndarray]:
+    """What the model's force is off by, and the logged force; decimated, without what the filters spoil."""
+    drive = as_arrays(drive)
+    own, effects = dataclasses.replace(drive, effects=()), drive.effects
+    velocity, acceleration = (jnp.asarray(one) for one in differentiate(source.position, source.rate, 5 * dynamics))
+    command = log.command[np.searchsorted(log.time, source.time)]
+    position, load = jnp.asarray(source.position), jnp.asarray(source.load)
+    signals = (position, jnp.asarray(command), jnp.asarray(source.force - command), load, jnp.ones_like(load))
+    lanes = Lanes(*(one[None] for one in signals), velocity=velocity[:1])
+    machine = acting.altered(own, effects)
+    period = 1.0 / source.rate
+    rigid = friction_along(machine, velocity, load, period)
+    course = Course(position[None], velocity[None], jnp.zeros_like(velocity)[None], rigid[None])
+    in_lanes = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], effects)
+    delay = jnp.asarray(own.actuator.delay_samples + float(own.actuator.delay_fraction or 0.0))
+    acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period))
+    bent = Acts(jnp.zeros_like(velocity), acts.coulomb[0], acts.gap[0], acts.viscous[0])
+    needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent)
+    there = acts.force[0] + machine.plant.constant_force
+    held = 0.5 * (there + jnp.concatenate([there[:1], there[:-1]]))
+    kept = slice(source.border, len(velocity) - source.border)
+    ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
+    return decimate(np.asarray(held - needed)[kept], ratio), decimate(source.force[kept], ratio)

@@ -1,0 +1,53 @@
+"""A drive with effects on another log: the machine as it is, the session registered anew.
+
+Phases, times and offsets differ from session to session, and a position may count from another place. They are fitted
+to the beginning of the new log, the offset within the tolerance of a nominal parameter; all else of the drive stays.
+"""
+
+import dataclasses
+
+import jax
+import numpy as np
+
+from diffdrive.effects.forces import ConstantForce
+from diffdrive.logs import Log
+from diffdrive.parameters import Drive
+from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.candidates import Parameter, candidates, setting
+from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.model import Member, Model
+from tuning.diagnosis.screening import begin
+from tuning.diagnosis.search import standing
+
+LASTING = 5.0  # s
+
+
+def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
+    """`drive` with the session parameters of its effects, and a constant force, from the first seconds of `log`.
+
+    Raises `LogError` for a log without a long enough piece.
+    """
+    logged = logged_of(dataclasses.replace(drive, effects=()), [log])
+    early = np.arange(logged.lanes.position.shape[1]) < seconds * logged.sampling.rate
+    logged = logged._replace(lanes=logged.lanes._replace(counts=logged.lanes.counts * early))
+    at = setting(logged.drive, logged.lanes, logged.sampling.period)
+    known = {one.name: one for one in candidates(at)}
+    model, u = Model(logged), np.zeros(len(NAMES))
+    effects = [one for one in drive.effects if not isinstance(one, ConstantForce)]
+    offset = sum(float(one.force) for one in drive.effects if isinstance(one, ConstantForce))
+    for effect in (*effects, ConstantForce(offset)):
+        candidate, values = known[effect.name], {}
+        for field in dataclasses.fields(effect):
+            values[field.name] = np.array([float(getattr(effect, field.name))])
+        free = tuple(one for one in candidate.parameters if one.session)
+        if effect.name == ConstantForce.name:
+            free = (Parameter("force", float(effect.force), TOLERANCE * at.friction),)
+        fixed = tuple((name, float(value[0])) for name, value in values.items() if name not in {p.name for p in free})
+        member = Member(candidate._replace(parameters=free), fixed)
+        model = dataclasses.replace(model, members=(*model.members, member))
+        u = np.r_[u, begin(model, values)]
+    free = np.r_[np.zeros(len(NAMES)), np.ones(model.size - len(NAMES))]
+    found = Fitter(logged).fit(model, u, None, standing(logged), free=free)
+    return jax.tree.map(float, drive_of(found, 0))
