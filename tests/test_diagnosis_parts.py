@@ -1,0 +1,138 @@
+"""What the diagnosis is made of: tangents of the plant, segments of a log, drives with effects on other logs."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sound_log import DRIVE, RATE, described, logged, two_sines
+
+from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.forces import Cogging, ConstantForce
+from diffdrive.motion import from_array
+from diffdrive.parameters import as_arrays
+from diffdrive.plant import PlantState, advance, advance_along
+from experiments.withheld.machine import Faults, Kind, Told, run
+from experiments.withheld.score import read_key
+from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.inverse import force_error
+from tuning.diagnosis.model import Model
+from tuning.diagnosis.registration import registered
+from tuning.diagnosis.screening import joined
+from tuning.diagnosis.search import standing
+from tuning.diagnosis.segments import begin_velocity, segments
+
+PUSHES = Cogging(0.0012, 5.0, 3.0)
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-6, 0.02, -0.02])
+@pytest.mark.parametrize("force", [0.0, 60.0, -200.0])
+def test_tangents_side_by_side_are_the_derivatives(velocity, force):
+    """At rest, in presliding, at breakaway, sliding, and through a reversal."""
+    drive = as_arrays(DRIVE.drive)
+    state = PlantState(*(jnp.asarray(one) for one in (0.01, velocity, 1e-7 * np.sign(velocity))))
+    directions = [
+        (PlantState(*jnp.asarray(row[:3])), jnp.asarray(row[3]))
+        for row in np.random.default_rng(1).standard_normal((3, 4)) * np.array([1e-6, 1e-3, 1e-7, 1.0])
+    ]
+
+    def one_period(state, force):
+        return advance(drive, state, force, 0.0, 5e-4, 10)
+
+    ahead, tangents = advance_along(drive, state, jnp.asarray(force), jnp.asarray(0.0), 5e-4, 10, directions)
+    np.testing.assert_allclose(np.array(ahead), np.array(one_period(state, force)), rtol=1e-14)
+    for direction, tangent in zip(directions, tangents, strict=True):
+        expected = jax.jvp(one_period, (state, jnp.asarray(force)), direction)[1]
+        np.testing.assert_allclose(np.array(tangent), np.array(expected), rtol=1e-10, atol=1e-18)
+
+
+@given(st.integers(20, 30_000), st.sampled_from([500.0, 1e3, 2e3, 1e4]))
+def test_segments_hold_every_sample_once_and_a_lead_before(count, rate):
+    found = segments(count, rate)
+    signal = np.arange(count)
+    np.testing.assert_array_equal(found.joined(found.cut(signal)), signal)
+    assert np.all(np.diff(found.samples, axis=1) == 1)
+    if len(found.samples) > 1:
+        begins = np.searchsorted(found.segment, np.arange(1, len(found.samples)))
+        assert np.all(found.place[begins] >= 0.09 * rate)
+
+
+def test_a_velocity_is_the_slope_of_a_line():
+    time = np.arange(40) / 2e3
+    assert float(begin_velocity(jnp.asarray(0.3 + 0.02 * time), 2e3)) == pytest.approx(0.02)
+
+
+def with_effects(*effects):
+    return dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, effects=effects))
+
+
+def test_inverse_dynamics_know_the_effects_of_a_drive():
+    log = logged(with_effects(PUSHES), two_sines())
+    right, wrong = (force_error(dataclasses.replace(DRIVE.drive, effects=one), log) for one in ((PUSHES,), ()))
+    assert right < 0.5
+    assert wrong > 4.0 * right
+    assert force_error(DRIVE.drive, logged(DRIVE, two_sines())) < 0.5
+
+
+def test_a_session_is_registered_anew():
+    """Another start, so that the cogging has another phase, and another tilt; the period stays the machine's."""
+    elsewhere = Cogging(0.0012, -4.0, 4.2)
+    log = logged(with_effects(elsewhere, ConstantForce(0.6)), two_sines())
+    carried = dataclasses.replace(DRIVE.drive, effects=(PUSHES,))
+    found = registered(carried, log, seconds=2.0)
+    assert force_error(found, log) < 0.2 * force_error(carried, log)
+    cogging, tilt = found.effects
+    assert (float(cogging.cosine), float(cogging.sine)) == pytest.approx((-4.0, 4.2), abs=0.15)
+    assert float(cogging.period) == pytest.approx(0.0012)
+    assert float(tilt.force) == pytest.approx(0.6, abs=0.2)
+
+
+def test_a_delay_that_is_claimed_and_not_there_is_found():
+    log = logged(DRIVE, two_sines())
+    logs = logged_of(described(delay=1).drive, [log])
+    fitter = Fitter(logs)
+    at = setting(logs.drive, logs.lanes, 1.0 / RATE)
+    candidate = next(one for one in candidates(at) if one.name == "loop_delay")
+    model = joined(Model(logs, (), TOLERANCE), candidate)
+    u = np.r_[np.zeros(len(NAMES)), candidate.parameters[0].standard(-0.5)]
+    fit = fitter.fit(model, u, None, standing(logs))
+    assert candidate.parameters[0].value(fit.u[-1]) == pytest.approx(-1.0, abs=0.05)
+    found = drive_of(fit, 0)  # less delay than none is no effect: the drive file claims less
+    assert found.effects == ()
+    assert found.actuator.delay_samples + float(found.actuator.delay_fraction) == pytest.approx(0.0, abs=0.05)
+
+
+def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
+    """Two programs, two integrators, one machine: without noise and on a fine scale they move alike."""
+    plain = described(resolution=None, noise=0.0)
+    time = np.arange(600) / RATE
+    motion = from_array(time, 1e-3 * (1 - np.cos(2 * np.pi * 5.0 * time)))
+    ours = logged(plain, motion)
+    flat = np.zeros(600)
+    told = Told(motion.position, flat, flat, flat, flat)
+    gains = (float(plain.controller.tracking.gains.kp), float(plain.controller.tracking.gains.kd))
+    position, command = run(plain.drive, Faults(), Kind(), gains, 1e-12, told, RATE)
+    assert np.abs(position - ours.position).max() < 5e-9
+    assert np.sqrt(np.mean((command - ours.command) ** 2)) < 0.01 * np.abs(command).max()
+
+
+def test_a_key_without_sizes_says_what_is_clear(tmp_path):
+    path = tmp_path / "key.json"
+    path.write_text(
+        '{"1": {"kind": "single", "visibility": "clear", "effects": [{"name": "cogging"}]},'
+        ' "2": {"kind": "unknown", "visibility": "faint", "effects": [{"name": "chip"}]}}'
+    )
+    key = read_key(path)
+    assert [key[name]["effects"][0]["size"] for name in "12"] == [3.0, 0.0]
+    assert [key[name]["effects"][0]["outside"] for name in "12"] == [False, True]
+
+
+def test_less_than_no_delay_is_none_to_the_simulator():
+    assert LoopDelay(-0.5).step((0.0,) * 8, jnp.asarray(3.0), 1e-3)[1].mean == 3.0
