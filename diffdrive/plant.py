@@ -90,8 +90,8 @@ def advance_along(
     step = period / substeps
 
     def along(function: Any, at: Any, tangents: Any) -> tuple[Any, Any]:
-        found = [jax.jvp(function, at, one) for one in tangents]  # the compiler computes the value once
-        return found[0][0], tuple(tangent for _, tangent in found)
+        value, slope = jax.linearize(function, *at)
+        return value, tuple(slope(*one) for one in tangents)
 
     def body(carry: Any, _: None) -> tuple[Any, None]:
         at, tangents = carry
