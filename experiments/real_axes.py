@@ -28,7 +28,7 @@ TRUSTED = 0.02  # tolerance of the parameters that were not touched
 IDENTIFIED = 0.005  # and of a drive that was identified from the same log
 GUESSED = 0.2  # and of one that nobody identified
 TOO_MUCH = 1.2  # of the force that the command is said to be
-NO_FRICTION = 1e-3  # N
+NOTHING = Directional(0.0, 0.0)
 PUBLISHED_ERROR = 5.982  # %, of the benchmark's own model on the pulse file
 BAR = 3.0  # %, for what the diagnosis makes of it
 
@@ -60,24 +60,21 @@ def _even(drive: Drive) -> Drive:
 
 
 def terms(drive: Drive) -> dict[str, Withheld]:
-    """What is withheld from the identified drive of the EMPS axis, one at a time."""
-    actuator, even = drive.actuator, _even(drive)
-
-    def rubbing(**changed: Directional) -> Drive:
-        return dataclasses.replace(drive, friction=dataclasses.replace(drive.friction, **changed))
-
-    def tilted(force: float) -> Drive:
-        return dataclasses.replace(even, plant=dataclasses.replace(even.plant, constant_force=force))
-
+    """What is withheld, one at a time: from the benchmark's own model its terms, from the identified drive the rest."""
+    published, actuator, even = emps.reference_drive(), drive.actuator, _even(drive)
+    slippery = dataclasses.replace(published.friction, coulomb_screw=NOTHING)
+    inviscid = dataclasses.replace(published.friction, viscous=NOTHING)
+    level = dataclasses.replace(published.plant, constant_force=0.0)
+    tilted = dataclasses.replace(even.plant, constant_force=drive.plant.constant_force)
     late = Actuator(actuator.force_limit, actuator.limit_rounding, actuator.delay_samples + 1, actuator.delay_fraction)
     tilt = ("constant_force", "friction_asymmetry")
     return {
-        "coulomb": Withheld(drive, rubbing(coulomb_screw=Directional(NO_FRICTION, NO_FRICTION)), ("friction_shape",)),
-        "viscous": Withheld(drive, rubbing(viscous=Directional(0.0, 0.0)), ("friction_shape",)),
-        "offset": Withheld(even, tilted(0.0), tilt),
+        "coulomb": Withheld(published, dataclasses.replace(published, friction=slippery), ("friction_shape",)),
+        "viscous": Withheld(published, dataclasses.replace(published, friction=inviscid), ("friction_shape",)),
+        "offset": Withheld(published, dataclasses.replace(published, plant=level), tilt),
         "delay": Withheld(drive, dataclasses.replace(drive, actuator=late), ("loop_delay",)),
         "gain": Withheld(drive, drive, ("force_gain",), TOO_MUCH),
-        "asymmetry": Withheld(drive, tilted(drive.plant.constant_force), tilt[::-1]),
+        "asymmetry": Withheld(drive, dataclasses.replace(even, plant=tilted), tilt[::-1]),
     }
 
 
@@ -124,7 +121,7 @@ def _emps_withheld(report: Report, records: Records, drive: Drive, controller: C
     for term, case in terms(drive).items():
         estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
         report.say(f"EMPS without its {term}:")
-        found = _diagnosed(report, case.nominal, controller, estimation, 1, TRUSTED)
+        found = _diagnosed(report, case.nominal, controller, estimation, 2, TRUSTED)
         first = found.verdict.beliefs[0]
         full = force_error(registered(case.full, records["pulses"].log), records["pulses"].log)
         without, added = (

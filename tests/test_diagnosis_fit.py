@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from sound_log import DRIVE, RATE, logged, two_sines
 
+from diffdrive.effects.actuator import ForceGain
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.parameters import Sampling, as_arrays
@@ -16,7 +17,17 @@ from tuning.diagnosis.candidates import candidates, setting
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import joined, screen
-from tuning.diagnosis.search import LACKING, WORTH, fit_from, lacking, recalibrated
+from tuning.diagnosis.search import (
+    IMPOSSIBLE,
+    LACKING,
+    STRAINED,
+    WORTH,
+    fit_from,
+    lacking,
+    look,
+    recalibrated,
+    strain,
+)
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
@@ -122,3 +133,17 @@ def test_parameters_of_the_session_are_one_for_each_log():
     effect = model.effects(u)[0]
     assert float(effect.cosine[0]) == 0.0
     assert float(effect.cosine[1]) == pytest.approx(2.0 * candidate.parameters[0].spread)
+
+
+def test_impossible_numbers_are_explained_before_anything_else():
+    """A force constant that is a fifth off, and cogging: recalibration hides the first, by moving all else as far."""
+    fitter = fitter_of(ForceGain(-0.2), Cogging(0.00125, 3.0, 1.0))
+    base = recalibrated(fitter, TOLERANCE)
+    assert strain(base) > IMPOSSIBLE
+    few = [one for one in catalogue(fitter, base) if one.name in ("force_gain", "payload_mass", "cogging")]
+    found = look(fitter, base, few, lambda what, done, most: None, LACKING)
+    first = found.fits[0]
+    assert [member.candidate.name for member in first.model.members] == ["force_gain"]
+    assert first.model.values(first.u)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)
+    assert strain(first) < STRAINED
+    assert base.evidence - first.evidence + found.allowance > WORTH

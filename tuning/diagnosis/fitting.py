@@ -40,10 +40,12 @@ from tuning.diagnosis.model import (
 )
 
 LEAST, MOST = 1e-3, 1e3  # N, of process force
+BEGIN = np.array([1e2, 1.0])
+MISSED = 0.03  # N, of a force that the model lacks
 NEAR = np.array(  # times the last process forces are tried after a step
     [(1, 1), (0.1, 0.1), (0.3, 0.3), (3, 3), (0.3, 1), (1, 0.1), (1, 3)], float
 )
-FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3)])
+FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3, 3.0)])
 MOST_STEPS, TRIALS = 25, 6
 DIFFERENCE = 0.1  # in units of the prior; finer, costs with a coupled effect are rough
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
@@ -222,11 +224,18 @@ class Fitter:
     ) -> Fitted:
         """From `u`; `course` is where the effects are first stepped along, `free` are ones for what may move."""
         free = np.ones(model.size) if free is None else free
-        point = self.at(model, u, FIRST[-4] if process is None else process, course)
+        point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, FIRST)
-        boldness, damping, steps, idle = BOLDNESS, DAMPING, 0, 0
-        while steps < most and idle < 2:
+        boldness, damping, steps, idle, elsewhere = BOLDNESS, DAMPING, 0, 0, False
+        while steps < most:
+            if idle == 2:  # at the end, unless quite another noise makes it likelier
+                if elsewhere or point.process[0] < MISSED:
+                    break
+                other, elsewhere = self.with_process(point, model, FIRST), True
+                if point.cost - other.cost < ENOUGH:
+                    break
+                point, idle = other, 0
             steps += 1
             trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, point.onward)
             ahead, damping = self._step(model, trusting, damping, free)
@@ -238,7 +247,7 @@ class Fitter:
                 point = ahead
             if gained < ENOUGH:
                 if boldness == 1.0 and not gained > 0:
-                    break
+                    idle = 2
                 boldness, damping = 1.0, DAMPING
             elif boldness == 1.0 and gained > 1e2:
                 boldness = BOLDNESS

@@ -5,7 +5,7 @@ All that is free is one vector u in units of its prior: u = 0 is what was expect
 
 import dataclasses
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -115,8 +115,12 @@ def effect_in_lanes(effect: type[Effect], values: dict[str, Vector], owner: tupl
     """An effect whose parameters, given for each log, are arrays over the lanes; those not given at their defaults."""
     rows = list(owner)
     defaults = {field.name: field.default for field in dataclasses.fields(effect)}
-    given = {name: np.broadcast_to(values.get(name, default), (max(owner) + 1,)) for name, default in defaults.items()}
-    return effect(**{name: jnp.asarray(np.asarray(value, float)[rows]) for name, value in given.items()})
+
+    def in_lanes(value: Any) -> Any:
+        each = np.asarray(value, float)
+        return jnp.asarray(each[rows] if each.ndim else np.full(len(rows), each))
+
+    return effect(**{name: in_lanes(values.get(name, default)) for name, default in defaults.items()})
 
 
 @eqx.filter_jit

@@ -5,13 +5,14 @@
 The candidates of one round are independent; two threads keep two cores busy, since a compiled roll-out uses one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 
+from diffdrive.errors import ParameterError
 from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
@@ -25,10 +26,13 @@ FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first st
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
-WORTH = 12.0  # in evidence, that another effect must bring
+WORTH = 12.0  # in evidence, that an effect must bring
+SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
+IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
 LACKING = 30.0  # of cost
-LEFT = 0.05  # of what was missing: what the details of a model of the right kind may leave
+LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
+COARSE = 0.05  # the same for effects whose details differ from machine to machine
 BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 MOST_EFFECTS = 2
 RELEVANT = 3e-4  # of the friction
@@ -44,6 +48,8 @@ class Round(NamedTuple):
     before: Fitted
     screened: list[Screened]  # best first
     fits: list[Fitted]  # best first
+    rivals: int  # how many of these, the first ones, may stand for one another
+    allowance: float  # in evidence, that the first may lack since it resolves an impossibility
 
 
 class Explanation(NamedTuple):
@@ -72,9 +78,18 @@ def standing(logged: Logged) -> Course:
 
 
 def recalibrated(fitter: Fitter, tolerance: float) -> Fitted:
-    """The nominal drive with nothing but its parameters adjusted, each within what its prior allows."""
+    """The nominal drive with nothing but its parameters adjusted, each within what its prior allows.
+
+    Raises `ParameterError` for a drive that no filter can run.
+    """
     model = Model(fitter.logged, (), tolerance)
-    return fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
+    found = fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
+    if not np.isfinite(found.evidence):
+        raise ParameterError(
+            "the drive file's drive cannot be run along these logs: check that mass and friction are of the right "
+            "size, and that Coulomb friction plus breakaway gap is above zero in both directions"
+        )
+    return found
 
 
 def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
@@ -96,43 +111,112 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
     return fitter.fit(model, begun.u, begun.process, begun.track.course, most)
 
 
+def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) -> Fitted:
+    """The effect alone first, the drive file taken at its word; then everything.
+
+    A nominal parameter that was moved far lies at the end of a long valley, along which a fit hardly moves.
+    """
+    model = joined(before.model, found.candidate, found.values)
+    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :], begin(model, found.values)]
+    alone = np.r_[np.zeros(before.u.size), np.ones(u.size - before.u.size)]
+    first = fitter.fit(model, u, None, before.track.course, free=alone)
+    return fitter.fit(model, first.u, first.process, first.track.course, most)
+
+
 def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, little: float) -> Round:
     """One more effect; those that have to be searched for only where the others leave more than `little`."""
     there = {member.candidate.name for member in before.model.members}
     left = [one for one in catalogue if one.name not in there]
-    screened, fits = _race(fitter, before, [one for one in left if not one.searched], progress)
+    believed = _believed(fitter, before) if strain(before) > IMPOSSIBLE else None
+    screened, fits = _race(fitter, before, believed, [one for one in left if not one.searched], progress)
     settled = fits and before.evidence - fits[0].evidence > SETTLED and explained(fitter, fits[0], little)
     if not settled:
-        more = _race(fitter, before, [one for one in left if one.searched], progress)
+        more = _race(fitter, before, None, [one for one in left if one.searched], progress)
         screened, fits = screened + more[0], fits + more[1]
-    by_evidence = sorted(fits, key=lambda one: one.evidence)
-    return Round(before, sorted(screened, key=lambda one: -one.evidence), by_evidence)
+    screened.sort(key=lambda one: -one.evidence)
+    fits.sort(key=lambda one: one.evidence)
+    relieving = _relieving(before, believed, fits)
+    if believed is None or not relieving:
+        fits = _best_of_each(fits, _name)
+        return Round(before, screened, fits, len(fits), 0.0)
+    there = {_name(one) for one in relieving}
+    others = _best_of_each((one for one in fits if _name(one) not in there), _name)
+    return Round(before, screened, [*relieving, *others], len(relieving), _allowed(before, believed))
+
+
+def _believed(fitter: Fitter, before: Fitted) -> Fitted:
+    """The same hypothesis with the nominal parameters as the drive file has them."""
+    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
+    return fitter.fit(before.model, u, None, before.track.course, most=0)
+
+
+def _allowed(before: Fitted, believed: Fitted) -> float:
+    """What a fit within the drive file's tolerances may lack against one far beyond them."""
+    return SLIGHT * max(believed.cost - before.cost, 0.0)
+
+
+def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The fits, best first, that explain as much as `before` and move no nominal parameter far."""
+    if believed is None:
+        return []
+    most = before.evidence + _allowed(before, believed)
+    return sorted((one for one in fits if strain(one) < STRAINED and one.evidence < most), key=lambda one: one.evidence)
+
+
+def _others(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
+    held = {id(one) for one in some}
+    return [one for one in all_of if id(one) not in held]
 
 
 def _race(
-    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress
+    fitter: Fitter, before: Fitted, believed: Fitted | None, catalogue: Sequence[Candidate], progress: Progress
 ) -> tuple[list[Screened], list[Fitted]]:
     """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
     screened = _in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
-    promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
+    promising = [(fit_from, one) for one in screened if one.evidence > PROMISING][:FITTED]
+    if believed is not None:
+        promising += [(_fit_to_nominal, one) for one in _about_nominal(believed, catalogue)]
     begun = _in_parallel(
-        lambda one: fit_from(fitter, before, one, RACE),
+        lambda pair: pair[0](fitter, before, pair[1], RACE),
         promising,
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
-    begun = sorted((one for one in begun if np.isfinite(one.evidence)), key=lambda one: one.evidence)
+    begun = _best_of_each(begun, lambda one: (_name(one), believed is not None and strain(one) < STRAINED))
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
+    ahead += _others(_relieving(before, believed, begun)[:FINISH], ahead)
     ended = _in_parallel(
         lambda one: fitter.fit(one.model, one.u, one.process, one.track.course),
         ahead,
         lambda k: progress("fitting", len(promising) + k, len(promising) + len(ahead)),
     )
-    return screened, sorted([*ended, *begun[len(ahead) :]], key=lambda one: one.evidence)
+    return screened, sorted([*ended, *_others(begun, ahead)], key=lambda one: one.evidence)
+
+
+def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Screened]:
+    """The promising about the drive file's own numbers: where recalibration went astray, nothing looks as it is."""
+    amounts = [one for one in catalogue if any(parameter.amplitude for parameter in one.parameters)]
+    found = _in_parallel(lambda one: screen(believed, one), amounts, lambda k: None)
+    found.sort(key=lambda one: -one.evidence)
+    few = found[:FITTED]
+    return few + [one for one in _others(found, few) if one.candidate.relieves]
+
+
+def _name(fitted: Fitted) -> str:
+    """The effect that was added last."""
+    return fitted.model.members[-1].candidate.name
+
+
+def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
+    """One fit of each kind, the best first."""
+    found: dict[Hashable, Fitted] = {}
+    for one in sorted((one for one in fits if np.isfinite(one.evidence)), key=lambda one: one.evidence):
+        found.setdefault(kind(one), one)
+    return list(found.values())
 
 
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
@@ -174,14 +258,17 @@ def explain(
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
     """
     best, rounds = base, []
-    little = max(LACKING, LEFT * missing(fitter, base))
+    lacked = missing(fitter, base)
+    little = max(LACKING, LEFT * lacked)
     while len(rounds) < most:
         whole = missing(fitter, best) < little
         found = look(fitter, best, [one for one in catalogue if one.relieves or not whole], progress, little)
         rounds.append(found)
-        if not found.fits or best.evidence - found.fits[0].evidence < WORTH:
+        enough = WORTH if strain(best) >= STRAINED else max(WORTH, SLIGHT * (base.evidence - best.evidence))
+        if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
         best = found.fits[0]
-        if explained(fitter, best, little):
+        coupled = any(member.candidate.coupled for member in best.model.members)
+        if explained(fitter, best, max(LACKING, (COARSE if coupled else LEFT) * lacked)):
             break
     return Explanation(base, rounds, best)

@@ -18,6 +18,7 @@ ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
 ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from machine to machine
 SHARPNESS = 3.0  # by which factor more or less makes it sure
+NEAREST = 0.4  # how sure an effect without rivals is where much is left: it may act, beside something unknown
 FEW_LOST = 3  # samples
 
 
@@ -52,7 +53,7 @@ def _probabilities(gains: Float[np.ndarray, " k"], unexplained: float) -> Float[
 def _believed(looked: Round, number: int, unexplained: float, found: bool, certain: float) -> list[Belief]:
     """Every candidate of a round that was fitted; `certain` is how sure it is that one of them acts."""
     gains = np.array([looked.before.evidence - one.evidence for one in looked.fits])
-    shares = _probabilities(gains, unexplained)
+    shares = np.r_[_probabilities(gains[: looked.rivals], unexplained), np.zeros(len(gains) - looked.rivals)]
     names = [one.model.members[-1].candidate.name for one in looked.fits]
     close = [name for name, share in zip(names, shares, strict=True) if share > DECLARED * shares[0]]
     return [
@@ -85,8 +86,8 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
             continue
-        gain = looked.before.evidence - looked.fits[0].evidence
-        certain = known / (1.0 + np.exp(-(gain - WORTH) / COLDEST))
+        gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
+        certain = (NEAREST + (1.0 - NEAREST) * known) / (1.0 + np.exp(-(gain - WORTH) / COLDEST))
         beliefs += _believed(looked, number, unexplained, number < effects, float(certain))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
