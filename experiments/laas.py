@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, Friction, Plant, Sensor
+from diffdrive.parameters import Actuator, Drive, Friction, Plant, Sensor
 from experiments.data_folder import beside
 
 COMPENSATED = {"speed_test1.txt": 1, "speed_test.txt": 0}  # "Function Activated" while the compensation is on
@@ -56,5 +56,6 @@ def nominal_drive() -> Drive:
             bristle_stiffness=coulomb * NEWTONS / 2e-6,
             bristle_damping=100.0,
         ),
+        actuator=Actuator(delay_samples=2),  # from the host over the bus to the current
         sensor=Sensor(resolution=3.1e-4 * METRES),
     )

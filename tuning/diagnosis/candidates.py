@@ -57,7 +57,8 @@ class Candidate(NamedTuple):
     @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
-        return issubclass(self.effect, (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad))
+        alike = (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)
+        return issubclass(self.effect, alike)
 
 
 class Setting(NamedTuple):
