@@ -1,7 +1,7 @@
 """A motor with strong cogging (LAAS, anti-cogging on and off) as if it drove a screw, so that it reads as an axis.
 
 A proportional velocity loop runs it at one turn a second; half of each log has the compensation. The command is the
-loop's own, without the compensation, so that to the loop the machine with it is a motor without cogging.
+measured current: it holds the compensation too, so that the motor's cogging is there in both halves.
 """
 
 from pathlib import Path
@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.logs import Log
-from diffdrive.parameters import Actuator, Drive, Friction, Plant, Sensor
+from diffdrive.parameters import Drive, Friction, Plant, Sensor
 from experiments.data_folder import beside
 
 COMPENSATED = {"speed_test1.txt": 1, "speed_test.txt": 0}  # "Function Activated" while the compensation is on
 LEAD = 5e-3  # m per turn, of the screw that it is thought to drive
 METRES = LEAD / (2 * np.pi)  # per rad
 NEWTONS = 0.025 / METRES  # per ampere, at a torque constant of 0.025 N m/A
-GAIN = 0.09  # A s/rad, of the velocity loop
 RATE = 1e3  # Hz
 STARTING = 0.5  # s, after the compensation is switched
 
@@ -28,13 +27,13 @@ def find_folder() -> Path | None:
 
 def read(path: Path) -> dict[str, Log]:
     """The parts of one log without and with compensation ("off", "on"), on a uniform clock."""
-    time, angle, velocity, reference, _, active = np.loadtxt(path, delimiter=",", skiprows=1).T
+    time, angle, _, _, current, active = np.loadtxt(path, delimiter=",", skiprows=1).T
     switched = int(np.flatnonzero(np.diff(active))[0]) + 1
     found = {}
     for part in (slice(0, switched), slice(switched, len(time))):
         clock = np.arange(time[part][0] + STARTING, time[part][-1], 1.0 / RATE)
         held = np.searchsorted(time[part], clock + 0.5 / RATE) - 1
-        asked = GAIN * (reference - velocity)[part][held]
+        asked = current[part][held]
         position = METRES * np.interp(clock, time[part], angle[part])
         name = "on" if active[part.start] == COMPENSATED[path.name] else "off"
         found[name] = Log(f"{path.stem}, {name}", clock - clock[0], position, NEWTONS * asked)
@@ -56,6 +55,5 @@ def nominal_drive() -> Drive:
             bristle_stiffness=coulomb * NEWTONS / 2e-6,
             bristle_damping=100.0,
         ),
-        actuator=Actuator(delay_samples=2),  # from the host over the bus to the current
         sensor=Sensor(resolution=3.1e-4 * METRES),
     )

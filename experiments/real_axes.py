@@ -4,7 +4,8 @@ EMPS: the drive is identified from the estimation file, one of its terms is then
 the rest as the nominal drive. What it finds is judged on the pulse file, session parameters registered on that file's
 first seconds. Then the identified drive as it is: what does it lack?
 
-LAAS: a motor with strong cogging, the compensation of which is off for half of each log and on for the other half.
+LAAS: a motor with strong cogging, the compensation of which is off for half of each log and on for the other half: is
+the same cogging found in both from the measured current?
 """
 
 import dataclasses

@@ -74,6 +74,8 @@ class Fitted(NamedTuple):
     @property
     def evidence(self) -> float:
         """-2 log of the probability of the logs under the hypothesis, up to a constant shared by all."""
+        if not np.all(np.isfinite(self.hessian)):
+            return np.inf
         return self.cost + float(np.linalg.slogdet(self.hessian)[1])
 
 

@@ -30,6 +30,7 @@ from tuning.replay import Given, begun, given
 TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
 TRUSTING = 0.1  # of the likeliest process force
 MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides
+SLID = 0.02  # of the samples
 BLOCK = 0.25  # s, of the bootstrap
 DRAWS = 400
 NOISES = 2  # draws of the measuring noise
@@ -78,13 +79,19 @@ def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.nda
     return 1.0 - scipy.ndimage.maximum_filter1d(slow, width, axis=1)
 
 
+def _counting(every: Float[np.ndarray, "lanes n"], track: Track, rate: float) -> Float[np.ndarray, "lanes n"]:
+    """Ones where the force counts: where the table slides, or wherever it was measured if it hardly ever does."""
+    sliding_there = every * sliding(np.asarray(track.course.velocity), rate)
+    return sliding_there if sliding_there.sum() > SLID * every.sum() else every
+
+
 def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector) -> ForceGap:
     """The force that a model lacks, its effects stepped along the track of `fitted`."""
     process = comparing(fitter.logged)
     track = fitter.at(model, u, process, fitted.track.course).track
     rate = fitter.logged.sampling.rate
     every = np.asarray(fitter.logged.lanes.counts)
-    counts = every * sliding(np.asarray(track.course.velocity), rate)
+    counts = _counting(every, track, rate)
     trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, LEAST), fitted.track.course).track
     surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.scatter)) ** 2, LOST**2)
     surprise = every * np.maximum(surprise - float(fitted.track.size), 0.0)
@@ -180,5 +187,5 @@ def force_floor(fitter: Fitter, fitted: Fitted) -> float:
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
     told = np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
     every = np.asarray(logged.lanes.counts)
-    counts = every * sliding(np.asarray(point.track.course.velocity), logged.sampling.rate)
+    counts = _counting(every, point.track, logged.sampling.rate)
     return float(np.sqrt(np.sum(told**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))
