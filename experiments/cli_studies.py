@@ -61,7 +61,8 @@ def real_axes(
 ) -> None:
     """Check the diagnosis on measured axes: EMPS with a known term withheld, and as it is; a motor with strong cogging.
 
-    Needs the data in shared/data beside the checkout; what is not there is left out. Takes a dozen diagnoses of some minutes each.
+    Needs the data in shared/data beside the checkout; what is not there is left out. Takes a dozen diagnoses, each of
+    some minutes.
     """
     from experiments.real_axes import real_axes as study
     from experiments.report import Report
