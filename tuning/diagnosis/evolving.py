@@ -19,7 +19,7 @@ from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import Fitted
-from tuning.diagnosis.following import Exposure, Process, follow
+from tuning.diagnosis.following import Exposure, Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine
 from tuning.diagnosis.segments import begin_velocity
@@ -82,9 +82,15 @@ def _deviances(
     drive: Drive, stretches: Stretches, coupled: Effects, push: Float[Array, " s"], process: Any, logged: Logged
 ) -> Float[Array, " s"]:
     def one(coupled: Effects, push: Float[Array, ""], process: Float[Array, " 2"]) -> Float[Array, ""]:
-        given = (Process(*process), logged.noise, stretches.lanes, logged.sampling)
         pushed = stretches.under._replace(force=stretches.under.force + push)
-        return follow(drive, pushed, coupled, *given).deviance
+
+        def each(*stretch: Any) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
+            lanes, under, coupled = jax.tree.map(lambda leaf: leaf[None], stretch)
+            track = follow(drive, under, coupled, Process(*process), logged.noise, lanes, logged.sampling)
+            return track.innovation[0], track.scatter[0]
+
+        innovation, scatter = jax.vmap(each)(stretches.lanes, pushed, coupled)
+        return deviance_of(innovation, scatter, stretches.lanes.counts)[0]
 
     return jax.vmap(one)(coupled, push, process)
 
@@ -108,6 +114,11 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> di
     there = others and jax.tree.map(lambda one: one[np.array([logged.owner.index(k) for k in stretches.owner])], others)
 
     def costs(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
+        size = POPULATION * shares.shape[1]  # of a generation: one program for all, whatever their number
+        filled = np.pad(shares, ((0, -len(shares) % size), (0, 0)), mode="edge")
+        return np.concatenate([block(some) for some in np.split(filled, len(filled) // size)])[: len(shares)]
+
+    def block(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
         stacked = [(*there, in_stretches(share)) for share in shares]
         lasting = PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[:, -1]
         processes = jnp.asarray(np.stack([lasting, WHITE * lasting], axis=1))

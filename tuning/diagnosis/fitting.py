@@ -157,22 +157,34 @@ class Fitter:
 
     def with_process(self, point: _Point, model: Model, processes: np.ndarray) -> _Point:
         """The same point under the likeliest of these process forces, its effects along its own track."""
-        processes = np.clip(processes, LEAST, MOST)  # as many as were given: another number is another program
+        processes = np.clip(processes, LEAST, MOST)
+        filled = np.pad(processes, ((0, -len(processes) % len(NEAR)), (0, 0)), mode="edge")  # one program for all
         loose, coupled = model.apart(model.effects(point.u))
         acting = exposed(self.logged, point.own, loose, point.onward)
-        found = np.asarray(_deviances(point.drive, acting, coupled, jnp.asarray(processes), self.logged))
+        parts = [jnp.asarray(some) for some in np.split(filled, len(filled) // len(NEAR))]
+        found = np.concatenate([_deviances(point.drive, acting, coupled, some, self.logged) for some in parts])
+        found = found[: len(processes)]
         best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]
         return self.at(model, point.u, best, point.onward)
 
-    def linearised(self, model: Model, point: _Point) -> tuple[Slopes, np.ndarray, np.ndarray]:
-        """Slopes, residuals and their Jacobian at a point."""
-        logged, track = self.logged, point.track
-        linear = slopes_of(point.drive, point.acting, track, logged.lanes, logged.sampling)
+    def slopes(self, point: _Point) -> Slopes:
+        """What small changes do to the table over each period."""
+        return slopes_of(point.drive, point.acting, point.track, self.logged.lanes, self.logged.sampling)
+
+    def residuals(self, point: _Point) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals, and the weights of those of their Jacobian."""
+        track = point.track
         unit = 1.0 / np.sqrt(float(track.size))
         residual = (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
-        if any(member.candidate.coupled for member in model.members):
-            return linear, kept * residual, kept[:, None] * self._differences(model, point)
+        return kept * residual, kept
+
+    def jacobian(self, model: Model, point: _Point, linear: Slopes | None = None) -> np.ndarray:
+        """Of the residuals, [m, k]."""
+        logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
+        if model.coupled:
+            return kept[:, None] * self._differences(model, point)
+        linear = self.slopes(point) if linear is None else linear
         effects, b = model.effects(point.u), jnp.asarray(model.tolerance * point.u[: len(NAMES)])
         tangents, count = model.tangents(point.u)
         columns = machine_slopes(logged, b, effects, tangents if count else None)
@@ -183,14 +195,15 @@ class Fitter:
             then = exposure_slopes(logged, point.own, effects, tangents, point.course)
             bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
         found = _answers(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
-        return linear, kept * residual, kept[:, None] * np.asarray(found).reshape(residual.size, -1)
+        return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
 
     def _differences(self, model: Model, point: _Point) -> Float[np.ndarray, "m k"]:
-        """Central differences of the residuals.
+        """Differences of the residuals, each to the side away from the prior's edge.
 
         A coupled effect answers the table, and the table answers it: no derivative along a given course tells.
         """
-        steps = [sign * DIFFERENCE * np.eye(model.size)[k] for k in range(model.size) for sign in (1, -1)]
+        sides = np.where(point.u > 0.0, -DIFFERENCE, DIFFERENCE)
+        steps = list(np.diag(sides))
         filled = [*steps, *[steps[-1]] * (-len(steps) % AT_ONCE)]
         process, found = Process(*jnp.asarray(point.process)), []
         for few in (filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)):
@@ -198,14 +211,15 @@ class Fitter:
             stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(model.apart(model.effects(u)) for u in us))
             b = jnp.asarray(model.tolerance * np.array(us)[:, : len(NAMES)])
             found.append(np.asarray(_moved(self.logged, b, stacked, point.course, process)))
-        moved = np.concatenate(found)[: len(steps)]
-        slope = (moved[0::2] - moved[1::2]) / (2 * DIFFERENCE) / np.asarray(point.track.scatter) * self.counts
+        moved = np.concatenate(found)[: len(steps)] - np.asarray(point.track.innovation)
+        slope = moved / sides[:, None, None] / np.asarray(point.track.scatter) * self.counts
         return slope.reshape(model.size, -1).T
 
-    def _step(self, model: Model, point: _Point, damping: float, free: Vector) -> tuple[_Point, float]:
+    def _step(
+        self, model: Model, point: _Point, damping: float, free: Vector, jacobian: np.ndarray
+    ) -> tuple[_Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""
-        _, residual, jacobian = self.linearised(model, point)
-        jacobian = jacobian * free
+        residual, jacobian = self.residuals(point)[0], jacobian * free
         hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.u
         for _ in range(TRIALS):
             step = -np.linalg.solve(hessian + damping * np.eye(model.size), slope)
@@ -214,6 +228,12 @@ class Fitter:
                 return ahead, max(0.1 * damping, 1e-3)
             damping = 10.0 * damping
         return point, damping
+
+    def _updated(self, jacobian: np.ndarray, before: _Point, ahead: _Point) -> np.ndarray:
+        """The Jacobian after a step, by the secant along it (Broyden 1965)."""
+        step = ahead.u - before.u
+        off = self.residuals(ahead)[0] - self.residuals(before)[0] - jacobian @ step
+        return jacobian + np.outer(off, step) / (step @ step)
 
     def fit(
         self,
@@ -230,6 +250,7 @@ class Fitter:
         if process is None:
             point = self.with_process(point, model, FIRST)
         boldness, damping, steps, idle, elsewhere = BOLDNESS, DAMPING, 0, 0, False
+        carried = None  # the Jacobian, where a new one would be dear
         while steps < most:
             if idle == 2:  # at the end, unless quite another noise makes it likelier
                 if elsewhere or point.process[0] < MISSED:
@@ -240,10 +261,17 @@ class Fitter:
                 point, idle = other, 0
             steps += 1
             trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, point.onward)
-            ahead, damping = self._step(model, trusting, damping, free)
+            jacobian = self.jacobian(model, trusting) if carried is None else carried
+            ahead, damping = self._step(model, trusting, damping, free, jacobian)
+            stale, carried = carried is not None, None
             if ahead is not trusting:
+                if model.coupled:
+                    carried = self._updated(jacobian, trusting, ahead)
                 ahead = self.with_process(ahead, model, ahead.process * NEAR)
             gained = point.cost - ahead.cost
+            if stale and gained < ENOUGH:  # nothing can be said before the Jacobian is known again
+                point, carried, damping = (ahead if gained > 0 else point), None, DAMPING
+                continue
             if gained > 0:
                 idle = idle + 1 if gained < ENOUGH and boldness == 1.0 else 0
                 point = ahead
@@ -253,7 +281,8 @@ class Fitter:
                 boldness, damping = 1.0, DAMPING
             elif boldness == 1.0 and gained > 1e2:
                 boldness = BOLDNESS
-        linear, residual, jacobian = self.linearised(model, point)
+        linear, residual = self.slopes(point), self.residuals(point)[0]
+        jacobian = self.jacobian(model, point, linear)
         hessian = jacobian.T @ jacobian + np.eye(model.size)
         return Fitted(
             model, point.u, point.process, point.cost, point.track, point.acting, linear, point.own, point.drive,

@@ -34,7 +34,7 @@ UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 LASTING = 0.02  # s, that a missing force lasts
 LOST = 6.0  # scatters; a filter that is so far off begins again from the measurement
 FOUND = 1e-5  # m, standard deviation of the position when it does
-BATCH = 2048  # samples that are differentiated at once
+BATCH = 512  # samples that are differentiated at once
 
 
 class Exposure(NamedTuple):
@@ -212,12 +212,16 @@ def follow(
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled))
     position, velocity, bristle, lacking, friction, doubt, innovation, scatter, pull = found
-    counts = lanes.counts
-    squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
-    size = jnp.sum(counts * squares) / jnp.sum(counts)
-    deviance = jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter))
+    deviance, size = deviance_of(innovation, scatter, lanes.counts)
     course = Course(position, velocity, bristle, friction)
     return Track(course, lacking, doubt, innovation, scatter, pull, deviance, size)
+
+
+def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Scalar, Scalar]:
+    """-2 log likelihood up to a constant, and the square of the scale of all noises, which is free."""
+    squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
+    size = jnp.sum(counts * squares) / jnp.sum(counts)
+    return jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter)), size
 
 
 def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: Sampling) -> Slopes:

@@ -70,6 +70,11 @@ class Model:
         """How many numbers are free."""
         return len(NAMES) + len(self.slots)
 
+    @property
+    def coupled(self) -> bool:
+        """Whether an effect is stepped within the filter."""
+        return any(member.candidate.coupled for member in self.members)
+
     def values(self, u: Vector) -> list[dict[str, Vector]]:
         """For each member, its parameters by name: one value for each log."""
         found = [dict(member.fixed) for member in self.members]

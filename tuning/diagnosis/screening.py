@@ -63,28 +63,32 @@ def respond(fitted: Fitted, bend: Any, columns: Float[Array, "p m"] | None) -> F
 
 
 def _directions(fitted: Fitted, candidate: Candidate, point: dict[str, Vector]) -> tuple[np.ndarray, list[Any]]:
-    """Answers to each amplitude of the candidate at a point of its grid ([m, lanes, n]), and what each is of."""
+    """Answers to each amplitude of the candidate at a point of its grid ([m, lanes, n]), and what each is of.
+
+    What the candidate does alone: to first order that is what it does beside the effects that are there.
+    """
     logged = fitted.model.logged
-    others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
     amplitudes = [one for one in candidate.parameters if one.amplitude]
     course = fitted.track.course
     if not amplitudes:
-        with_it = exposed(logged, fitted.own, (*others, effect), course)
-        bend = jax.tree.map(lambda a, b: (a - b)[..., None], with_it, fitted.acting)
+        with_it, without = (exposed(logged, fitted.drive, which, course) for which in ((effect,), ()))
+        bend = jax.tree.map(lambda a, b: (a - b)[..., None], with_it, without)
         return respond(fitted, bend, None), [None]
     labels = [(one, log) for one in amplitudes for log in (range(logged.logs) if one.session else [None])]
     rows = []
     for one, log in labels:
         here = np.array([log is None or log == owner for owner in logged.owner], float) * one.spread
-        zero = jax.tree.map(jnp.zeros_like, (*others, effect))
-        rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree[-1], n), zero, jnp.asarray(here)))
+        zero = jax.tree.map(jnp.zeros_like, effect)
+        rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree, n), zero, jnp.asarray(here)))
     tangents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
-    bend = exposure_slopes(logged, fitted.own, (*others, effect), tangents, course)
+    bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
     columns = None
     if issubclass(candidate.effect, MachineEffect):
         b = jnp.asarray(fitted.model.tolerance * fitted.u[: len(NAMES)])
-        columns = machine_slopes(logged, b, (*others, effect), tangents)[:, len(NAMES) :]
+        others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
+        still = jax.tree.map(lambda leaf: jnp.zeros((len(rows), *leaf.shape)), others)
+        columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
     return respond(fitted, bend, columns), labels
 
 

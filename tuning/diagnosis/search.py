@@ -268,7 +268,6 @@ def explain(
         if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
         best = found.fits[0]
-        coupled = any(member.candidate.coupled for member in best.model.members)
-        if explained(fitter, best, max(LACKING, (COARSE if coupled else LEFT) * lacked)):
+        if explained(fitter, best, max(LACKING, (COARSE if best.model.coupled else LEFT) * lacked)):
             break
     return Explanation(base, rounds, best)

@@ -77,7 +77,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     before, after = missing(fitter, base), missing(fitter, best)
     lacks = before > LACKING + BLOWS * FEW_LOST
     unexplained = float(np.clip(after / before, 0.0, 1.0)) if lacks else 0.0
-    rough = any(member.candidate.coupled for member in best.model.members)
+    rough = best.model.coupled
     if rough and lacks:
         unexplained = min(unexplained, float(np.sum(best.process**2) / np.sum(base.process**2)))
     left = unexplained / (ROUGHLY if rough else LEFT)
