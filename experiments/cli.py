@@ -220,6 +220,9 @@ def diagnose(
             help="How well the drive file is known: 0.02 is right to 2 %, give or take (a standard deviation).",
         ),
     ] = 0.02,
+    tune: Annotated[
+        bool, typer.Option("--tune", help="Tune the controller on both drives, and show what closing the gap pays.")
+    ] = False,
 ) -> None:
     """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
 
@@ -233,7 +236,7 @@ def diagnose(
 
     diagnose_logs(
         logs, drive, out, columns=column or (), units=unit or (), loads=load or (), without=without or (),
-        most_effects=most_effects, tolerance=tolerance,
+        most_effects=most_effects, tolerance=tolerance, tuned=tune,
     )  # fmt: skip
 
 

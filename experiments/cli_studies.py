@@ -39,6 +39,10 @@ def withheld(
         Path | None,
         typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
     ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Machines that are diagnosed at once; each takes 2 to 4 GB.")] = 1,
+    twice: Annotated[
+        bool, typer.Option("--twice", help="Ask again with nothing but the true effects, and without them.")
+    ] = False,
 ) -> None:
     """Check the diagnosis on machines with an effect that it is not told.
 
@@ -49,9 +53,9 @@ def withheld(
     from experiments.withheld.study import withheld as run
 
     if bench is None:
-        run(out, cases, seed)
+        run(out, cases, seed, workers, twice)
     else:
-        examined(out, bench, bench / "key.json")
+        examined(out, bench, bench / "key.json", workers, twice)
 
 
 @studies.command("real-axes", rich_help_panel=PANEL)

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
+from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, read_drive, write_drive
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
@@ -15,7 +17,9 @@ from diffdrive.parameters import Drive
 from experiments.checked_logs import parse_loads, read_checked
 from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page
+from experiments.payoff import payoff
 from experiments.report import Report, plain
+from experiments.tuning_cases import Plan
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.diagnose import Diagnosis, diagnose, parameters
 from tuning.diagnosis.gap import drive_of
@@ -40,12 +44,16 @@ def diagnose_logs(
     without: Sequence[str] = (),
     most_effects: int = MOST_EFFECTS,
     tolerance: float = TOLERANCE,
+    tuned: bool = False,
 ) -> dict[str, Any]:
     """`diffdrive diagnose`; returns what diagnosis.json holds.
 
-    `columns`, `units` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
-    `ParameterError`, one line each.
+    `columns`, `units` and `loads` are texts as on the command line; with `tuned`, the controller is tuned on the
+    nominal drive and on the one with what was found, and both are judged on the latter. Raises `DriveFileError`,
+    `LogError` and `ParameterError`, one line each.
     """
+    if tuned and out is None:
+        raise ParameterError("--tune needs --out: the drive to tune on is written there")
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
@@ -71,7 +79,24 @@ def diagnose_logs(
             with report.working("drawing"):
                 draw(report, found, logs)
             page(report, told, augmented)
+            if tuned:
+                heaviest = max((float(np.max(log.load)) for log in logs if log.load is not None), default=0.0)
+                _pay(report, told, description, augmented, heaviest)
     return told
+
+
+def _pay(
+    report: Report, told: dict[str, Any], description: DriveDescription, augmented: str | None, max_load: float
+) -> None:
+    """Tune on both drives; the comparison goes to the report."""
+    assert report.out is not None
+    if augmented is None or not told["ladder"][2:]:
+        report.say("Nothing to tune on: no effect was added.")
+    elif isinstance(description.controller, UnknownController):
+        report.say("Nothing to tune: the drive file does not know its controller.")
+    else:
+        plan = Plan(max_load=max_load, loads=Plan.loads if max_load > 0 else 1)
+        payoff(report, description, read_drive(report.out / augmented), plan)
 
 
 def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:

@@ -1,13 +1,16 @@
-"""The diagnosis of every case in a folder, in a process of its own that knows neither key nor seed.
+"""The diagnosis of every case in a folder, in processes of their own that know neither key nor seed.
 
-    python -m experiments.withheld.answer FOLDER OUT
+    python -m experiments.withheld.answer FOLDER OUT WORKERS [WITHOUT.json]
 
-Cases that have an answer are left alone, so that an interrupted run goes on.
+Cases that have an answer are left alone, so that an interrupted run goes on. The optional file names the cases that are
+wanted, and for each the effects that are not to be considered.
 """
 
 import json
+import multiprocessing
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,7 @@ from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
 
 UNASKED = Experiment("", [], 0.0, "not asked")
+TASKS = 4  # cases that one process answers: compiled programs pile up in it
 
 
 def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -32,22 +36,40 @@ def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     return told | {"seconds": round(time.perf_counter() - began, 1)}
 
 
-def main(folder: Path, out: Path) -> None:
-    """Answer every case of `folder` that has no answer in `out` yet."""
-    for place in sorted(one for one in folder.iterdir() if (one / "drive.toml").exists()):
-        path = out / place.name / "diagnosis.json"
-        if path.exists():
-            continue
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            told = answer(place)
-        except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
-            told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
-        path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-        print(place.name, told["verdict"], [one["effect"] for one in told["causes"] if one["found"]], flush=True)
+def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:
+    """Write the answer of one case; what a line about it says."""
+    try:
+        told = answer(place, without)
+    except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
+        told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    return f"{place.name} {told['verdict']} {[one['effect'] for one in told['causes'] if one['found']]}"
+
+
+def _begin() -> None:
+    configure()
+    keep_compiled()
+
+
+def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]] | None = None) -> None:
+    """Answer every case of `folder`, or those that `without` names, that has no answer in `out` yet."""
+    places = sorted(one for one in folder.iterdir() if (one / "drive.toml").exists())
+    wanted = places if without is None else [one for one in places if one.name in without]
+    paths = {one: out / one.name / "diagnosis.json" for one in wanted}
+    # spawned, not forked: a forked JAX hangs
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=_begin, max_tasks_per_child=TASKS) as pool:
+        asked = [
+            pool.submit(_answer, place, path, tuple((without or {}).get(place.name, ())))
+            for place, path in paths.items()
+            if not path.exists()
+        ]
+        for one in as_completed(asked):
+            print(one.result(), flush=True)
 
 
 if __name__ == "__main__":
-    configure()
-    keep_compiled()
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    folder, out, workers, *more = sys.argv[1:]
+    named = json.loads(Path(more[0]).read_text(encoding="utf-8")) if more else None
+    main(Path(folder), Path(out), int(workers), named)

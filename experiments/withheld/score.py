@@ -9,6 +9,7 @@ import numpy as np
 
 CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
 BINS = 10  # of confidence
+NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a share
 
 
 def visibility(told: dict[str, Any]) -> float:
@@ -23,9 +24,17 @@ def visibility(told: dict[str, Any]) -> float:
     return float(max(found))
 
 
-def score(answers: dict[str, dict[str, Any]], key: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Every figure of the check; `answers` and `key` by case."""
+def score(
+    answers: dict[str, dict[str, Any]],
+    key: dict[str, dict[str, Any]],
+    oracle: dict[str, dict[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """Every figure of the check; `answers` and `key` by case.
+
+    `oracle` are answers with nothing but the true effects to choose from, for the cases where these were not found.
+    """
     rows = [_row(name, answers[name], key[name]) for name in sorted(answers)]
+    best = {row["case"]: _shrink((oracle or {}).get(row["case"], answers[row["case"]])) for row in rows}
     single = [row for row in rows if row["kind"] == "single"]
     clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
     sound = [row for row in rows if row["kind"] == "none"]
@@ -49,7 +58,10 @@ def score(answers: dict[str, dict[str, Any]], key: dict[str, dict[str, Any]]) ->
         "compounds": len(two),
         "both_found": _share(two, "both"),
         "calibration_error": _calibration(rows),
+        "reliability": _reliability(rows),
+        "median_parameter_error": _median([row["parameter_error"] for row in clear if row["top1"]]),
         "median_shrink_held_out": _median([row["shrink"] for row in clear]),
+        "median_shrink_of_oracle": _median([_ratio(row["shrink"], best[row["case"]]) for row in clear]),
         "confusion": _confusion(rows),
         "rows": rows,
     }
@@ -66,7 +78,6 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
     first = causes[0] if causes else None
     declared = set(found[:1]) | set(first["indistinguishable_from"] if first and first["found"] else [])
     seen = visibility(told)
-    ladder = told.get("ladder", [])
     return {
         "case": name,
         "kind": kind,
@@ -84,9 +95,40 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "said_unknown": told["verdict"] == "unknown",
         "confidently_wrong": told["verdict"] == "effect" and any(one["effect"] not in true for one in sure),
         "sure": [(one["effect"], one["confidence"], one["effect"] in true) for one in causes if one["found"]],
-        "shrink": ladder[-1]["shrink"] if len(ladder) > 2 else None,
+        "parameter_error": _parameter_error(first["parameters"], key["effects"][0]["true"])
+        if first and found[:1] == true[:1] and "true" in key["effects"][0]
+        else None,
+        "shrink": _shrink(told),
         "seconds": told.get("seconds"),
     }
+
+
+def _shrink(told: dict[str, Any]) -> float | None:
+    """How far the whole answer closes the gap to the floor on what was held out, as a share of what recalibration left.
+
+    None where recalibration leaves nothing.
+    """
+    ladder, floor = told.get("ladder", []), told.get("gap", {}).get("noise_floor_force_N")
+    if len(ladder) < 2 or not floor:
+        return None
+    before, after = (max(ladder[k]["force_rms_N"] ** 2 - floor**2, 0.0) for k in (1, -1))
+    return 1.0 - after / before if before > NOTHING * floor**2 else None
+
+
+def _ratio(one: float | None, other: float | None) -> float | None:
+    return one / other if one is not None and other is not None and other > 0.0 else None
+
+
+def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | None:
+    """The largest relative error of the numbers that both name; an amplitude is that of cosine and sine."""
+    told = dict(found)
+    if isinstance(told.get("cosine"), float):
+        told["amplitude"] = float(np.hypot(told["cosine"], told["sine"]))
+    elif isinstance(told.get("cosine"), list):
+        told["amplitude"] = float(np.mean(np.hypot(told["cosine"], told["sine"])))
+    pairs = [(told[name], value) for name, value in true.items() if name in told]
+    errors = [abs(a / b - 1.0) for a, b in pairs if isinstance(a, float) and isinstance(b, float) and b != 0.0]
+    return max(errors) if errors else None
 
 
 def _share(rows: list[dict[str, Any]], what: str) -> float | None:
@@ -107,6 +149,18 @@ def _calibration(rows: list[dict[str, Any]]) -> float | None:
     place = np.minimum((confidence * BINS).astype(int), BINS - 1)
     off = [abs(confidence[place == k].mean() - right[place == k].mean()) * np.mean(place == k) for k in set(place)]
     return round(float(np.sum(off)), 4)
+
+
+def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
+    """Mean confidence, how many, and the share that was right, bin by bin."""
+    pairs = [(confidence, right) for row in rows for _, confidence, right in row["sure"]]
+    table = []
+    for k in range(BINS):
+        some = [pair for pair in pairs if min(int(pair[0] * BINS), BINS - 1) == k]
+        if some:
+            mean, right = np.mean(np.array(some, float), axis=0)
+            table.append([float(mean), len(some), float(right)])
+    return table
 
 
 def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
@@ -179,11 +179,12 @@ class Fitter:
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
         return kept * residual, kept
 
-    def jacobian(self, model: Model, point: _Point, linear: Slopes | None = None) -> np.ndarray:
-        """Of the residuals, [m, k]."""
+    def jacobian(self, model: Model, point: _Point, linear: Slopes | None = None, free: Any = True) -> np.ndarray:
+        """Of the residuals, [m, k]; what is not `free` may be left out."""
         logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
         if model.coupled:
-            return kept[:, None] * self._differences(model, point)
+            wanted = np.flatnonzero(np.broadcast_to(free, model.size))
+            return kept[:, None] * self._differences(model, point, wanted)
         linear = self.slopes(point) if linear is None else linear
         effects, b = model.effects(point.u), jnp.asarray(model.tolerance * point.u[: len(NAMES)])
         tangents, count = model.tangents(point.u)
@@ -197,13 +198,13 @@ class Fitter:
         found = _answers(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
         return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
 
-    def _differences(self, model: Model, point: _Point) -> Float[np.ndarray, "m k"]:
-        """Differences of the residuals, each to the side away from the prior's edge.
+    def _differences(self, model: Model, point: _Point, wanted: Int[np.ndarray, " w"]) -> Float[np.ndarray, "m k"]:
+        """Differences of the residuals in the directions wanted, each to the side away from the prior's edge.
 
         A coupled effect answers the table, and the table answers it: no derivative along a given course tells.
         """
         sides = np.where(point.u > 0.0, -DIFFERENCE, DIFFERENCE)
-        steps = list(np.diag(sides))
+        steps = list(np.diag(sides)[wanted])
         filled = [*steps, *[steps[-1]] * (-len(steps) % AT_ONCE)]
         process, found = Process(*jnp.asarray(point.process)), []
         for few in (filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)):
@@ -212,8 +213,10 @@ class Fitter:
             b = jnp.asarray(model.tolerance * np.array(us)[:, : len(NAMES)])
             found.append(np.asarray(_moved(self.logged, b, stacked, point.course, process)))
         moved = np.concatenate(found)[: len(steps)] - np.asarray(point.track.innovation)
-        slope = moved / sides[:, None, None] / np.asarray(point.track.scatter) * self.counts
-        return slope.reshape(model.size, -1).T
+        slope = moved / sides[wanted, None, None] / np.asarray(point.track.scatter) * self.counts
+        columns = np.zeros((slope[0].size, model.size))
+        columns[:, wanted] = slope.reshape(len(wanted), -1).T
+        return columns
 
     def _step(
         self, model: Model, point: _Point, damping: float, free: Vector, jacobian: np.ndarray
@@ -245,12 +248,26 @@ class Fitter:
         free: Vector | None = None,
     ) -> Fitted:
         """From `u`; `course` is where the effects are first stepped along, `free` are ones for what may move."""
+        point, steps = self.sought(model, u, process, course, most, free)
+        linear, residual = self.slopes(point), self.residuals(point)[0]
+        jacobian = self.jacobian(model, point, linear)
+        hessian = jacobian.T @ jacobian + np.eye(model.size)
+        return Fitted(
+            model, point.u, point.process, point.cost, point.track, point.acting, linear, point.own, point.drive,
+            jacobian, residual, hessian, steps,
+        )  # fmt: skip
+
+    def sought(
+        self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None
+    ) -> tuple[_Point, int]:
+        """Where `fit` ends, and after how many steps."""
         free = np.ones(model.size) if free is None else free
         point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, FIRST)
         boldness, damping, steps, idle, elsewhere = BOLDNESS, DAMPING, 0, 0, False
         carried = None  # the Jacobian, where a new one would be dear
+        settled = False  # the process force, as far as the last step could tell
         while steps < most:
             if idle == 2:  # at the end, unless quite another noise makes it likelier
                 if elsewhere or point.process[0] < MISSED:
@@ -261,13 +278,18 @@ class Fitter:
                 point, idle = other, 0
             steps += 1
             trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, point.onward)
-            jacobian = self.jacobian(model, trusting) if carried is None else carried
+            jacobian = self.jacobian(model, trusting, free=free) if carried is None else carried
             ahead, damping = self._step(model, trusting, damping, free, jacobian)
             stale, carried = carried is not None, None
             if ahead is not trusting:
                 if model.coupled:
                     carried = self._updated(jacobian, trusting, ahead)
-                ahead = self.with_process(ahead, model, ahead.process * NEAR)
+                if not (settled and boldness == 1.0 and point.cost - ahead.cost > ENOUGH):
+                    begun = ahead.process
+                    ahead = self.with_process(ahead, model, begun * NEAR)
+                    settled = bool(np.all(ahead.process == begun))
+                else:
+                    settled = False  # every other time
             gained = point.cost - ahead.cost
             if stale and gained < ENOUGH:  # nothing can be said before the Jacobian is known again
                 point, carried, damping = (ahead if gained > 0 else point), None, DAMPING
@@ -278,13 +300,8 @@ class Fitter:
             if gained < ENOUGH:
                 if boldness == 1.0 and not gained > 0:
                     idle = 2
+                carried = carried if boldness == 1.0 else None  # under another process force it is another one
                 boldness, damping = 1.0, DAMPING
             elif boldness == 1.0 and gained > 1e2:
-                boldness = BOLDNESS
-        linear, residual = self.slopes(point), self.residuals(point)[0]
-        jacobian = self.jacobian(model, point, linear)
-        hessian = jacobian.T @ jacobian + np.eye(model.size)
-        return Fitted(
-            model, point.u, point.process, point.cost, point.track, point.acting, linear, point.own, point.drive,
-            jacobian, residual, hessian, steps,
-        )  # fmt: skip
+                boldness, carried = BOLDNESS, None
+        return point, steps

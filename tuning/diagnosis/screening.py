@@ -31,6 +31,7 @@ from tuning.diagnosis.model import (
 )
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3)])  # times the process forces
+BEST = 3  # of a grid, under other process forces too
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
 
 
@@ -136,9 +137,10 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     for values in points:
         for calibration in starts:
             u = np.r_[calibration, begin(model, values)]
-            there = fitter.at(model, u, fitted.process, fitted.track.course)
-            found.append((fitter.with_process(there, model, fitted.process * TRIED), values))
-    there, values = min(found, key=lambda one: one[0].cost)
+            found.append((fitter.at(model, u, fitted.process, fitted.track.course), values))
+    found.sort(key=lambda one: one[0].cost)
+    best = [(fitter.with_process(one, model, fitted.process * TRIED), values) for one, values in found[:BEST]]
+    there, values = min(best, key=lambda one: one[0].cost)
     gain = fitted.cost - there.cost
     return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values)
 

@@ -23,6 +23,7 @@ from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, t
 
 THREADS = 2
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
+ALONE = 4  # first steps of a coupled effect
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
@@ -99,14 +100,21 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
 
 def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
-    """From where screening points, about the parameters of before or about the nominal ones."""
+    """From where screening points, about the parameters of before or about the nominal ones.
+
+    A coupled effect is no small change: alone first, everything else held, which costs little.
+    """
     model = joined(before.model, found.candidate, found.values)
     own = begin(model, found.values)
     nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
     starts = []
     for u in (np.r_[before.u, own], np.r_[nominal, own]):
         there = fitter.at(model, u, before.process, before.track.course)
-        starts.append(fitter.with_process(there, model, before.process * TRIED))
+        there = fitter.with_process(there, model, before.process * TRIED)
+        if found.candidate.coupled:
+            alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
+            there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
+        starts.append(there)
     begun = min(starts, key=lambda one: one.cost)
     return fitter.fit(model, begun.u, begun.process, begun.track.course, most)
 
@@ -123,13 +131,19 @@ def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) 
     return fitter.fit(model, first.u, first.process, first.track.course, most)
 
 
-def look(fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, little: float) -> Round:
-    """One more effect; those that have to be searched for only where the others leave more than `little`."""
+def look(
+    fitter: Fitter,
+    before: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    whole: Callable[[Fitted], bool],
+) -> Round:
+    """One more effect; those that have to be searched for only where no other makes the model `whole`."""
     there = {member.candidate.name for member in before.model.members}
     left = [one for one in catalogue if one.name not in there]
     believed = _believed(fitter, before) if strain(before) > IMPOSSIBLE else None
     screened, fits = _race(fitter, before, believed, [one for one in left if not one.searched], progress)
-    settled = fits and before.evidence - fits[0].evidence > SETTLED and explained(fitter, fits[0], little)
+    settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
         more = _race(fitter, before, None, [one for one in left if one.searched], progress)
         screened, fits = screened + more[0], fits + more[1]
@@ -240,9 +254,12 @@ def missing(fitter: Fitter, fitted: Fitted) -> float:
     return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
 
 
-def explained(fitter: Fitter, fitted: Fitted, little: float) -> bool:
-    """Whether no more than `little` is missing, and no nominal parameter had to move far for it."""
-    return missing(fitter, fitted) < little and strain(fitted) < STRAINED
+def power_left(base: Fitted, fitted: Fitted) -> float:
+    """Share of the missing force's mean square that is left.
+
+    The details of a coupled effect differ from machine to machine: they leave little force, but one that is seen plainly.
+    """
+    return float(np.sum(fitted.process**2) / np.sum(base.process**2))
 
 
 def strain(fitted: Fitted) -> float:
@@ -259,15 +276,23 @@ def explain(
     """
     best, rounds = base, []
     lacked = missing(fitter, base)
-    little = max(LACKING, LEFT * lacked)
+
+    def whole(one: Fitted) -> bool:
+        if one.model.coupled and power_left(base, one) < COARSE:
+            return True
+        return missing(fitter, one) < max(LACKING, LEFT * lacked)
+
     while len(rounds) < most:
-        whole = missing(fitter, best) < little
-        found = look(fitter, best, [one for one in catalogue if one.relieves or not whole], progress, little)
+        complete = whole(best)
+        found = look(fitter, best, [one for one in catalogue if one.relieves or not complete], progress, whole)
         rounds.append(found)
-        enough = WORTH if strain(best) >= STRAINED else max(WORTH, SLIGHT * (base.evidence - best.evidence))
-        if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
+        if not found.fits:
+            break
+        relieved = strain(best) >= STRAINED > strain(found.fits[0])
+        enough = WORTH if relieved else max(WORTH, SLIGHT * (base.evidence - best.evidence))
+        if best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
         best = found.fits[0]
-        if explained(fitter, best, max(LACKING, (COARSE if best.model.coupled else LEFT) * lacked)):
+        if whole(best) and strain(best) < STRAINED:
             break
     return Explanation(base, rounds, best)

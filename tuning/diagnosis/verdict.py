@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.search import BLOWS, LACKING, LEFT, WORTH, Explanation, Round, missing
+from tuning.diagnosis.search import BLOWS, LACKING, LEFT, WORTH, Explanation, Round, missing, power_left
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
@@ -79,7 +79,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     unexplained = float(np.clip(after / before, 0.0, 1.0)) if lacks else 0.0
     rough = best.model.coupled
     if rough and lacks:
-        unexplained = min(unexplained, float(np.sum(best.process**2) / np.sum(base.process**2)))
+        unexplained = min(unexplained, power_left(base, best))
     left = unexplained / (ROUGHLY if rough else LEFT)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []

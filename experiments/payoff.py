@@ -1,0 +1,80 @@
+"""What closing the gap pays: the gains tuned on the drive with what was found, against those tuned on the nominal one.
+
+Both are judged on the drive with what was found, the best that is known of the machine, in scenarios that neither was
+tuned on.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from diffdrive.controllers import Controller
+from diffdrive.drive_file import DriveDescription
+from diffdrive.parameters import Sampling, as_arrays
+from diffdrive.smooth import smooth
+from experiments.handover import worst_margins
+from experiments.report import Report
+from experiments.tune import tune_drive
+from experiments.tuning_cases import Judged, Plan, held_out, judge
+from tuning.requirements import Limits, Requirements, points
+
+STANDSTILL = 0.0  # m/s
+NAMES = ("given", "tuned on nominal", "tuned on augmented")
+
+
+def payoff(
+    report: Report, nominal: DriveDescription, augmented: DriveDescription, plan: Plan = Plan()
+) -> dict[str, dict[str, Any]]:
+    """Tune on both drives and judge the gains as given and both results on the augmented one.
+
+    The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what
+    `tune` raises: `ParameterError` for a drive or a controller that cannot be tuned.
+    """
+    gains: list[Controller] = [augmented.controller]
+    accepted = [True]
+    for name, description in (("nominal", nominal), ("augmented", augmented)):
+        quiet = Report(f"tuned on the {name} drive", _below(report, f"tuned-{name}"), Console(quiet=True))
+        with report.working(f"tuning on the {name} drive"), quiet:
+            tuned, kept = tune_drive(description, quiet, plan=plan)
+        gains.append(tuned.controller)
+        accepted.append(kept)
+    scenarios = held_out(augmented, plan)
+    rows, found = [], {}
+    for name, controller, kept in zip(NAMES, gains, accepted, strict=True):
+        with report.working(f"judging the gains {name}"):
+            judged = [judge(controller, one, augmented.sampling) for one in scenarios]
+        found[name] = _told(judged, _margins(augmented, controller, plan)) | {"requirements_kept_where_tuned": kept}
+        rows.append([name, *(found[name].get(key) for key in COLUMNS)])
+    report.table("payoff", ("gains", *COLUMNS), rows, "On the drive with what was found, in scenarios not tuned on")
+    was, now = (found[name]["mean RMS um"] for name in NAMES[1:])
+    report.say(
+        f"Tuning on the augmented drive leaves {now:.3g} um of tracking error where tuning on the nominal one leaves "
+        f"{was:.3g} um ({100 * (now / was - 1):+.0f} %)."
+    )
+    return found
+
+
+COLUMNS = ("mean RMS um", "worst peak um", "command noise N", "phase_deg", "gain_up_dB", "gain_down_dB")
+
+
+def _below(report: Report, name: str) -> Path | None:
+    return None if report.out is None else report.out / name
+
+
+def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
+    return {
+        "mean RMS um": float(np.mean([one.rms for one in judged])),
+        "worst peak um": float(np.max([one.peak for one in judged])),
+        "command noise N": float(np.max([one.command_noise for one in judged])),
+        "runs_ok": all(one.run.status.ok for one in judged),
+        **margins,
+    }
+
+
+def _margins(description: DriveDescription, controller: Controller, plan: Plan) -> dict[str, float]:
+    """The worst at standstill and at the speed tuned at, without load and under the highest."""
+    at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
+    sampling = Sampling(description.sampling.rate, description.sampling.plant_steps)
+    return worst_margins(Requirements(Limits(), at, sampling).margins(as_arrays(smooth(controller))))

@@ -1,0 +1,48 @@
+"""The same machines asked again, once the key is open: with nothing but what is true, and without it.
+
+The first is the oracle: how far the gap shrinks when the true effects are fitted and nothing else. In the second the
+answer must become `unknown`, or a rival that the first answer had declared.
+"""
+
+from typing import Any
+
+from diffdrive.effects.catalogue import EFFECTS
+
+Answers = dict[str, dict[str, Any]]
+Key = dict[str, dict[str, Any]]
+
+
+def oracle(answers: Answers, key: Key) -> dict[str, list[str]]:
+    """For each case whose known effects were not just what was found: all others, which are not to be considered."""
+    asked = {}
+    for name, told in answers.items():
+        true = {one["name"] for one in key[name]["effects"]}
+        found = {one["effect"] for one in told["causes"] if one["found"]}
+        if true and true <= set(EFFECTS) and found != true:
+            asked[name] = [one for one in EFFECTS if one not in true]
+    return asked
+
+
+def removed(answers: Answers, key: Key) -> dict[str, list[str]]:
+    """For each effect of the catalogue the case that showed it best: found first and alone, by the most evidence."""
+    best: dict[str, tuple[float, str]] = {}
+    for name, told in answers.items():
+        true = [one["name"] for one in key[name]["effects"]]
+        first = told["causes"][0] if told["causes"] else None
+        if len(true) == 1 and first and first["found"] and first["effect"] == true[0]:
+            best[true[0]] = max(best.get(true[0], (0.0, "")), (first["evidence"], name))
+    return {name: [effect] for effect, (_, name) in best.items()}
+
+
+def without_it(answers: Answers, again: Answers, asked: dict[str, list[str]]) -> list[list[Any]]:
+    """Effect, case, verdict without it, what was found, and whether that is as it must be."""
+    rows = []
+    for name, (effect,) in asked.items():
+        told = again.get(name)
+        if told is None:
+            continue
+        found = [one["effect"] for one in told["causes"] if one["found"]]
+        declared = answers[name]["causes"][0]["indistinguishable_from"]
+        good = told["verdict"] == "unknown" or (found != [] and set(found) <= set(declared))
+        rows.append([effect, name, told["verdict"], " + ".join(found), " ".join(declared), good])
+    return sorted(rows)
