@@ -257,7 +257,7 @@ def missing(fitter: Fitter, fitted: Fitted) -> float:
 def power_left(base: Fitted, fitted: Fitted) -> float:
     """Share of the missing force's mean square that is left.
 
-    The details of a coupled effect differ from machine to machine: they leave little force, but one that is seen plainly.
+    The details of a coupled effect differ from machine to machine: they leave little force, plain as it may be to see.
     """
     return float(np.sum(fitted.process**2) / np.sum(base.process**2))
 
