@@ -14,7 +14,7 @@ from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
 from experiments.scenario import number
 
-UNUSED = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
+EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
 
 def read_checked(
@@ -25,11 +25,13 @@ def read_checked(
     name: str,
     force: bool,
     loads: Mapping[str, float] | None = None,
+    used: Sequence[str] = (),
 ) -> tuple[Log, ...]:
     """Read logs, say what the reader repaired and what is implausible (the table `name`), and refuse what is fatal.
 
-    `loads` (N) by file name: what was on the table where no column says it. Raises `LogError` for a log at another rate
-    than the drive file's and, without `force`, for a fatal finding.
+    `loads` (N) by file name: what was on the table where no column says it. `used` are channels of `EXTRA` that are
+    looked at after all. Raises `LogError` for a log at another rate than the drive file's and, without `force`, for a
+    fatal finding.
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
         logs = read_logs(paths, description.mapping, description.sampling.rate)
@@ -40,9 +42,9 @@ def read_checked(
     for log in logs:
         for note in log.notes:
             report.say(f"{log.name}: {note}")
-        unused = [channel for channel in UNUSED if getattr(log, channel) is not None]
+        unused = [channel for channel in EXTRA if channel not in used and getattr(log, channel) is not None]
         if unused:
-            report.say(f"{log.name}: {', '.join(unused)}: read and checked, but identification does not use it.")
+            report.say(f"{log.name}: {', '.join(unused)}: read and checked, but not used.")
     if found:
         report.table(
             name,

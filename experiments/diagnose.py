@@ -61,8 +61,9 @@ def diagnose_logs(
     description = dataclasses.replace(description, mapping=description.mapping.overridden(columns, units))
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs = read_checked(
-            paths, description, report, name="findings", force=True, loads=parse_loads(loads, list(paths))
-        )
+            paths, description, report, name="findings", force=True, loads=parse_loads(loads, list(paths)),
+            used=("motor_position",),
+        )  # fmt: skip
         with report.stages() as progress:
             found = diagnose(
                 description.drive, description.controller, logs,

@@ -23,6 +23,7 @@ from tuning.diagnosis.gap import ForceGap, force_floor, force_gap
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.model import Logged
 from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
+from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.fit import lanes_of, noise_floor, sampling_of
@@ -104,7 +105,7 @@ def diagnose(
     without a long enough piece, and `ParameterError` for a drive that has effects already.
     """
     logged = logged_of(drive, logs)
-    fitter = Fitter(logged)
+    fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise)))
     at = setting(logged.drive, logged.lanes, logged.sampling.period)
     lacks = shortcomings(logged, at)
     progress("recalibrating", 0, 1)

@@ -38,6 +38,7 @@ from tuning.diagnosis.model import (
     machine,
     machine_slopes,
 )
+from tuning.diagnosis.second_encoder import Twist, foreseen, unlikelihood
 
 LEAST, MOST = 1e-3, 1e3  # N, of process force
 BEGIN = np.array([1e2, 1.0])
@@ -70,13 +71,14 @@ class Fitted(NamedTuple):
     residual: Float[np.ndarray, " m"]
     hessian: Float[np.ndarray, "k k"]
     steps: int
+    second: float  # -2 log likelihood of what a second encoder saw; 0 without one
 
     @property
     def evidence(self) -> float:
         """-2 log of the probability of the logs under the hypothesis, up to a constant shared by all."""
         if not np.all(np.isfinite(self.hessian)):
             return np.inf
-        return self.cost + float(np.linalg.slogdet(self.hessian)[1])
+        return self.cost + self.second + float(np.linalg.slogdet(self.hessian)[1])
 
 
 _follow = eqx.filter_jit(follow)
@@ -140,8 +142,8 @@ class _Point(NamedTuple):
 class Fitter:
     """Fits hypotheses about the same logs."""
 
-    def __init__(self, logged: Logged) -> None:
-        self.logged = logged
+    def __init__(self, logged: Logged, twist: Twist | None = None) -> None:
+        self.logged, self.twist = logged, twist
         self.counts = np.asarray(logged.lanes.counts)
         self.given = (logged.noise, logged.lanes, logged.sampling)
 
@@ -254,8 +256,16 @@ class Fitter:
         hessian = jacobian.T @ jacobian + np.eye(model.size)
         return Fitted(
             model, point.u, point.process, point.cost, point.track, point.acting, linear, point.own, point.drive,
-            jacobian, residual, hessian, steps,
+            jacobian, residual, hessian, steps, self._second(model, point),
         )  # fmt: skip
+
+    def _second(self, model: Model, point: _Point) -> float:
+        """What the second encoder says of a point."""
+        if self.twist is None:
+            return 0.0
+        lanes, sampling = self.logged.lanes, self.logged.sampling
+        expected = foreseen(model.effects(point.u), point.drive, point.acting, lanes, point.track.course, sampling)
+        return unlikelihood(self.twist, expected, sampling.period)
 
     def sought(
         self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None

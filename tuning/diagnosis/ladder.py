@@ -56,7 +56,8 @@ def split(fitter: Fitter) -> Split:
 
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
     lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))
-    return Fitter(fitter.logged._replace(lanes=lanes))
+    twist = fitter.twist and fitter.twist._replace(counts=fitter.twist.counts * (np.asarray(counts) > 0))
+    return Fitter(fitter.logged._replace(lanes=lanes), twist)
 
 
 def climb(
