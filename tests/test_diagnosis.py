@@ -22,6 +22,7 @@ from tuning.diagnosis.diagnose import diagnose, logged_of, parameters
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
+from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.where import localise
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
@@ -126,6 +127,24 @@ def test_logs_that_cannot_tell_say_so():
     assert any("one direction" in why for why in one_way)
     assert any("one speed" in why for why in one_way)
     assert any("limit" in why for why in lacks_of(0.02 * np.sin(3.0 * time), np.sign(np.sin(3.0 * time))))
+
+
+@pytest.mark.parametrize(
+    ("name", "position", "command", "needed"),
+    [
+        ("at rest", 1e-8 * np.sin(np.arange(4000)), np.zeros(4000), "several millimetres"),
+        ("saturated", 0.02 * np.sin(np.arange(4000) / 600), 300.0 * np.sign(np.cos(np.arange(4000) / 600)), "gentler"),
+    ],
+)
+def test_a_poor_log_gets_no_cause_but_the_motion_that_is_needed(name, position, command, needed):
+    log = dataclasses.replace(
+        log_of(), name=name, time=np.arange(4000) / RATE, position=position, command=command, reference=position
+    )
+    found = diagnose(DRIVE.drive, DRIVE.controller, [log])
+    assert found.verdict.verdict == "unknown"
+    assert needed in found.verdict.says
+    assert all(one.confidence <= 0.5 for one in found.verdict.beliefs)
+    assert next_experiment(found, DRIVE).says.startswith("log ")
 
 
 def gap_with(force, surprise, velocity, position):

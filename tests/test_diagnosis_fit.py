@@ -9,7 +9,7 @@ import pytest
 from sound_log import DRIVE, RATE, logged, two_sines
 
 from diffdrive.effects.actuator import ForceGain
-from diffdrive.effects.forces import Cogging, ConstantForce
+from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.parameters import Sampling, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
@@ -25,6 +25,7 @@ from tuning.diagnosis.search import (
     fit_from,
     lacking,
     look,
+    power_left,
     recalibrated,
     strain,
 )
@@ -118,6 +119,42 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     assert base.evidence - fit.evidence > WORTH
 
 
+def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations():
+    fitter = fitter_of(FrameVibration(ratio=0.08, frequency=21.0, damping=0.05))
+    base = recalibrated(fitter, TOLERANCE)
+    candidate = next(one for one in catalogue(fitter, base) if one.name == "frame_vibration")
+    fit = fit_from(fitter, base, screen(base, candidate))
+    values = fit.model.values(fit.u)[0]
+    assert values["frequency"][0] == pytest.approx(21.0, rel=0.02)
+    assert values["ratio"][0] == pytest.approx(0.08, rel=0.1)
+    assert strain(fit) < STRAINED
+    assert power_left(base, fit) < 0.02
+
+    point = fitter.at(fit.model, fit.u, fit.process, fit.track.course)
+    jacobian, unit = fitter.jacobian(fit.model, point), fitter.residuals(point)[1]
+    for k in (NAMES.index("mass"), len(NAMES), len(NAMES) + 1):
+        h = 0.02 * np.eye(fit.model.size)[k]
+        ahead, behind = (
+            np.asarray(fitter.at(fit.model, fit.u + way * h, fit.process, point.course).track.innovation)
+            for way in (1.0, -1.0)
+        )
+        slope = ((ahead - behind) / 0.04 / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
+        assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
+
+
+def test_a_secant_holds_along_the_step_that_was_taken():
+    fitter = fitter_of()
+    base = recalibrated(fitter, TOLERANCE)
+    before = fitter.at(base.model, base.u, base.process, base.track.course)
+    step = np.random.default_rng(2).standard_normal(base.model.size)
+    ahead = fitter.at(base.model, base.u + step, base.process, base.track.course)
+    updated = fitter._updated(base.jacobian, before, ahead)
+    moved = fitter.residuals(ahead)[0] - fitter.residuals(before)[0]
+    np.testing.assert_allclose(updated @ step, moved, atol=1e-12 * np.abs(moved).max())
+    across = np.linalg.svd(step[None])[2][1:].T  # directions that the step says nothing of
+    np.testing.assert_allclose(updated @ across, base.jacobian @ across, atol=1e-9 * np.abs(base.jacobian).max())
+
+
 def test_parameters_of_the_session_are_one_for_each_log():
     fitter = fitter_of()
     twice = fitter.logged._replace(
@@ -141,7 +178,7 @@ def test_impossible_numbers_are_explained_before_anything_else():
     base = recalibrated(fitter, TOLERANCE)
     assert strain(base) > IMPOSSIBLE
     few = [one for one in catalogue(fitter, base) if one.name in ("force_gain", "payload_mass", "cogging")]
-    found = look(fitter, base, few, lambda what, done, most: None, LACKING)
+    found = look(fitter, base, few, lambda what, done, most: None, lambda one: lacking(fitter, one) < LACKING)
     first = found.fits[0]
     assert [member.candidate.name for member in first.model.members] == ["force_gain"]
     assert first.model.values(first.u)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)

@@ -70,7 +70,9 @@ class ActuatorEffect(Effect):
 
 
 class TableEffect(Effect):
-    """On the table and its friction."""
+    """On the table and its friction; `remembers` where its state outlasts a tenth of a second."""
+
+    remembers: ClassVar[bool] = False
 
     @abc.abstractmethod
     def init(self) -> Any:

@@ -116,6 +116,7 @@ class FrameVibration(TableEffect):
     """
 
     name: ClassVar[str] = "frame_vibration"
+    remembers: ClassVar[bool] = True
     ratio: Scalar = quantity("1", "moving mass over the base's", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "natural frequency of the base", above=0.0, default=20.0)
     damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, default=0.03)

@@ -119,6 +119,7 @@ class PreslidingHysteresis(TableEffect):
     """
 
     name: ClassVar[str] = "presliding_hysteresis"
+    remembers: ClassVar[bool] = True
     share: Scalar = quantity("1", "of the bristle that elements replace", default=0.0)
     longest: Scalar = quantity("m", "longest slip distance", above=0.0, default=5e-6)
     shortest: Scalar = quantity("1", "shortest slip distance over the longest", above=0.0, default=0.2)

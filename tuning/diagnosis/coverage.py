@@ -21,6 +21,7 @@ class Shortcoming(NamedTuple):
     what: str
     why: str
     motion: str
+    hopeless: bool = False  # nothing can be told at all
 
 
 def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
@@ -39,6 +40,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
                 "anything but the stiffness at rest",
                 f"the table travels {1e6 * (at.high - at.low):.3g} um",
                 "a motion of several millimetres to and fro, at two speeds at least",
+                hopeless=True,
             )
         ]
     if len(moving) < SHORTEST * rate:
@@ -74,6 +76,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
                 "anything in the forces",
                 "the command is at its limit for most of the time",
                 "a gentler motion, within the drive's force",
+                hopeless=True,
             )
         )
     return found

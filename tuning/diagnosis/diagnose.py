@@ -113,7 +113,8 @@ def diagnose(
     progress("recalibrating", 1, 1)
     open_loop = isinstance(controller, UnknownController) or logs[0].reference is None
     catalogue = [one for one in candidates(at) if one.name not in without]
-    found = explain(fitter, base, catalogue, progress, most_effects)
+    hopeless = any(one.hopeless for one in lacks)
+    found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
     verdict = _within(judge(fitter, found), lacks)
     progress("judging on held-out data", 0, 1)
     rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
@@ -148,10 +149,10 @@ def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
 
 def _subsystems(found: Explanation) -> list[Region]:
     """How much of what is missing a change in each place of the machine could explain."""
-    first: Round = found.rounds[0]
-    total = max(found.base.cost - found.best.cost, 1e-9)
     if not found.best.model.members:
         return []
+    first: Round = found.rounds[0]
+    total = max(found.base.cost - found.best.cost, 1e-9)
     gains = {one.candidate.name: one.gain for one in first.screened}
     gains |= {one.model.members[-1].candidate.name: first.before.cost - one.cost for one in first.fits}
     regions = []

@@ -87,10 +87,11 @@ slopes_of = eqx.filter_jit(slopes)
 
 @eqx.filter_jit
 def _deviances(
-    drive: Drive, acting: Exposure, coupled: Effects, processes: Float[Array, "q 2"], logged: Logged
+    drive: Drive, acting: Exposure, coupled: Effects, processes: Float[Array, "q 2"], logged: Logged, course: Course
 ) -> Float[Array, " q"]:
     def one(process: Any) -> Any:
-        return follow(drive, acting, coupled, Process(*process), logged.noise, logged.lanes, logged.sampling).deviance
+        given = (logged.noise, logged.lanes, logged.sampling, course)
+        return follow(drive, acting, coupled, Process(*process), *given).deviance
 
     return jax.vmap(one)(processes)
 
@@ -118,7 +119,8 @@ def _moved(
         loose, coupled = effects
         own, drive = machine(logged, b, (*loose, *coupled))
         under = exposure(own, loose, logged.delay, logged.lanes, course, logged.sampling)
-        return follow(drive, under, coupled, process, logged.noise, logged.lanes, logged.sampling).innovation
+        given = (logged.noise, logged.lanes, logged.sampling, course)
+        return follow(drive, under, coupled, process, *given).innovation
 
     return jax.vmap(one)(b, effects)
 
@@ -153,7 +155,7 @@ class Fitter:
         loose, coupled = model.apart(effects)
         own, drive = machine(self.logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
         acting = exposed(self.logged, own, loose, course)
-        track = _follow(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given)
+        track = _follow(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given, course)
         cost = float(track.deviance) + float(u @ u)
         return _Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
 
@@ -164,7 +166,9 @@ class Fitter:
         loose, coupled = model.apart(model.effects(point.u))
         acting = exposed(self.logged, point.own, loose, point.onward)
         parts = [jnp.asarray(some) for some in np.split(filled, len(filled) // len(NEAR))]
-        found = np.concatenate([_deviances(point.drive, acting, coupled, some, self.logged) for some in parts])
+        found = np.concatenate(
+            [_deviances(point.drive, acting, coupled, some, self.logged, point.onward) for some in parts]
+        )
         found = found[: len(processes)]
         best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]
         return self.at(model, point.u, best, point.onward)

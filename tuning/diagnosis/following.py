@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.effects import acting
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.base import Effect, Seen
+from diffdrive.effects.base import Effect, Seen, TableEffect
 from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
@@ -129,6 +129,36 @@ def exposure(
     return lax.map(lambda both: one(*both), (lanes, course, effects))
 
 
+def _begun(
+    drive: Drive,
+    under: Exposure,
+    coupled: tuple[Effect, ...],
+    course: Course,
+    load: Float[Array, " n"],
+    begins: Int[np.ndarray, " s"],
+    period: float,
+) -> tuple[Any, ...]:
+    """States, [s] each, of a lane's coupled effects at the samples where its segments begin.
+
+    What forgets within a segment's lead begins at rest; the others are where stepping them along `course` brings them.
+    """
+    rest = acting.at_rest(coupled, under.force[0])
+
+    def step(states: Any, at: Any) -> tuple[Any, Any]:
+        count, acts, load, position, velocity, bristle, friction = at
+        seen = Seen(count * period, position, velocity, bristle, acts.force, friction, load)
+        return acting.upon(lasting, states, seen, acting.bent(drive, acts), period)[0], states
+
+    lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.remembers)
+    count = jnp.arange(len(load), dtype=load.dtype)
+    along = lax.scan(step, acting.at_rest(lasting, under.force[0]), (count, under, load, *course))[1]
+    found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
+    return tuple(
+        next(found) if effect in lasting else jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, state)
+        for effect, state in zip(coupled, rest, strict=True)
+    )
+
+
 def follow(
     drive: Drive,
     under: Exposure,
@@ -137,8 +167,12 @@ def follow(
     noise: Scalar,
     lanes: Lanes,
     sampling: Sampling,
+    course: Course | None = None,
 ) -> Track:
     """Filter each lane; `coupled` are effects on the table, `noise` (m) is the measurement's standard deviation.
+
+    `course` is that of an earlier pass: what effects that remember begin each segment with. Without it they begin
+    at rest.
 
     A white force alone would do while the table slides; where it sticks, the filter would blame its bristle for what
     the model lacks, and may then lock on to a motion in the wrong direction.
@@ -192,25 +226,30 @@ def follow(
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
 
-    def segment(lane: Lanes, acts: Exposure, time: Any, coupled: tuple[Effect, ...]) -> Any:
+    def segment(lane: Lanes, acts: Exposure, time: Any, effects: Any, coupled: tuple[Effect, ...]) -> Any:
         table = moving(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
-        effects = acting.at_rest(coupled, acts.force[0])
 
         def step(carry: Any, at: Any) -> Any:
             return body(carry, (*at, coupled))
 
         return lax.scan(step, (begin, diagonal(spread), effects), (lane.position, lane.load, acts, time))[1]
 
-    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...]) -> Any:
+    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
+        begins = pieces.samples[:, 0]
+        if course is None:
+            rest = acting.at_rest(coupled, acts.force[0])
+            states = jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
+        else:
+            states = _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
         cut = {name: pieces.cut(getattr(lane, name)) for name in Lanes._fields if name != "velocity"}
         velocity = begin_velocity(cut["position"], sampling.rate).at[0].set(lane.velocity)
-        found = jax.vmap(segment, (0, 0, 0, None))(
-            Lanes(**cut, velocity=velocity), Exposure(*map(pieces.cut, acts)), time, coupled
+        found = jax.vmap(segment, (0, 0, 0, 0, None))(
+            Lanes(**cut, velocity=velocity), Exposure(*map(pieces.cut, acts)), time, states, coupled
         )
         return jax.tree.map(pieces.joined, found)
 
-    found = lax.map(lambda each: one(*each), (lanes, under, coupled))
+    found = lax.map(lambda each: one(*each), (lanes, under, coupled, course))
     position, velocity, bristle, lacking, friction, doubt, innovation, scatter, pull = found
     deviance, size = deviance_of(innovation, scatter, lanes.counts)
     course = Course(position, velocity, bristle, friction)
