@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +19,12 @@ from experiments.withheld.score import score
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.candidates import setting
 from tuning.diagnosis.coverage import shortcomings
-from tuning.diagnosis.diagnose import diagnose, logged_of, parameters
+from tuning.diagnosis.diagnose import _upheld, diagnose, logged_of, parameters
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import next_experiment
+from tuning.diagnosis.search import Explanation
 from tuning.diagnosis.where import localise
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
@@ -145,6 +147,19 @@ def test_a_poor_log_gets_no_cause_but_the_motion_that_is_needed(name, position, 
     assert needed in found.verdict.says
     assert all(one.confidence <= 0.5 for one in found.verdict.beliefs)
     assert next_experiment(found, DRIVE).says.startswith("log ")
+
+
+@pytest.mark.parametrize(("held_out", "stays"), [((0.0, -500.0, -900.0), 2), ((0.0, -500.0, -400.0), 1)])
+def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out, stays):
+    fits = [
+        SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(members=tuple("ab"[:k])))
+        for k in range(len(held_out))
+    ]
+    rounds = [SimpleNamespace(before=fits[k], fits=[fits[k + 1]]) for k in range(2)]
+    rungs = [SimpleNamespace(deviance=one) for one in (100.0, *held_out)]
+    found, left = _upheld(Explanation(fits[0], rounds, fits[2]), rungs)
+    assert found.best is fits[stays]
+    assert len(left) == stays + 2
 
 
 def gap_with(force, surprise, velocity, position):

@@ -115,10 +115,10 @@ def diagnose(
     catalogue = [one for one in candidates(at) if one.name not in without]
     hopeless = any(one.hopeless for one in lacks)
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
-    verdict = _within(judge(fitter, found), lacks)
     progress("judging on held-out data", 0, 1)
     rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
-    verdict = _confirmed(verdict, rungs)
+    found, rungs = _upheld(found, rungs)
+    verdict = _confirmed(_within(judge(fitter, found), lacks), rungs)
     gap = force_gap(fitter, base, base.model, base.u)
     where = localise(gap, logged.lanes, logged.owner, logged.sampling.rate)
     where = [*_subsystems(found), *_signals(rungs), *where]
@@ -133,6 +133,16 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
     says = "; ".join(f"{one.why}: {one.what} cannot be decided, log {one.motion}" for one in lacks)
     beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
     return Verdict("unknown", beliefs, verdict.unexplained, says)
+
+
+def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
+    """Without the further effects that foresee the held-out logs worse than fewer effects do."""
+    for number in range(1, len(found.best.model.members)):
+        fewer, more = rungs[number + 1], rungs[number + 2]
+        gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
+        if more.deviance - fewer.deviance > max(WORTH, DENIED * gained):
+            return found._replace(best=found.rounds[number].before), rungs[: number + 2]
+    return found, rungs
 
 
 def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
