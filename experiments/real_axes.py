@@ -25,9 +25,9 @@ from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.registration import registered
 
-TRUSTED = 0.02  # tolerance of the parameters that were not touched
-IDENTIFIED = 0.005  # and of a drive that was identified from the same log
-GUESSED = 0.2  # and of one that nobody identified
+TRUSTED = 0.02  # tolerance of a published model's parameters
+IDENTIFIED = 0.005  # of a drive that was identified from the same log
+GUESSED = 0.2  # of one that nobody identified
 TOO_MUCH = 1.2  # of the force that the command is said to be
 NOTHING = Directional(0.0, 0.0)
 PUBLISHED_ERROR = 5.982  # %, of the benchmark's own model on the pulse file
@@ -40,6 +40,7 @@ class Withheld(NamedTuple):
     full: Drive
     nominal: Drive
     names: tuple[str, ...]
+    tolerance: float
     force: float = 1.0  # factor on the logged command
 
 
@@ -68,14 +69,14 @@ def terms(drive: Drive) -> dict[str, Withheld]:
     level = dataclasses.replace(published.plant, constant_force=0.0)
     tilted = dataclasses.replace(even.plant, constant_force=drive.plant.constant_force)
     late = Actuator(actuator.force_limit, actuator.limit_rounding, actuator.delay_samples + 1, actuator.delay_fraction)
-    tilt = ("constant_force", "friction_asymmetry")
+    shape, tilt = ("friction_shape",), ("constant_force", "friction_asymmetry")
     return {
-        "coulomb": Withheld(published, dataclasses.replace(published, friction=slippery), ("friction_shape",)),
-        "viscous": Withheld(published, dataclasses.replace(published, friction=inviscid), ("friction_shape",)),
-        "offset": Withheld(published, dataclasses.replace(published, plant=level), tilt),
-        "delay": Withheld(drive, dataclasses.replace(drive, actuator=late), ("loop_delay",)),
-        "gain": Withheld(drive, drive, ("force_gain",), TOO_MUCH),
-        "asymmetry": Withheld(drive, dataclasses.replace(even, plant=tilted), tilt[::-1]),
+        "coulomb": Withheld(published, dataclasses.replace(published, friction=slippery), shape, TRUSTED),
+        "viscous": Withheld(published, dataclasses.replace(published, friction=inviscid), shape, TRUSTED),
+        "offset": Withheld(published, dataclasses.replace(published, plant=level), tilt, TRUSTED),
+        "delay": Withheld(drive, dataclasses.replace(drive, actuator=late), ("loop_delay",), IDENTIFIED),
+        "gain": Withheld(drive, drive, ("force_gain",), IDENTIFIED, TOO_MUCH),
+        "asymmetry": Withheld(drive, dataclasses.replace(even, plant=tilted), tilt[::-1], IDENTIFIED),
     }
 
 
@@ -122,7 +123,7 @@ def _emps_withheld(report: Report, records: Records, drive: Drive, controller: C
     for term, case in terms(drive).items():
         estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
         report.say(f"EMPS without its {term}:")
-        found = _diagnosed(report, case.nominal, controller, estimation, 2, TRUSTED)
+        found = _diagnosed(report, case.nominal, controller, estimation, 2, case.tolerance)
         first = found.verdict.beliefs[0]
         full = force_error(registered(case.full, records["pulses"].log), records["pulses"].log)
         without, added = (

@@ -12,9 +12,8 @@ from sound_log import DRIVE, RATE, logged, two_sines
 
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
-from diffdrive.errors import ParameterError
 from diffdrive.logs import write_log
-from experiments.diagnose import diagnose_logs
+from experiments.diagnose import augmented_drive, diagnose_logs
 from experiments.withheld.score import score
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.candidates import setting
@@ -99,10 +98,13 @@ def test_parameters_come_with_intervals_about_them(sound):
             assert np.all(np.asarray(value) <= np.asarray(high))
 
 
-def test_a_drive_with_effects_is_refused():
-    drive = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(1.0),))
-    with pytest.raises(ParameterError, match="constant_force"):
-        logged_of(drive, [log_of()])
+def test_an_effect_that_the_drive_has_already_is_not_missing():
+    drive = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(6.0),))
+    found = diagnose(drive, DRIVE.controller, [log_of(ConstantForce(6.0))])
+    assert found.verdict.verdict == "none"
+    assert found.rungs[1].force.rms == pytest.approx(found.floor, rel=0.08)
+    assert "constant_force" not in [one.effect for one in found.verdict.beliefs]
+    assert float(augmented_drive(found).effects[0].force) == 6.0
 
 
 def lacks_of(position, command=None):
@@ -151,10 +153,7 @@ def test_a_poor_log_gets_no_cause_but_the_motion_that_is_needed(name, position, 
 
 @pytest.mark.parametrize(("held_out", "stays"), [((0.0, -500.0, -900.0), 2), ((0.0, -500.0, -400.0), 1)])
 def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out, stays):
-    fits = [
-        SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(members=tuple("ab"[:k])))
-        for k in range(len(held_out))
-    ]
+    fits = [SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(added=k)) for k in range(len(held_out))]
     rounds = [SimpleNamespace(before=fits[k], fits=[fits[k + 1]]) for k in range(2)]
     rungs = [SimpleNamespace(deviance=one) for one in (100.0, *held_out)]
     found, left = _upheld(Explanation(fits[0], rounds, fits[2]), rungs)

@@ -6,7 +6,8 @@ the price of a hypothesis: one that must be tuned finely to fit pays for it in i
 (phases, times) differ from log to log.
 """
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -380,6 +381,18 @@ CATALOGUE: tuple[Callable[[Setting], Candidate], ...] = (
     _lead_error,
     _interpolation_error,
 )
+
+
+def given(effects: Sequence[Effect], at: Setting) -> list[tuple[Candidate, tuple[tuple[str, float], ...]]]:
+    """Effects that a drive has already: each as a candidate with nothing free, and its values."""
+    known = {one.name: one for one in candidates(at)}
+    return [
+        (
+            known[effect.name]._replace(parameters=()),
+            tuple((field.name, float(getattr(effect, field.name))) for field in dataclasses.fields(effect)),
+        )
+        for effect in effects
+    ]
 
 
 def candidates(at: Setting) -> list[Candidate]:

@@ -3,6 +3,7 @@
 logs -> recalibrate -> screen, fit, judge -> ladder on held-out data -> where -> which motion would decide
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,16 +13,15 @@ import numpy as np
 
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.effects.catalogue import PLACES
-from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.candidates import candidates, given, setting
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap
 from tuning.diagnosis.ladder import Rung, Split, climb
-from tuning.diagnosis.model import Logged
+from tuning.diagnosis.model import Logged, Member
 from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.verdict import Verdict, judge
@@ -73,12 +73,8 @@ def _padded(lanes: Lanes) -> Lanes:
 
 
 def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
-    """The logs as the diagnosis takes them."""
-    if drive.effects:
-        names = ", ".join(effect.name for effect in drive.effects)
-        raise ParameterError(
-            f"the drive has effects of its own ({names}): diagnose the drive without them, they will be found again"
-        )
+    """The logs as the diagnosis takes them; the drive's own effects are no part of it."""
+    drive = dataclasses.replace(drive, effects=())
     lanes = lanes_of(list(logs))
     owner = tuple(k for k, log in enumerate(logs) for _ in long_pieces(log))
     actuator = drive.actuator
@@ -101,15 +97,17 @@ def diagnose(
     """Find what a drive lacks to move as its logs do.
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
-    nominal parameter; `most_effects` is how many are looked for, one after the other. Raises `LogError` for logs
-    without a long enough piece, and `ParameterError` for a drive that has effects already.
+    nominal parameter; `most_effects` is how many are looked for, one after the other. Effects that the drive has stay
+    as they are. Raises `LogError` for logs without a long enough piece, and `ParameterError` for a drive that no filter
+    can run.
     """
     logged = logged_of(drive, logs)
+    effects = drive.effects
     fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise)))
     at = setting(logged.drive, logged.lanes, logged.sampling.period)
     lacks = shortcomings(logged, at)
     progress("recalibrating", 0, 1)
-    base = recalibrated(fitter, tolerance)
+    base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)))
     progress("recalibrating", 1, 1)
     open_loop = isinstance(controller, UnknownController) or logs[0].reference is None
     catalogue = [one for one in candidates(at) if one.name not in without]
@@ -137,7 +135,7 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
 
 def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
     """Without the further effects that foresee the held-out logs worse than fewer effects do."""
-    for number in range(1, len(found.best.model.members)):
+    for number in range(1, found.best.model.added):
         fewer, more = rungs[number + 1], rungs[number + 2]
         gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
         if more.deviance - fewer.deviance > max(WORTH, DENIED * gained):
@@ -159,7 +157,7 @@ def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
 
 def _subsystems(found: Explanation) -> list[Region]:
     """How much of what is missing a change in each place of the machine could explain."""
-    if not found.best.model.members:
+    if not found.best.model.added:
         return []
     first: Round = found.rounds[0]
     total = max(found.base.cost - found.best.cost, 1e-9)

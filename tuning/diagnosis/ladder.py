@@ -68,11 +68,11 @@ def climb(
     train, test = _counting(fitter, parts.train), _counting(fitter, parts.test)
     base = found.base
     chain = [("recalibrated", base)]
-    for number in range(len(found.best.model.members)):
+    for number in range(found.best.model.added):
         one = found.rounds[number].fits[0]
         chain.append((f"+ {one.model.members[-1].candidate.name}", one))
-    nothing = np.zeros(base.model.size)
-    still = test.fit(Model(test.logged, (), base.model.tolerance), nothing, base.process, base.track.course, 0)
+    believed = Model(test.logged, base.model.members, base.model.tolerance)
+    still = test.fit(believed, np.zeros(base.model.size), base.process, base.track.course, 0)
     fits = [("nominal", still)]
     for name, one in chain:
         model = Model(train.logged, one.model.members, one.model.tolerance)

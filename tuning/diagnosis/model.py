@@ -71,6 +71,11 @@ class Model:
         return len(NAMES) + len(self.slots)
 
     @property
+    def added(self) -> int:
+        """How many effects have something free; those that the drive file has already come first and have not."""
+        return sum(bool(member.candidate.parameters) for member in self.members)
+
+    @property
     def coupled(self) -> bool:
         """Whether an effect is stepped within the filter."""
         return any(member.candidate.coupled for member in self.members)

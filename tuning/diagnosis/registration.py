@@ -29,7 +29,7 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
 
     Raises `LogError` for a log without a long enough piece.
     """
-    logged = logged_of(dataclasses.replace(drive, effects=()), [log])
+    logged = logged_of(drive, [log])
     early = np.arange(logged.lanes.position.shape[1]) < seconds * logged.sampling.rate
     logged = logged._replace(lanes=logged.lanes._replace(counts=logged.lanes.counts * early))
     at = setting(logged.drive, logged.lanes, logged.sampling.period)

@@ -129,7 +129,7 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     About the nominal parameters: recalibration may have gone astray to make up for what is missing.
     """
     model = joined(fitted.model, candidate)
-    first = not fitted.model.members
+    first = not fitted.model.added
     before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
     points = [evolved(fitted, model, candidate, before)] if candidate.searched else looked_for(fitted, candidate)
     starts = [before, fitted.u] if first and not candidate.searched else [before]

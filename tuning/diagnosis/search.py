@@ -18,7 +18,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import LOST, Course
-from tuning.diagnosis.model import Logged, Model
+from tuning.diagnosis.model import Logged, Member, Model
 from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
 
 THREADS = 2
@@ -78,12 +78,13 @@ def standing(logged: Logged) -> Course:
     return Course(logged.lanes.position, zero, zero, zero)
 
 
-def recalibrated(fitter: Fitter, tolerance: float) -> Fitted:
+def recalibrated(fitter: Fitter, tolerance: float, members: tuple[Member, ...] = ()) -> Fitted:
     """The nominal drive with nothing but its parameters adjusted, each within what its prior allows.
 
-    Raises `ParameterError` for a drive that no filter can run.
+    `members` are effects that the nominal drive has, with nothing free. Raises `ParameterError` for a drive that no
+    filter can run.
     """
-    model = Model(fitter.logged, (), tolerance)
+    model = Model(fitter.logged, members, tolerance)
     found = fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
     if not np.isfinite(found.evidence):
         raise ParameterError(

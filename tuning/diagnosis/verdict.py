@@ -73,7 +73,7 @@ def _believed(looked: Round, number: int, unexplained: float, found: bool, certa
 def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
-    effects = len(best.model.members)
+    effects = best.model.added
     before, after = missing(fitter, base), missing(fitter, best)
     lacks = before > LACKING + BLOWS * FEW_LOST
     unexplained = float(np.clip(after / before, 0.0, 1.0)) if lacks else 0.0
