@@ -25,6 +25,7 @@ THREADS = 2
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
+LONGER = 4  # times the most steps, for the best
 PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
@@ -149,7 +150,7 @@ def look(
         more = _race(fitter, before, None, [one for one in left if one.searched], progress)
         screened, fits = screened + more[0], fits + more[1]
     screened.sort(key=lambda one: -one.evidence)
-    fits.sort(key=lambda one: one.evidence)
+    fits = _led_on(fitter, fits)
     relieving = _relieving(before, believed, fits)
     if believed is None or not relieving:
         fits = _best_of_each(fits, _name)
@@ -157,6 +158,18 @@ def look(
     there = {_name(one) for one in relieving}
     others = _best_of_each((one for one in fits if _name(one) not in there), _name)
     return Round(before, screened, [*relieving, *others], len(relieving), _allowed(before, believed))
+
+
+def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The fits, best first, the best at its end: what it has not yet explained, others would seem to."""
+    fits = sorted(fits, key=lambda one: one.evidence)
+    for _ in range(LONGER):
+        if not fits or fits[0].steps < MOST_STEPS:
+            break
+        best = fits[0]
+        fits[0] = fitter.fit(best.model, best.u, best.process, best.track.course)
+        fits.sort(key=lambda one: one.evidence)
+    return fits
 
 
 def _believed(fitter: Fitter, before: Fitted) -> Fitted:
