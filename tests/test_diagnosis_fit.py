@@ -133,12 +133,16 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
     point = fitter.at(fit.model, fit.u, fit.process, fit.track.course)
     jacobian, unit = fitter.jacobian(fit.model, point), fitter.residuals(point)[1]
     for k in (NAMES.index("mass"), len(NAMES), len(NAMES) + 1):
-        h = 0.02 * np.eye(fit.model.size)[k]
+        h = 1e-4
         ahead, behind = (
-            np.asarray(fitter.at(fit.model, fit.u + way * h, fit.process, point.course).track.innovation)
+            np.asarray(
+                fitter.at(
+                    fit.model, fit.u + way * h * np.eye(fit.model.size)[k], fit.process, point.course
+                ).track.innovation
+            )
             for way in (1.0, -1.0)
         )
-        slope = ((ahead - behind) / 0.04 / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
+        slope = ((ahead - behind) / (2.0 * h) / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
 
 

@@ -143,15 +143,18 @@ def look(
     """One more effect; those that have to be searched for only where no other makes the model `whole`."""
     there = {member.candidate.name for member in before.model.members}
     left = [one for one in catalogue if one.name not in there]
-    believed = _believed(fitter, before) if strain(before) > IMPOSSIBLE else None
-    screened, fits = _race(fitter, before, believed, [one for one in left if not one.searched], progress)
+    few, believed = [one for one in left if not one.searched], None
+    screened, fits = _race(fitter, before, few, progress)
+    fits = _led_on(fitter, fits)
+    if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
+        believed = _believed(fitter, before)
+        fits = _led_on(fitter, [*fits, *_race_to_nominal(fitter, before, believed, few, progress)])
     settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
-        more = _race(fitter, before, None, [one for one in left if one.searched], progress)
-        screened, fits = screened + more[0], fits + more[1]
+        more = _race(fitter, before, [one for one in left if one.searched], progress)
+        screened, fits = screened + more[0], _led_on(fitter, fits + more[1])
     screened.sort(key=lambda one: -one.evidence)
-    fits = _led_on(fitter, fits)
-    relieving = _relieving(before, believed, fits)
+    relieving = _best_of_each(_relieving(before, believed, fits), _name)
     if believed is None or not relieving:
         fits = _best_of_each(fits, _name)
         return Round(before, screened, fits, len(fits), 0.0)
@@ -197,32 +200,50 @@ def _others(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
 
 
 def _race(
-    fitter: Fitter, before: Fitted, believed: Fitted | None, catalogue: Sequence[Candidate], progress: Progress
+    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress
 ) -> tuple[list[Screened], list[Fitted]]:
     """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
     screened = _in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
-    promising = [(fit_from, one) for one in screened if one.evidence > PROMISING][:FITTED]
-    if believed is not None:
-        promising += [(_fit_to_nominal, one) for one in _about_nominal(believed, catalogue)]
+    promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
     begun = _in_parallel(
-        lambda pair: pair[0](fitter, before, pair[1], RACE),
+        lambda one: fit_from(fitter, before, one, RACE),
         promising,
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
-    begun = _best_of_each(begun, lambda one: (_name(one), believed is not None and strain(one) < STRAINED))
+    begun = _best_of_each(begun, _name)
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
-    ahead += _others(_relieving(before, believed, begun)[:FINISH], ahead)
+    return screened, _ended(fitter, begun, ahead, len(promising), progress)
+
+
+def _race_to_nominal(
+    fitter: Fitter, before: Fitted, believed: Fitted, catalogue: Sequence[Candidate], progress: Progress
+) -> list[Fitted]:
+    """The promising about the drive file's own numbers fitted: those that bring the parameters back to the end."""
+    promising = _about_nominal(believed, catalogue)
+    begun = _in_parallel(
+        lambda one: _fit_to_nominal(fitter, before, one, RACE),
+        promising,
+        lambda k: progress("fitting", k, 2 * len(promising)),
+    )
+    begun = _best_of_each(begun, _name)
+    return _ended(fitter, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
+
+
+def _ended(
+    fitter: Fitter, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
+) -> list[Fitted]:
+    """All that was begun, those `ahead` led to their end."""
     ended = _in_parallel(
         lambda one: fitter.fit(one.model, one.u, one.process, one.track.course),
         ahead,
-        lambda k: progress("fitting", len(promising) + k, len(promising) + len(ahead)),
+        lambda k: progress("fitting", count + k, count + len(ahead)),
     )
-    return screened, sorted([*ended, *_others(begun, ahead)], key=lambda one: one.evidence)
+    return [*ended, *_others(begun, ahead)]
 
 
 def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Screened]:
