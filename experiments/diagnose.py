@@ -13,6 +13,7 @@ from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, read_drive, write_drive
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.motion import Motion
 from diffdrive.parameters import Drive
 from experiments.checked_logs import parse_loads, read_checked
 from experiments.diagnose_figures import draw
@@ -24,7 +25,7 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.diagnose import Diagnosis, diagnose, parameters
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.next_experiment import Experiment, next_experiment
+from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.search import MOST_EFFECTS, strain
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT
@@ -77,6 +78,7 @@ def diagnose_logs(
             text = json.dumps(plain(told), indent=2, allow_nan=False)
             (report.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
             augmented = _write(report, description, found)
+            _write_reference(report, reference(offer, description))
             with report.working("drawing"):
                 draw(report, found, logs)
             page(report, told, augmented)
@@ -247,6 +249,17 @@ def _parameter(name: str, cause: dict[str, Any]) -> str:
 def augmented_drive(found: Diagnosis) -> Drive:
     """The recalibrated drive with the effects found, session parameters as in the first log."""
     return jax.tree.map(float, drive_of(found.found, 0))
+
+
+def _write_reference(report: Report, motion: Motion | None) -> None:
+    """next_reference.csv: the motion that would decide, sample by sample, for the machine's controller to run."""
+    if motion is None:
+        return
+    assert report.out is not None
+    path = report.out / "next_reference.csv"
+    rows = np.stack([motion.time, motion.position], axis=1)
+    np.savetxt(path, rows, delimiter=",", header="time_s,reference_m", comments="", fmt="%.9g")
+    report.values("next_motion", file=path.name, motion=motion.name)
 
 
 def _write(report: Report, description: DriveDescription, found: Diagnosis) -> str | None:

@@ -8,12 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 from sound_log import DRIVE, RATE, logged, two_sines
 
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
-from experiments.diagnose import augmented_drive, diagnose_logs
+from diffdrive.motion import from_array
+from diffdrive.simulate import simulate
+from experiments.diagnose import _write_reference, augmented_drive, diagnose_logs
+from experiments.report import Report
 from experiments.withheld.score import score
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.candidates import setting
@@ -22,9 +26,10 @@ from tuning.diagnosis.diagnose import _upheld, diagnose, logged_of, parameters
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
-from tuning.diagnosis.next_experiment import next_experiment
+from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.search import Explanation
 from tuning.diagnosis.where import localise
+from tuning.next_motion import candidates
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 
@@ -96,6 +101,20 @@ def test_parameters_come_with_intervals_about_them(sound):
         for value, (low, high) in parameters(belief.fitted, len(belief.fitted.model.members) - 1).values():
             assert np.all(np.asarray(low) <= np.asarray(value))
             assert np.all(np.asarray(value) <= np.asarray(high))
+
+
+def test_the_motion_that_would_decide_is_written_to_be_run(tmp_path):
+    offered = candidates(DRIVE.drive, DRIVE.limits, RATE)
+    name = list(offered)[-1]
+    motion = reference(Experiment(name, ["cogging", "lead_error"], 40.0, ""), DRIVE)
+    assert reference(Experiment("", [], 0.0, ""), DRIVE) is None
+    with Report("motion", tmp_path, Console(quiet=True)) as report:
+        _write_reference(report, motion)
+    time, position = np.loadtxt(tmp_path / "next_reference.csv", delimiter=",", skiprows=1).T
+    again = from_array(time, position)
+    run = simulate(DRIVE.drive, DRIVE.controller, again, sampling=DRIVE.sampling)
+    assert run.status.ok
+    np.testing.assert_allclose(position, motion.position, atol=1e-11)
 
 
 def test_an_effect_that_the_drive_has_already_is_not_missing():

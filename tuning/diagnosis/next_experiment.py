@@ -14,6 +14,7 @@ import numpy as np
 
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
+from diffdrive.motion import Motion
 from diffdrive.parameters import as_arrays
 from diffdrive.simulate import Inputs, inputs_of, rollout
 from tuning.diagnosis.diagnose import Diagnosis
@@ -64,7 +65,15 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
     if best[1] < ENOUGH:
         says = f"none of the motions tried would tell {between[0]} from {between[1]}: a second sensor would"
         return Experiment("", between, best[1], says)
-    return Experiment(best[0], between, best[1], f"{best[0]} would tell {between[0]} from {between[1]}")
+    says = f"{best[0]} would tell {between[0]} from {between[1]} (by {best[1]:.0f} in -2 log likelihood)"
+    return Experiment(best[0], between, best[1], says)
+
+
+def reference(offer: Experiment, description: DriveDescription) -> Motion | None:
+    """The motion that was offered; None where none was."""
+    if not offer.motion:
+        return None
+    return candidates(description.drive, description.limits, description.sampling.rate)[offer.motion]
 
 
 def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: Inputs) -> float:
