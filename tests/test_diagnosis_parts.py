@@ -19,7 +19,7 @@ from experiments.withheld.machine import Faults, Kind, Told, run
 from experiments.withheld.score import read_key
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates, setting
-from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.diagnose import logged_of, parameters
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.inverse import force_error
@@ -107,6 +107,25 @@ def test_a_delay_that_is_claimed_and_not_there_is_found():
     found = drive_of(fit, 0)  # less delay than none is no effect: the drive file claims less
     assert found.effects == ()
     assert found.actuator.delay_samples + float(found.actuator.delay_fraction) == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
+    fast = described(rate=10_000.0, delay=3)
+    log = logged(fast, two_sines(2.0, 10_000.0))
+    logs = logged_of(described(rate=10_000.0).drive, [log])
+    assert (logs.thinning, logs.sampling.rate, logs.control.rate) == (5, 2000.0, 10_000.0)
+    assert float(logs.lanes.counts.sum()) == len(log.time) // 5
+    np.testing.assert_array_equal(np.asarray(logs.lanes.position[0, :100]), log.position[:500:5])
+    np.testing.assert_allclose(np.asarray(logs.lanes.command[0, 7]), log.command[35:40].mean())
+    fitter = Fitter(logs)
+    at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
+    candidate = next(one for one in candidates(at) if one.name == "loop_delay")
+    model = joined(Model(logs, (), TOLERANCE), candidate)
+    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), 0.3], None, standing(logs))
+    value, (low, high) = parameters(fit, 0)["delay"]
+    assert value == pytest.approx(3.0, abs=0.1)
+    assert low < value < high < 3.5
+    assert float(drive_of(fit, 0).effects[0].delay) == pytest.approx(value)
 
 
 def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():

@@ -69,7 +69,7 @@ class Setting(NamedTuple):
     friction: float  # N, Coulomb; a share of the command where the drive file knows next to none
     load_coefficient: float
     viscous: float  # N s/m
-    delay: float  # control periods, that the drive file claims
+    delay: float  # samples, that the drive file claims
     bristle: float  # m, by which the bristle bends before it slides
     period: float  # s
     duration: float  # s
@@ -79,8 +79,8 @@ class Setting(NamedTuple):
     command: float  # N, largest
 
 
-def setting(drive: Drive, lanes: Lanes, period: float) -> Setting:
-    """The scales of `drive` and `lanes`."""
+def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1) -> Setting:
+    """The scales of `drive` and `lanes`, whose samples are `period` (s) or so many control periods apart."""
     friction, plant = drive.friction, drive.plant
     load = float(friction.initial_load) + float(np.mean(np.asarray(lanes.load)))
     guide = 0.5 * float(friction.load_coefficient.positive + friction.load_coefficient.negative)
@@ -99,7 +99,7 @@ def setting(drive: Drive, lanes: Lanes, period: float) -> Setting:
         friction=max(level, LEAST * command),
         load_coefficient=max(guide, SLIPPERY),
         viscous=max(viscous, LEAST * command / max(fastest, 1e-4)),
-        delay=actuator.delay_samples + float(actuator.delay_fraction or 0.0),
+        delay=(actuator.delay_samples + float(actuator.delay_fraction or 0.0)) / thinning,
         bristle=level / float(friction.bristle_stiffness.positive),
         period=period,
         duration=float(counted.sum(axis=1).max() * period),

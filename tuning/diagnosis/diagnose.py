@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.controllers import Controller, UnknownController
+from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import PLACES
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
@@ -21,7 +22,7 @@ from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap
 from tuning.diagnosis.ladder import Rung, Split, climb
-from tuning.diagnosis.model import Logged, Member
+from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.verdict import Verdict, judge
@@ -31,6 +32,7 @@ from tuning.prediction import Lanes
 from tuning.replay import long_pieces
 
 SUBSTEP = 50e-6  # s
+ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
 
@@ -75,13 +77,14 @@ def _padded(lanes: Lanes) -> Lanes:
 def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     """The logs as the diagnosis takes them; the drive's own effects are no part of it."""
     drive = dataclasses.replace(drive, effects=())
-    lanes = lanes_of(list(logs))
+    thinning = max(1, int(logs[0].rate / ENOUGH))
+    lanes = thinned(lanes_of(list(logs)), thinning)
     owner = tuple(k for k, log in enumerate(logs) for _ in long_pieces(log))
     actuator = drive.actuator
-    delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0))
+    delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0)) / thinning
     noise = jnp.asarray(noise_floor(drive, lanes))
-    sampling = sampling_of(float(round(logs[0].rate, 6)), SUBSTEP)
-    return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling)
+    sampling = sampling_of(float(round(logs[0].rate / thinning, 6)), SUBSTEP)
+    return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, thinning)
 
 
 def diagnose(
@@ -102,9 +105,9 @@ def diagnose(
     can run.
     """
     logged = logged_of(drive, logs)
-    effects = drive.effects
-    fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise)))
-    at = setting(logged.drive, logged.lanes, logged.sampling.period)
+    effects = [counted_in(one, logged.thinning) for one in drive.effects]
+    fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning))
+    at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning)
     lacks = shortcomings(logged, at)
     progress("recalibrating", 0, 1)
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)))
@@ -198,12 +201,15 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, tuple[Num
     """Value and 95 % interval of each parameter of an effect; lists where they differ from log to log."""
     known = {one.name: one for one in fitted.model.members[member].candidate.parameters}
     spread = deviations(fitted)
+    kind, periods = fitted.model.members[member].candidate.effect, fitted.model.logged.thinning
     found: dict[str, Any] = {}
     for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
         if index != member:
             continue
         one, u, s = known[name], float(fitted.u[k]), 1.96 * float(spread[k])
         row = (float(one.value(u)), (float(one.value(u - s)), float(one.value(u + s))))
+        if kind is LoopDelay:
+            row = (periods * row[0], (periods * row[1][0], periods * row[1][1]))
         if log is None:
             found[name] = row
         else:

@@ -24,7 +24,7 @@ from diffdrive.simulate import Inputs, rollout
 from tuning.diagnosis.candidates import setting
 from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
-from tuning.diagnosis.model import Logged, Model, Vector
+from tuning.diagnosis.model import Logged, Model, Vector, counted_in
 from tuning.replay import Given, begun, given
 
 TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
@@ -111,9 +111,11 @@ class LoopGap(NamedTuple):
 def drive_of(fitted: Fitted, log: int) -> Drive:
     """The drive of a fit as it was on one of the logs: with its effects, their parameters those of that log."""
     lane = fitted.model.logged.owner.index(log)
-    effects = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
+    thinning = fitted.model.logged.thinning
+    mine = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
+    effects = [counted_in(one, 1.0 / thinning) for one in mine]
     early = [one for one in effects if isinstance(one, LoopDelay) and one.delay < 0]
-    late = float(fitted.model.logged.delay) + sum(float(one.delay) for one in early)
+    late = thinning * float(fitted.model.logged.delay) + sum(float(one.delay) for one in early)
     if early:  # less delay than the drive file claims
         whole, part = divmod(max(late, 0.0), 1.0)
         actuator = dataclasses.replace(fitted.own.actuator, delay_samples=int(whole), delay_fraction=part)

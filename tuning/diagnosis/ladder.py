@@ -98,7 +98,7 @@ def climb(
         if controller is not None:
             drives = [drive_of(one, log) for log in parts.logs]
             noise = float(fitter.logged.noise)
-            loop = loop_gap(drives, controller, [logs[log] for log in parts.logs], noise, fitter.logged.sampling)
+            loop = loop_gap(drives, controller, [logs[log] for log in parts.logs], noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
         rungs.append(Rung(name, one, gap, gap.interval(rate), shrink, loop, foreseen.cost - float(one.u @ one.u)))
     return rungs, parts

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
@@ -33,11 +34,36 @@ class Logged(NamedTuple):
     owner: tuple[int, ...]  # of each lane, the number of its log
     noise: Scalar  # m
     sampling: Sampling
+    thinning: int = 1  # control periods to one of these samples; delays here are counted in the latter
+
+    @property
+    def control(self) -> Sampling:
+        """The sampling of the machine's controller."""
+        return Sampling(self.sampling.rate * self.thinning, -(-self.sampling.plant_steps // self.thinning))
 
     @property
     def logs(self) -> int:
         """How many logs."""
         return max(self.owner) + 1
+
+
+def thinned(lanes: Lanes, thinning: int) -> Lanes:
+    """One sample of so many, and the mean of what acted from each to the next."""
+    if thinning == 1:
+        return lanes
+    count = lanes.position.shape[1] // thinning
+
+    def blocks(signal: Array) -> Array:
+        return signal[:, : count * thinning].reshape(len(signal), count, thinning)
+
+    forces = {name: blocks(getattr(lanes, name)).mean(axis=2) for name in ("command", "disturbance", "load")}
+    counts = blocks(lanes.counts).min(axis=2)
+    return lanes._replace(position=blocks(lanes.position)[:, :, 0], counts=counts, **forces)
+
+
+def counted_in(effect: Effect, periods: float) -> Effect:
+    """The effect with its delay, if it is one, in units of so many of its periods."""
+    return LoopDelay(effect.delay / periods) if isinstance(effect, LoopDelay) else effect
 
 
 class Member(NamedTuple):

@@ -20,7 +20,7 @@ from diffdrive.simulate import Inputs, inputs_of, rollout
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import drive_of
-from tuning.diagnosis.model import Logged, Member, Model
+from tuning.diagnosis.model import Logged, Member, Model, thinned
 from tuning.next_motion import candidates
 from tuning.prediction import Lanes
 
@@ -79,17 +79,18 @@ def reference(offer: Experiment, description: DriveDescription) -> Motion | None
 def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: Inputs) -> float:
     """By how much a log of this motion would speak for the truth and against the rival."""
     logged = truth.model.logged
-    frame = _rollout(*as_arrays((drive_of(truth, 0), description.controller)), inputs, logged.sampling)
+    frame = _rollout(*as_arrays((drive_of(truth, 0), description.controller)), inputs, logged.control)
     noise = float(logged.noise) * np.random.default_rng(0).standard_normal(len(frame.position))
     position = frame.position + jnp.asarray(noise)
     flat = jnp.zeros_like(position)
     signals = (position, frame.command, flat, flat, jnp.ones_like(position))
-    lanes = Lanes(*(one[None] for one in signals), velocity=jnp.zeros(1))
-    fitter = Fitter(Logged(logged.drive, logged.delay, lanes, (0,), logged.noise, logged.sampling))
+    lanes = thinned(Lanes(*(one[None] for one in signals), velocity=jnp.zeros(1)), logged.thinning)
+    fitter = Fitter(logged._replace(lanes=lanes, owner=(0,)))
+    flat = jnp.zeros(lanes.position.shape[1])
     costs = []
     for one in (truth, rival):
         model, u = _alone(one, fitter.logged)
-        course = jax.tree.map(lambda _: flat[None], one.track.course)._replace(position=position[None])
+        course = jax.tree.map(lambda _: flat[None], one.track.course)._replace(position=lanes.position)
         start = fitter.at(model, u, truth.process, course)
         costs.append(fitter.fit(model, u, truth.process, start.track.course, STEPS).cost)
     return costs[1] - costs[0]

@@ -17,7 +17,7 @@ from tuning.diagnosis.candidates import Parameter, candidates, setting
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of
-from tuning.diagnosis.model import Member, Model
+from tuning.diagnosis.model import Member, Model, counted_in
 from tuning.diagnosis.screening import begin
 from tuning.diagnosis.search import standing
 
@@ -35,7 +35,8 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
     at = setting(logged.drive, logged.lanes, logged.sampling.period)
     known = {one.name: one for one in candidates(at)}
     model, u = Model(logged), np.zeros(len(NAMES))
-    effects = [one for one in drive.effects if not isinstance(one, ConstantForce)]
+    mine = [counted_in(one, logged.thinning) for one in drive.effects]
+    effects = [one for one in mine if not isinstance(one, ConstantForce)]
     offset = sum(float(one.force) for one in drive.effects if isinstance(one, ConstantForce))
     for effect in (*effects, ConstantForce(offset)):
         candidate, values = known[effect.name], {}

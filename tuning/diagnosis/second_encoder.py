@@ -35,15 +35,19 @@ class Twist(NamedTuple):
     noise: float  # m, standard deviation
 
 
-def twist_of(logs: Sequence[Log], lanes: Lanes, noise: float) -> Twist | None:
-    """The twist of lanes made from `logs`, whose positions scatter by `noise` (m); None without a second encoder."""
+def twist_of(logs: Sequence[Log], lanes: Lanes, noise: float, thinning: int = 1) -> Twist | None:
+    """The twist of lanes made from `logs`, thinned so, whose positions scatter by `noise` (m).
+
+    None without a second encoder.
+    """
     value = np.zeros(lanes.position.shape)
     there = np.zeros(lanes.position.shape)
     rows = [(log, piece) for log in logs for piece in long_pieces(log)]
     for lane, (log, piece) in enumerate(rows):
         if log.motor_position is not None:
-            n = piece.stop - piece.start
-            value[lane, :n] = log.motor_position[piece] - log.position[piece]
+            twist = (log.motor_position[piece] - log.position[piece])[::thinning]
+            n = min(len(twist), value.shape[1])
+            value[lane, :n] = twist[:n]
             there[lane, :n] = 1.0
     counts = there * np.asarray(lanes.counts)
     if not counts.any():
