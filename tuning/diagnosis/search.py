@@ -24,6 +24,7 @@ from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, t
 THREADS = 2
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect
+BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those that can bring its parameters back
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 LONGER = 4  # times the most steps, for the best
 PROMISING = 4.0  # in evidence
@@ -129,7 +130,7 @@ def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) 
     model = joined(before.model, found.candidate, found.values)
     u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :], begin(model, found.values)]
     alone = np.r_[np.zeros(before.u.size), np.ones(u.size - before.u.size)]
-    first = fitter.fit(model, u, None, before.track.course, free=alone)
+    first = fitter.sought(model, u, None, before.track.course, 2 * ALONE, alone)[0]
     return fitter.fit(model, first.u, first.process, first.track.course, most)
 
 
@@ -251,7 +252,7 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
     amounts = [one for one in catalogue if any(parameter.amplitude for parameter in one.parameters)]
     found = _in_parallel(lambda one: screen(believed, one), amounts, lambda k: None)
     found.sort(key=lambda one: -one.evidence)
-    few = found[:FITTED]
+    few = found[:BESIDE]
     return few + [one for one in _others(found, few) if one.candidate.relieves]
 
 
