@@ -25,8 +25,9 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.diagnose import Diagnosis, diagnose, parameters
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.ladder import Rung
+from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
-from tuning.diagnosis.search import MOST_EFFECTS, strain
+from tuning.diagnosis.search import MOST_EFFECTS
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT
 

@@ -15,20 +15,10 @@ from diffdrive.parameters import Sampling, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates, setting
 from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.leftover import LACKING, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import joined, screen
-from tuning.diagnosis.search import (
-    IMPOSSIBLE,
-    LACKING,
-    STRAINED,
-    WORTH,
-    fit_from,
-    lacking,
-    look,
-    power_left,
-    recalibrated,
-    strain,
-)
+from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, fit_from, look, recalibrated
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file

@@ -5,6 +5,7 @@
 The candidates of one round are independent; two threads keep two cores busy, since a compiled roll-out uses one.
 """
 
+import dataclasses
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
@@ -13,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import ParameterError
-from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
-from tuning.diagnosis.following import LOST, Course
+from tuning.diagnosis.following import Course
+from tuning.diagnosis.leftover import COARSE, LACKING, LEFT, missing, strain, unexplained
 from tuning.diagnosis.model import Logged, Member, Model
 from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
 
@@ -33,12 +34,7 @@ WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
-LACKING = 30.0  # of cost
-LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
-COARSE = 0.05  # the same for effects whose details differ from machine to machine
-BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 MOST_EFFECTS = 2
-RELEVANT = 3e-4  # of the friction
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")
@@ -269,38 +265,26 @@ def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) ->
     return list(found.values())
 
 
-def lacking(fitter: Fitter, fitted: Fitted) -> float:
-    """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
-
-    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much.
-    """
-    least = np.minimum(fitted.process, RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0)))
-    none = fitter.at(fitted.model, fitted.u, least, fitted.track.course)
-    return none.cost - fitted.cost
+def _alone(fitter: Fitter, base: Fitted, best: Fitted) -> Fitted:
+    """The last effect of a fit without those that were found before it."""
+    model = dataclasses.replace(best.model, members=(*base.model.members, best.model.members[-1]))
+    u = np.r_[best.u[: len(NAMES)], best.u[best.u.size - (model.size - len(NAMES)) :]]
+    return _led_on(fitter, [fitter.fit(model, u, best.process, best.track.course)])[0]
 
 
-def lost_samples(fitted: Fitted) -> int:
-    """At how many samples the filter was lost."""
-    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
-    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
-
-
-def missing(fitter: Fitter, fitted: Fitted) -> float:
-    """What a fit leaves unexplained, of cost."""
-    return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
-
-
-def power_left(base: Fitted, fitted: Fitted) -> float:
-    """Share of the missing force's mean square that is left.
-
-    The details of a coupled effect differ from machine to machine: they leave little force, plain as it may be to see.
-    """
-    return float(np.sum(fitted.process**2) / np.sum(base.process**2))
-
-
-def strain(fitted: Fitted) -> float:
-    """By how many standard deviations of the prior the furthest nominal parameter was moved."""
-    return float(np.abs(fitted.u[: len(NAMES)]).max())
+def _without_needless(fitter: Fitter, rounds: list[Round], best: Fitted) -> tuple[list[Round], Fitted]:
+    """The first effect taken out again where a second explains more, and without it just as much."""
+    if (
+        len(rounds) != 2
+        or rounds[0].before.evidence - rounds[0].fits[0].evidence > rounds[1].before.evidence - best.evidence
+    ):
+        return rounds, best
+    base = rounds[0].before
+    alone = _alone(fitter, base, best)
+    if alone.evidence - best.evidence > max(WORTH, SLIGHT * (base.evidence - best.evidence)):
+        return rounds, best
+    others = [one for one in rounds[0].fits if _name(one) != _name(alone)]
+    return [rounds[0]._replace(fits=[alone, *others], rivals=1 + len(others), allowance=0.0)], alone
 
 
 def explain(
@@ -311,12 +295,11 @@ def explain(
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
     """
     best, rounds = base, []
-    lacked = missing(fitter, base)
 
     def whole(one: Fitted) -> bool:
-        if one.model.coupled and power_left(base, one) < COARSE:
-            return True
-        return missing(fitter, one) < max(LACKING, LEFT * lacked)
+        return missing(fitter, one) < LACKING or unexplained(fitter, base, one) < (
+            COARSE if one.model.coupled else LEFT
+        )
 
     while len(rounds) < most:
         complete = whole(best)
@@ -328,7 +311,7 @@ def explain(
         enough = WORTH if relieved else max(WORTH, SLIGHT * (base.evidence - best.evidence))
         if best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
-        best = found.fits[0]
+        rounds, best = _without_needless(fitter, rounds, found.fits[0])
         if whole(best) and strain(best) < STRAINED:
             break
     return Explanation(base, rounds, best)

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.search import BLOWS, LACKING, LEFT, WORTH, Explanation, Round, missing, power_left
+from tuning.diagnosis.leftover import BLOWS, LACKING, LEFT, missing, unexplained
+from tuning.diagnosis.search import WORTH, Explanation, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
@@ -43,17 +44,17 @@ class Verdict(NamedTuple):
     says: str
 
 
-def _probabilities(gains: Float[np.ndarray, " k"], unexplained: float) -> Float[np.ndarray, " k"]:
+def _probabilities(gains: Float[np.ndarray, " k"], left: float) -> Float[np.ndarray, " k"]:
     best = float(np.max(gains, initial=0.0))
-    temperature = max(COLDEST, (SOFT + ROUGH * unexplained) * best)
+    temperature = max(COLDEST, (SOFT + ROUGH * left) * best)
     weights = np.exp((gains - best) / temperature)
     return weights / np.sum(weights)
 
 
-def _believed(looked: Round, number: int, unexplained: float, found: bool, certain: float) -> list[Belief]:
+def _believed(looked: Round, number: int, left: float, found: bool, certain: float) -> list[Belief]:
     """Every candidate of a round that was fitted; `certain` is how sure it is that one of them acts."""
     gains = np.array([looked.before.evidence - one.evidence for one in looked.fits])
-    shares = np.r_[_probabilities(gains[: looked.rivals], unexplained), np.zeros(len(gains) - looked.rivals)]
+    shares = np.r_[_probabilities(gains[: looked.rivals], left), np.zeros(len(gains) - looked.rivals)]
     names = [one.model.members[-1].candidate.name for one in looked.fits]
     close = [name for name, share in zip(names, shares, strict=True) if share > DECLARED * shares[0]]
     return [
@@ -74,13 +75,9 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
     effects = best.model.added
-    before, after = missing(fitter, base), missing(fitter, best)
-    lacks = before > LACKING + BLOWS * FEW_LOST
-    unexplained = float(np.clip(after / before, 0.0, 1.0)) if lacks else 0.0
-    rough = best.model.coupled
-    if rough and lacks:
-        unexplained = min(unexplained, power_left(base, best))
-    left = unexplained / (ROUGHLY if rough else LEFT)
+    lacks = missing(fitter, base) > LACKING + BLOWS * FEW_LOST
+    share = unexplained(fitter, base, best) if lacks else 0.0
+    left = share / (ROUGHLY if best.model.coupled else LEFT)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
@@ -88,7 +85,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
             continue
         gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
         certain = (NEAREST + (1.0 - NEAREST) * known) / (1.0 + np.exp(-(gain - WORTH) / COLDEST))
-        beliefs += _believed(looked, number, unexplained, number < effects, float(certain))
+        beliefs += _believed(looked, number, share, number < effects, float(certain))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         if not lacks:
@@ -98,9 +95,9 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         return Verdict("unknown", beliefs, 1.0, says)
     if known < 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
-        says = f"{named} come closest, but leave {100 * unexplained:.0f} % of the gap unexplained"
-        return Verdict("unknown", beliefs, unexplained, says)
+        says = f"{named} come closest, but leave {100 * share:.0f} % of the gap unexplained"
+        return Verdict("unknown", beliefs, share, says)
     named = " and ".join(one.effect for one in beliefs if one.found)
     others = sorted({name for one in beliefs if one.found for name in one.alternatives})
     says = f"{named} explains the gap" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
-    return Verdict("effect", beliefs, unexplained, says)
+    return Verdict("effect", beliefs, share, says)

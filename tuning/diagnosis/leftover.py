@@ -1,0 +1,61 @@
+"""What a fit leaves unexplained, and how far it had to move the drive file's numbers."""
+
+import numpy as np
+
+from diffdrive.friction import coulomb
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.following import LOST
+
+LACKING = 30.0  # of cost
+LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
+COARSE = 0.05  # the same for effects whose details differ from machine to machine
+MOSTLY = 0.5  # of what is missing
+BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
+RELEVANT = 3e-4  # of the friction
+
+
+def lacking(fitter: Fitter, fitted: Fitted) -> float:
+    """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
+
+    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much.
+    """
+    least = np.minimum(fitted.process, RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0)))
+    none = fitter.at(fitted.model, fitted.u, least, fitted.track.course)
+    return none.cost - fitted.cost
+
+
+def lost_samples(fitted: Fitted) -> int:
+    """At how many samples the filter was lost."""
+    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
+    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
+
+
+def missing(fitter: Fitter, fitted: Fitted) -> float:
+    """What a fit leaves unexplained, of cost."""
+    return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
+
+
+def power_left(base: Fitted, fitted: Fitted) -> float:
+    """Share of the missing force's mean square that is left."""
+    return float(np.sum(fitted.process**2) / np.sum(base.process**2))
+
+
+def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
+    """Share of what the recalibrated drive is missing that a fit leaves.
+
+    The details of a coupled effect differ from machine to machine: they leave little force, plain as it may be to see.
+    Where the filter was lost in blows, it is those that count.
+    """
+    before = max(missing(fitter, base), 1.0)
+    share = missing(fitter, fitted) / before
+    if fitted.model.coupled:
+        share = min(share, power_left(base, fitted))
+        if BLOWS * lost_samples(base) > MOSTLY * before:
+            share = min(share, lost_samples(fitted) / lost_samples(base))
+    return float(np.clip(share, 0.0, 1.0))
+
+
+def strain(fitted: Fitted) -> float:
+    """By how many standard deviations of the prior the furthest nominal parameter was moved."""
+    return float(np.abs(fitted.u[: len(NAMES)]).max())
