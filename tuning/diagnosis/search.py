@@ -5,7 +5,6 @@
 The candidates of one round are independent; two threads keep two cores busy, since a compiled roll-out uses one.
 """
 
-import dataclasses
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
@@ -265,28 +264,6 @@ def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) ->
     return list(found.values())
 
 
-def _alone(fitter: Fitter, base: Fitted, best: Fitted) -> Fitted:
-    """The last effect of a fit without those that were found before it."""
-    model = dataclasses.replace(best.model, members=(*base.model.members, best.model.members[-1]))
-    u = np.r_[best.u[: len(NAMES)], best.u[best.u.size - (model.size - len(NAMES)) :]]
-    return _led_on(fitter, [fitter.fit(model, u, best.process, best.track.course)])[0]
-
-
-def _without_needless(fitter: Fitter, rounds: list[Round], best: Fitted) -> tuple[list[Round], Fitted]:
-    """The first effect taken out again where a second explains more, and without it just as much."""
-    if (
-        len(rounds) != 2
-        or rounds[0].before.evidence - rounds[0].fits[0].evidence > rounds[1].before.evidence - best.evidence
-    ):
-        return rounds, best
-    base = rounds[0].before
-    alone = _alone(fitter, base, best)
-    if alone.evidence - best.evidence > max(WORTH, SLIGHT * (base.evidence - best.evidence)):
-        return rounds, best
-    others = [one for one in rounds[0].fits if _name(one) != _name(alone)]
-    return [rounds[0]._replace(fits=[alone, *others], rivals=1 + len(others), allowance=0.0)], alone
-
-
 def explain(
     fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
 ) -> Explanation:
@@ -311,7 +288,7 @@ def explain(
         enough = WORTH if relieved else max(WORTH, SLIGHT * (base.evidence - best.evidence))
         if best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
-        rounds, best = _without_needless(fitter, rounds, found.fits[0])
+        best = found.fits[0]
         if whole(best) and strain(best) < STRAINED:
             break
     return Explanation(base, rounds, best)
