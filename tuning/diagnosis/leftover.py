@@ -12,6 +12,7 @@ LEFT = 0.02  # of what was missing: what the details of a model of the right kin
 COARSE = 0.05  # the same for effects whose details differ from machine to machine
 MOSTLY = 0.5  # of what is missing
 BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
+FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
 RELEVANT = 3e-4  # of the friction
 
 
@@ -34,6 +35,11 @@ def lost_samples(fitted: Fitted) -> int:
 def missing(fitter: Fitter, fitted: Fitted) -> float:
     """What a fit leaves unexplained, of cost."""
     return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
+
+
+def complete(fitter: Fitter, fitted: Fitted) -> bool:
+    """Whether a fit explains the logs to the noise."""
+    return missing(fitter, fitted) <= LACKING + BLOWS * FEW_LOST
 
 
 def power_left(base: Fitted, fitted: Fitted) -> float:
@@ -59,3 +65,11 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
 def strain(fitted: Fitted) -> float:
     """By how many standard deviations of the prior the furthest nominal parameter was moved."""
     return float(np.abs(fitted.u[: len(NAMES)]).max())
+
+
+def furthest(fitted: Fitted) -> str:
+    """In words: which nominal parameter was moved furthest."""
+    moved = fitted.u[: len(NAMES)]
+    k = int(np.abs(moved).argmax())
+    percent = 100.0 * np.expm1(fitted.model.tolerance * moved[k])
+    return f"{NAMES[k]} had to be moved by {percent:+.1f} %, {abs(moved[k]):.1f} times its tolerance"

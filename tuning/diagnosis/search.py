@@ -17,7 +17,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
-from tuning.diagnosis.leftover import COARSE, LACKING, LEFT, missing, strain, unexplained
+from tuning.diagnosis.leftover import COARSE, LEFT, complete, strain, unexplained
 from tuning.diagnosis.model import Logged, Member, Model
 from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
 
@@ -48,6 +48,7 @@ class Round(NamedTuple):
     fits: list[Fitted]  # best first
     rivals: int  # how many of these, the first ones, may stand for one another
     allowance: float  # in evidence, that the first may lack since it resolves an impossibility
+    enough: float = WORTH  # in evidence, that the first had to bring
 
 
 class Explanation(NamedTuple):
@@ -274,19 +275,17 @@ def explain(
     best, rounds = base, []
 
     def whole(one: Fitted) -> bool:
-        return missing(fitter, one) < LACKING or unexplained(fitter, base, one) < (
-            COARSE if one.model.coupled else LEFT
-        )
+        return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
 
     while len(rounds) < most:
-        complete = whole(best)
-        found = look(fitter, best, [one for one in catalogue if one.relieves or not complete], progress, whole)
-        rounds.append(found)
-        if not found.fits:
-            break
-        relieved = strain(best) >= STRAINED > strain(found.fits[0])
+        ended = whole(best)
+        found = look(fitter, best, [one for one in catalogue if one.relieves or not ended], progress, whole)
+        relieved = bool(found.fits) and strain(best) >= STRAINED > strain(found.fits[0])
         enough = WORTH if relieved else max(WORTH, SLIGHT * (base.evidence - best.evidence))
-        if best.evidence - found.fits[0].evidence + found.allowance < enough:
+        if ended and not relieved:
+            enough = np.inf
+        rounds.append(found._replace(enough=enough))
+        if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
         best = found.fits[0]
         if whole(best) and strain(best) < STRAINED:

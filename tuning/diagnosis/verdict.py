@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leftover import BLOWS, LACKING, LEFT, missing, unexplained
-from tuning.diagnosis.search import WORTH, Explanation, Round
+from tuning.diagnosis.leftover import LEFT, complete, furthest, strain, unexplained
+from tuning.diagnosis.search import STRAINED, Explanation, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
@@ -20,7 +21,6 @@ DECLARED = 0.05  # of probability against the best: a hypothesis that likely is 
 ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from machine to machine
 SHARPNESS = 3.0  # by which factor more or less makes it sure
 NEAREST = 0.4  # how sure an effect without rivals is where much is left: it may act, beside something unknown
-FEW_LOST = 3  # samples
 
 
 class Belief(NamedTuple):
@@ -75,7 +75,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
     effects = best.model.added
-    lacks = missing(fitter, base) > LACKING + BLOWS * FEW_LOST
+    lacks = not complete(fitter, base)
     share = unexplained(fitter, base, best) if lacks else 0.0
     left = share / (ROUGHLY if best.model.coupled else LEFT)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
@@ -84,10 +84,13 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         if not looked.fits:
             continue
         gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
-        certain = (NEAREST + (1.0 - NEAREST) * known) / (1.0 + np.exp(-(gain - WORTH) / COLDEST))
+        certain = (NEAREST + (1.0 - NEAREST) * known) * expit((gain - looked.enough) / COLDEST)
         beliefs += _believed(looked, number, share, number < effects, float(certain))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
+        if not lacks and strain(base) >= STRAINED:
+            says = f"{furthest(base)}: the drive file is wrong by that much, or it makes up for an effect"
+            return Verdict("unknown", beliefs, 0.0, says)
         if not lacks:
             says = "the recalibrated drive explains the logs to the noise: no effect is missing"
             return Verdict("none", beliefs, 0.0, says)
