@@ -28,7 +28,7 @@ from tuning.prediction import Lanes
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
-SAMPLE, SIMULATIONS, POPULATION = 256, 1000, 3  # at first, in all; members per number searched
+SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 3  # at first, in all; members per number searched
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 WHITE = 0.1  # of it
@@ -95,8 +95,8 @@ def _deviances(
     return jax.vmap(one)(coupled, push, process)
 
 
-def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> dict[str, Vector]:
-    """The likeliest parameters of the last member of `model`, a coupled one; everything else stays at `u`."""
+def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tuple[dict[str, Vector], np.ndarray]:
+    """The likeliest parameters of the last member of `model`, a coupled one, and process forces; all else is at `u`."""
     logged = model.logged
     effects = fitted.model.effects(u)
     loose, others = fitted.model.apart(effects)
@@ -118,14 +118,16 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> di
         filled = np.pad(shares, ((0, -len(shares) % size), (0, 0)), mode="edge")
         return np.concatenate([block(some) for some in np.split(filled, len(filled) // size)])[: len(shares)]
 
+    def forces(shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s 2"]:
+        return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, WHITE])
+
     def block(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
         stacked = [(*there, in_stretches(share)) for share in shares]
-        lasting = PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[:, -1]
-        processes = jnp.asarray(np.stack([lasting, WHITE * lasting], axis=1))
+        processes = jnp.asarray(forces(shares))
         push = jnp.asarray(PUSH * level * (2.0 * shares[:, -2] - 1.0))
         members = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
         return np.asarray(_deviances(drive, stretches, members, push, processes, logged))
 
     budget = Budget(SIMULATIONS, np.inf, -np.inf)
     found = evolve(costs, np.full(len(free) + 2, 0.5), budget, population=POPULATION, sample=SAMPLE)
-    return values(found.share)
+    return values(found.share), forces(found.share)

@@ -30,7 +30,7 @@ from tuning.diagnosis.model import (
     machine_slopes,
 )
 
-TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3)])  # times the process forces
+TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, under other process forces too
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
 
@@ -42,6 +42,7 @@ class Screened(NamedTuple):
     gain: float  # fall of the cost
     evidence: float  # and of -2 log evidence
     values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
+    processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
 
 
 @eqx.filter_jit
@@ -118,7 +119,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
             for (one, log), value in zip([x for x in labels if x is not None], amount, strict=False):
                 row = values.setdefault(one.name, np.zeros(logged.logs))
                 row[slice(None) if log is None else log] = value * one.spread
-            best = Screened(candidate, gain, evidence, values)
+            best = Screened(candidate, gain, evidence, values, fitted.process * TRIED)
     assert best is not None
     return best
 
@@ -131,7 +132,10 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     model = joined(fitted.model, candidate)
     first = not fitted.model.added
     before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
-    points = [evolved(fitted, model, candidate, before)] if candidate.searched else looked_for(fitted, candidate)
+    points, processes = looked_for(fitted, candidate), fitted.process * TRIED
+    if candidate.searched:
+        best, process = evolved(fitted, model, candidate, before)
+        points, processes = [best], np.vstack([processes, process])
     starts = [before, fitted.u] if first and not candidate.searched else [before]
     found = []
     for values in points:
@@ -139,10 +143,10 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
             u = np.r_[calibration, begin(model, values)]
             found.append((fitter.at(model, u, fitted.process, fitted.track.course), values))
     found.sort(key=lambda one: one[0].cost)
-    best = [(fitter.with_process(one, model, fitted.process * TRIED), values) for one, values in found[:BEST]]
-    there, values = min(best, key=lambda one: one[0].cost)
+    likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
+    there, values = min(likely, key=lambda one: one[0].cost)
     gain = fitted.cost - there.cost
-    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values)
+    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, processes)
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:

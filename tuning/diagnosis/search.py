@@ -19,7 +19,7 @@ from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.leftover import COARSE, LEFT, complete, strain, unexplained
 from tuning.diagnosis.model import Logged, Member, Model
-from tuning.diagnosis.screening import TRIED, Screened, begin, joined, screen, tried
+from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 
 THREADS = 2
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
@@ -109,7 +109,7 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
     starts = []
     for u in (np.r_[before.u, own], np.r_[nominal, own]):
         there = fitter.at(model, u, before.process, before.track.course)
-        there = fitter.with_process(there, model, before.process * TRIED)
+        there = fitter.with_process(there, model, found.processes)
         if found.candidate.coupled:
             alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
             there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
