@@ -34,7 +34,7 @@ def _ladder(found: Diagnosis) -> Any:
     at = np.arange(len(names))
     rms = np.array([rung.force.rms for rung in found.rungs])
     spread = np.abs(np.array([rung.interval for rung in found.rungs]).T - rms)
-    axes[0].bar(at, rms, yerr=spread, color=AFTER, capsize=4)
+    axes[0].errorbar(at, rms, yerr=spread, fmt="o-", color=AFTER, linewidth=0.8, capsize=4)
     axes[0].axhline(found.floor, color="k", linestyle="--", label="noise floor")
     axes[0].set_ylabel("missing force, N RMS")
     axes[0].legend()
@@ -43,12 +43,14 @@ def _ladder(found: Diagnosis) -> Any:
             (axes[1], 1e6, "position", "position, um RMS"),
             (axes[2], 1.0, "command", "command, N RMS"),
         ):
-            axis.bar(at, [scale * getattr(rung.loop, f"{signal}_rms") for rung in found.rungs], color=AFTER)
+            of_rungs = [scale * getattr(rung.loop, f"{signal}_rms") for rung in found.rungs]
+            axis.plot(at, of_rungs, "o-", color=AFTER, linewidth=0.8)
             floor = scale * getattr(found.rungs[-1].loop, f"{signal}_floor")
             axis.axhline(floor, color="k", linestyle="--")
             axis.set_ylabel(f"{label}, closed loop")
     for axis in axes:
         axis.set_xticks(at, names, rotation=20, ha="right")
+        axis.set_xlim(-0.5, len(names) - 0.5)
         axis.set_yscale("log")
     figure.suptitle(f"The gap, {found.split.says}")
     return figure

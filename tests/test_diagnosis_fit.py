@@ -11,14 +11,15 @@ from sound_log import DRIVE, RATE, logged, two_sines
 from diffdrive.effects.actuator import ForceGain
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.machine import PayloadMass
+from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates, setting
 from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.leftover import LACKING, lacking, power_left, strain
+from tuning.diagnosis.leftover import LACKING, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
-from tuning.diagnosis.screening import joined, screen
-from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, fit_from, look, recalibrated
+from tuning.diagnosis.screening import begin, joined, screen
+from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, fit_from, look, recalibrated, standing
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
@@ -134,6 +135,36 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
         )
         slope = ((ahead - behind) / (2.0 * h) / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
+
+
+def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
+    """Its state outlasts a segment: begun at rest in each, half a second of it would be missing again and again."""
+    truth = {"ratio": 0.05, "frequency": 6.0, "damping": 0.02}
+    fitter = fitter_of(FrameVibration(**truth))
+    candidate = next(
+        one for one in candidates(setting(DRIVE.drive, fitter.logged.lanes, 1.0 / RATE)) if one.name == "frame_vibration"
+    )
+    model = joined(Model(fitter.logged), candidate)
+    u = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in truth.items()})]
+    little, more = np.full(2, 0.02), np.array([[1.0, 0.1], [0.1, 0.1], [0.1, 1.0], [0.01, 0.3], [0.3, 0.01]])  # N
+    there = fitter.at(model, u, more[1], standing(fitter.logged))
+    for _ in range(12):
+        there = fitter.at(model, u, little, there.onward)
+    assert there.cost - fitter.with_process(there, model, more).cost < LACKING
+
+
+@pytest.mark.slow
+def test_a_backlash_is_found_where_no_gradient_leads():
+    truth = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
+    fitter = fitter_of(Backlash(**truth))
+    base = recalibrated(fitter, TOLERANCE)
+    few = [one for one in catalogue(fitter, base) if one.name in ("backlash", "compliance", "frame_vibration")]
+    found = look(fitter, base, few, lambda what, done, most: None, lambda one: complete(fitter, one))
+    first = found.fits[0]
+    assert [member.candidate.name for member in first.model.members] == ["backlash"]
+    values = first.model.values(first.u)[0]
+    assert values["gap"][0] == pytest.approx(truth["gap"], rel=0.1)
+    assert values["motor_share"][0] == pytest.approx(truth["motor_share"], rel=0.15)
 
 
 def test_a_secant_holds_along_the_step_that_was_taken():

@@ -43,7 +43,9 @@ def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:
     except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
         told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)  # whole or not at all
     return f"{place.name} {told['verdict']} {[one['effect'] for one in told['causes'] if one['found']]}"
 
 

@@ -13,14 +13,13 @@ NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a s
 
 
 def visibility(told: dict[str, Any]) -> float:
-    """Largest gap of the recalibrated drive, or of the nominal one where recalibration takes it all, over its floor."""
+    """Largest gap of the recalibrated drive over its floor."""
     gap = told.get("gap", {})
     found = [0.0]
     for signal, unit in (("force", "N"), ("position", "m"), ("command", "N")):
-        for stage in ("recalibrated_", ""):
-            rms, floor = gap.get(f"{stage}{signal}_rms_{unit}"), gap.get(f"noise_floor_{signal}_{unit}")
-            if isinstance(rms, float) and isinstance(floor, float) and floor > 0 and stage:
-                found.append(rms / floor)
+        rms, floor = gap.get(f"recalibrated_{signal}_rms_{unit}"), gap.get(f"noise_floor_{signal}_{unit}")
+        if isinstance(rms, float) and isinstance(floor, float) and floor > 0:
+            found.append(rms / floor)
     return float(max(found))
 
 
