@@ -228,7 +228,8 @@ def diagnose(
 
     The nominal parameters are recalibrated first; only what that cannot explain speaks for an effect. With several logs
     the last is held out for the judgement. Writes diagnosis.json, report.html (one page, self-contained), figures, and
-    augmented.toml: the drive with what was found, for `simulate`, `tune` and `sweep`.
+    augmented.toml: the drive with what was found, for `simulate`, `tune` and `sweep`. No log is refused, but a fatal
+    finding in one (volts for newtons, a shifted command) leaves no confidence above 0.5.
 
     Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
     """

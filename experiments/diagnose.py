@@ -2,37 +2,39 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from rich.console import Console
 
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, read_drive, write_drive
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.logs import Log
 from diffdrive.motion import Motion
-from diffdrive.parameters import Drive
+from diffdrive.parameters import Directional, Drive
 from experiments.checked_logs import parse_loads, read_checked
 from experiments.diagnose_figures import draw
-from experiments.diagnose_page import page
-from experiments.payoff import payoff
+from experiments.diagnose_page import page, tell
+from experiments.payoff import in_words, payoff
 from experiments.report import Report, plain
 from experiments.tuning_cases import Plan
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.diagnose import Diagnosis, diagnose, parameters
+from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.diagnose import UNSURE, Diagnosis, deviations, diagnose, parameters
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.search import MOST_EFFECTS
 from tuning.diagnosis.verdict import Belief
-from tuning.diagnosis.where import SIGNIFICANT
 
 HIDDEN = 1.05  # times the floor
-SHOWN = 8  # regions that are printed; the JSON has all
+FINDING = ("log", "severity", "channel", "found", "mend")
+ABOUT_THE_COMMAND = {"loop_delay", "force_gain"}  # effects that are what a fatal finding on the command is about
 
 
 def diagnose_logs(
@@ -62,45 +64,93 @@ def diagnose_logs(
     description = read_drive(drive)
     description = dataclasses.replace(description, mapping=description.mapping.overridden(columns, units))
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
-        logs = read_checked(
-            paths, description, report, name="findings", force=True, loads=parse_loads(loads, list(paths)),
-            used=("motor_position",),
-        )  # fmt: skip
+        logs, findings = _read(report, paths, description, loads)
         with report.stages() as progress:
             found = diagnose(
                 description.drive, description.controller, logs,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
+        found = _doubted(found, findings)
         with report.working("looking for the motion that would decide"):
             offer = next_experiment(found, description)
-        told = as_json(found, offer)
-        _print(report, found, told)
+        told = as_json(found, offer) | {"logs": [log.name for log in logs], "findings": findings}
+        tell(report, told)
         if report.out is not None:
-            text = json.dumps(plain(told), indent=2, allow_nan=False)
-            (report.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
             augmented = _write(report, description, found)
             _write_reference(report, reference(offer, description))
             with report.working("drawing"):
                 draw(report, found, logs)
-            page(report, told, augmented)
+            _save(report, told, augmented)
             if tuned:
                 heaviest = max((float(np.max(log.load)) for log in logs if log.load is not None), default=0.0)
-                _pay(report, told, description, augmented, heaviest)
+                told["payoff"] = _pay(report, told, description, augmented, heaviest)
+                _save(report, told, augmented)  # again: what was found is not lost where the tuning is interrupted
     return told
+
+
+def _read(
+    report: Report, paths: Sequence[Path], description: DriveDescription, loads: Sequence[str]
+) -> tuple[tuple[Log, ...], list[dict[str, str]]]:
+    """The logs, and what is wrong with them: nothing is refused here, a fatal finding lowers the confidence instead."""
+    quiet = Report("reading", None, Console(quiet=True))  # what it says of forcing is not for this command
+    with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
+        logs = read_checked(
+            paths, description, quiet, name="findings", force=True, loads=parse_loads(loads, list(paths)),
+            used=("motor_position",),
+        )  # fmt: skip
+    rows = quiet.data.get("tables", {}).get("findings", {"rows": []})["rows"]
+    fatal = [row for row in rows if row[1] == "fatal"]
+    notes = quiet.data.get("notes", [])
+    for note in notes[:-1] if fatal else notes:
+        report.say(note)
+    if rows:
+        report.table("findings", FINDING, rows, "What the logs would mislead about, or limit")
+    if fatal:
+        report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, and is believed accordingly.")
+    return logs, [dict(zip(FINDING, row, strict=True)) for row in rows if row[1] != "note"]
+
+
+def _doubted(found: Diagnosis, findings: Sequence[dict[str, str]]) -> Diagnosis:
+    """No sure verdict from logs with a fatal finding, unless what was found is what that is about."""
+    fatal = [one for one in findings if one["severity"] == "fatal"]
+    named = {one.effect for one in found.verdict.beliefs if one.found}
+    if not fatal or (named & ABOUT_THE_COMMAND and all(one["channel"] == "command" for one in fatal)):
+        return found
+    first = fatal[0]
+    says = (
+        f"{found.verdict.says}; but the log checks say of {first['log']}: {first['found']}. No confidence is above "
+        f"{UNSURE} before that is mended: {first['mend']}"
+    )
+    beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in found.verdict.beliefs]
+    verdict = found.verdict._replace(verdict="unknown", beliefs=beliefs, says=says)
+    return dataclasses.replace(found, verdict=verdict)
+
+
+def _save(report: Report, told: dict[str, Any], augmented: str | None) -> None:
+    """diagnosis.json and report.html."""
+    assert report.out is not None
+    text = json.dumps(plain(told), indent=2, allow_nan=False)
+    (report.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    page(report, told, augmented)
 
 
 def _pay(
     report: Report, told: dict[str, Any], description: DriveDescription, augmented: str | None, max_load: float
-) -> None:
-    """Tune on both drives; the comparison goes to the report."""
+) -> dict[str, Any]:
+    """Tune on both drives; what that tells, in words and, if there was something to tune on, each gains' numbers."""
     assert report.out is not None
-    if augmented is None or not told["ladder"][2:]:
-        report.say("Nothing to tune on: no effect was added.")
+    if not told["ladder"][2:]:
+        says, gains = "Nothing to tune on: no effect was added.", {}
+    elif augmented is None:
+        says, gains = "Nothing to tune on: no drive file can say what was found.", {}
     elif isinstance(description.controller, UnknownController):
-        report.say("Nothing to tune: the drive file does not know its controller.")
+        says, gains = "Nothing to tune: the drive file does not know its controller.", {}
     else:
         plan = Plan(max_load=max_load, loads=Plan.loads if max_load > 0 else 1)
-        payoff(report, description, read_drive(report.out / augmented), plan)
+        gains = payoff(report, description, read_drive(report.out / augmented), plan)
+        says = in_words(gains)
+    report.say(says)
+    return {"says": says, "gains": gains}
 
 
 def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
@@ -111,29 +161,51 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "says": found.verdict.says,
         "unexplained": found.verdict.unexplained,
         "gap": {
-            "position_rms_m": nominal.loop and nominal.loop.position_rms,
-            "command_rms_N": nominal.loop and nominal.loop.command_rms,
+            "says": _size(nominal, recalibrated, found.floor),
+            "position_rms_m": _in_loop(nominal, "position_rms"),
+            "command_rms_N": _in_loop(nominal, "command_rms"),
             "force_rms_N": nominal.force.rms,
             "force_interval_N": nominal.interval,
-            "noise_floor_position_m": last.loop and last.loop.position_floor,
-            "noise_floor_command_N": last.loop and last.loop.command_floor,
+            "noise_floor_position_m": _in_loop(last, "position_floor"),
+            "noise_floor_command_N": _in_loop(last, "command_floor"),
             "noise_floor_force_N": found.floor,
-            "recalibrated_position_rms_m": recalibrated.loop and recalibrated.loop.position_rms,
-            "recalibrated_command_rms_N": recalibrated.loop and recalibrated.loop.command_rms,
+            "recalibrated_position_rms_m": _in_loop(recalibrated, "position_rms"),
+            "recalibrated_command_rms_N": _in_loop(recalibrated, "command_rms"),
             "recalibrated_force_rms_N": recalibrated.force.rms,
             "judged_on": found.split.says,
         },
         "where": [one._asdict() for one in found.where],
-        "causes": [_cause(found, one) for one in found.verdict.beliefs],
-        "ladder": [_rung(one) for one in found.rungs],
+        "causes": [cause(found, one) for one in found.verdict.beliefs],
+        "recalibrated": list(_recalibrated(found)),
+        "ladder": [_rung(one, found.floor) for one in found.rungs],
+        "closed": _closed(found),
         "lacks": [one._asdict() for one in found.lacks],
         "next_experiment": offer._asdict(),
     }
 
 
-def _cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
-    member = len(belief.fitted.model.members) - 1
-    numbers = parameters(belief.fitted, member)
+def _size(nominal: Rung, recalibrated: Rung, floor: float) -> str:
+    """How large the gap is, in words."""
+    low, high = nominal.interval
+    within = recalibrated.force.rms < HIDDEN * floor
+    return (
+        f"The drive file's model lacks {nominal.force.rms:.3g} N ({low:.3g} to {high:.3g}), "
+        f"{nominal.force.rms / floor:.2g} times the noise floor of {floor:.3g} N; recalibrated it lacks "
+        f"{recalibrated.force.rms:.3g} N, " + ("which is that floor" if within else "which is more than that floor")
+    )
+
+
+def _in_loop(rung: Rung, name: str) -> float | None:
+    """A number of the simulation in closed loop; None where that could not be simulated."""
+    return None if rung.loop is None or rung.loop.says else getattr(rung.loop, name)
+
+
+def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
+    """One effect as diagnosis.json holds it."""
+    # what was found is to be as in augmented.toml: fitted together with everything else that was
+    fitted = found.found if belief.found else belief.fitted
+    names = [one.candidate.name for one in fitted.model.members]
+    numbers = parameters(fitted, names.index(belief.effect))
     kind = EFFECTS[belief.effect]
     units = {field.name: field.metadata["quantity"].unit for field in dataclasses.fields(kind)}
     rungs = {rung.name: rung for rung in found.rungs}
@@ -155,101 +227,82 @@ def _cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
     }
 
 
-def _rung(rung: Rung) -> dict[str, Any]:
-    loop = rung.loop
+def _recalibrated(found: Diagnosis) -> Iterator[dict[str, Any]]:
+    """The nominal parameters as the drive file has them, recalibrated, and fitted together with what was found."""
+    fits = {"recalibrated": found.explanation.base}
+    if found.found.model.added:
+        fits["with_effects"] = found.found
+    spreads = {key: deviations(one) for key, one in fits.items()}
+    for k, parameter in enumerate(NAMES):
+        for name, nominal, unit in _nominal(found.logged.drive, parameter):
+            row: dict[str, Any] = {"parameter": name, "unit": unit, "drive_file": nominal}
+            for key, one in fits.items():
+                at = one.u[k] + 1.96 * spreads[key][k] * np.array([0.0, -1.0, 1.0])
+                value, *interval = (nominal * np.exp(one.model.tolerance * at)).tolist()
+                row |= {key: value, f"{key}_interval": interval}
+            yield row
+
+
+def _nominal(drive: Drive, parameter: str) -> list[tuple[str, float, str]]:
+    """Name, value and unit of a parameter of the calibration; both directions where it moves them together."""
+    field, _, side = parameter.partition(".")
+    owner = drive.plant if field == "mass" else drive.friction
+    unit = next(one.metadata["quantity"].unit for one in dataclasses.fields(owner) if one.name == field)
+    value = getattr(owner, field)
+    if not isinstance(value, Directional):
+        return [(parameter, float(value), unit)]
+    ways = [side] if side else ["positive", "negative"]
+    return [(f"{field}.{way}", float(getattr(value, way)), unit) for way in ways]
+
+
+def _rung(rung: Rung, floor: float) -> dict[str, Any]:
+    unknown = "not simulated in closed loop: the controller or the reference is not known"
     return {
         "model": rung.name,
         "force_rms_N": rung.force.rms,
         "force_interval_N": rung.interval,
+        "force_floor_N": floor,
         "shrink": rung.shrink[0],
         "shrink_interval": rung.shrink[1:],
-        "position_rms_m": loop and loop.position_rms,
-        "command_rms_N": loop and loop.command_rms,
-        "deviance": rung.deviance,
+        "position_rms_m": _in_loop(rung, "position_rms"),
+        "position_floor_m": _in_loop(rung, "position_floor"),
+        "command_rms_N": _in_loop(rung, "command_rms"),
+        "command_floor_N": _in_loop(rung, "command_floor"),
+        "loop_says": rung.loop.says if rung.loop else unknown,
+        "deviance": rung.deviance if np.isfinite(rung.deviance) else None,
     }
 
 
-def _micro(value: float | None) -> float | None:
-    return None if value is None else 1e6 * value
-
-
-def _print(report: Report, found: Diagnosis, told: dict[str, Any]) -> None:
-    """The four answers, in their order."""
-    gap = told["gap"]
-    report.say(f"\n1. How large is the gap? ({found.split.says})")
-    report.table(
-        "ladder",
-        ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink"),
-        [
-            [
-                one["model"],
-                one["force_rms_N"],
-                *one["force_interval_N"],
-                _micro(one["position_rms_m"]),
-                one["command_rms_N"],
-                one["shrink"],
-            ]
-            for one in told["ladder"]
-        ]
-        + [
-            [
-                "noise floor",
-                gap["noise_floor_force_N"],
-                None,
-                None,
-                _micro(gap["noise_floor_position_m"]),
-                gap["noise_floor_command_N"],
-                None,
-            ]
-        ],
-        "RMS of simulation against log; position and command in closed loop",
-    )
-    report.say("\n2. Where does it lie? (after recalibration)")
-    telling = [one for one in found.where if one.p_value < SIGNIFICANT][:SHOWN]
-    for region in telling:
-        report.say(f"  - {region.says} (p = {region.p_value:.2g})")
-    if not telling:
-        report.say("  - nowhere in particular: no region has more than chance would give it")
-    report.say("\n3. Which unmodelled effect causes it?")
-    report.say(f"  {found.verdict.verdict.upper()}: {found.verdict.says}")
-    rows = []
-    for cause in told["causes"]:
-        shown = "; ".join(_parameter(name, cause) for name in cause["parameters"])
-        rows.append([cause["effect"], round(cause["confidence"], 3), shown if cause["found"] else ""])
-    if rows:
-        report.table("causes", ("effect", "confidence", "parameters"), rows, "Causes, the surest first")
-    report.say("\n4. How far does the gap shrink once it is added?")
-    if len(found.rungs) > 2 and found.rungs[1].force.rms < HIDDEN * found.floor:
-        report.say(
-            "  Recalibration hides it: the gap is at its floor, but with a nominal parameter moved by "
+def _closed(found: Diagnosis) -> dict[str, Any]:
+    """How much of the force's mean square that recalibration leaves beyond the floor is gone with what was found."""
+    before, after, floor = found.rungs[1].force, found.rungs[-1].force, found.floor
+    if len(found.rungs) == 2:
+        return {"share": None, "interval": None, "says": "No effect was added."}
+    on = f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor"
+    if before.rms < HIDDEN * floor:
+        says = (
+            f"{on} {floor:.3g} N. Recalibration hides the gap, but with a nominal parameter moved by "
             f"{strain(found.explanation.base):.0f} standard deviations, against {strain(found.found):.1f} with it"
         )
-    elif len(found.rungs) > 2:
-        share = _percent(found.rungs[1].force.rms, found.rungs[-1].force.rms, found.floor)
-        report.say(
-            f"  On {found.split.says}: from {found.rungs[1].force.rms:.3g} N recalibrated to "
-            f"{found.rungs[-1].force.rms:.3g} N with it, the floor being {found.floor:.3g} N: {share} of what was left"
-        )
-    else:
-        report.say("  No effect was added.")
-    report.say(f"\nNext: {told['next_experiment']['says']}")
-
-
-def _percent(before: float, after: float, floor: float) -> str:
-    left, was = max(after**2 - floor**2, 0.0), max(before**2 - floor**2, 1e-12)
-    return f"{100 * max(0.0, 1 - left / was):.0f} %"
-
-
-def _parameter(name: str, cause: dict[str, Any]) -> str:
-    value, unit = cause["parameters"][name], cause["units"][name]
-    values = value if isinstance(value, list) else [value]
-    shown = ", ".join(f"{one:.4g}" for one in values)
-    return f"{name} {shown}{'' if unit == '1' else ' ' + unit}"
+        return {"share": None, "interval": None, "says": says}
+    rate, least = found.logged.sampling.rate, (HIDDEN**2 - 1.0) * floor**2
+    squares = [np.r_[one.rms**2, one.drawn(rate)] for one in (before, after)]
+    beyond = [np.maximum(one - floor**2, bound) for one, bound in zip(squares, (least, 0.0), strict=True)]
+    shares = 1.0 - beyond[1] / beyond[0]
+    low, high = (float(one) for one in np.percentile(shares[1:], [2.5, 97.5]))
+    percent = f"{100 * shares[0]:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+    says = f"{on} {floor:.3g} N: {percent} of what was left beyond the floor is gone"
+    return {"share": float(shares[0]), "interval": [low, high], "says": says}
 
 
 def augmented_drive(found: Diagnosis) -> Drive:
-    """The recalibrated drive with the effects found, session parameters as in the first log."""
-    return jax.tree.map(float, drive_of(found.found, 0))
+    """The recalibrated drive with the effects found, session parameters as in the first log.
+
+    They are in the catalogue's order, whatever the order in which they were found: a drive file knows no other.
+    """
+    drive = jax.tree.map(float, drive_of(found.found, 0))
+    order = list(EFFECTS)
+    return dataclasses.replace(drive, effects=tuple(sorted(drive.effects, key=lambda one: order.index(one.name))))
 
 
 def _write_reference(report: Report, motion: Motion | None) -> None:

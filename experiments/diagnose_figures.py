@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from diffdrive.logs import Log
 from experiments.report import Report, new_figure
@@ -14,6 +15,7 @@ from tuning.diagnosis.where import SIGNIFICANT
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
 BEFORE, AFTER = "0.6", "C0"
+ROOM = 1.8  # times the largest value, above it, and below the least
 
 
 def draw(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
@@ -26,34 +28,42 @@ def draw(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
 
 
 def _ladder(found: Diagnosis) -> Any:
-    """The missing force of each model on held-out data, against the floor."""
-    with_loop = all(rung.loop is not None and not rung.loop.says for rung in found.rungs)
-    figure, axes = new_figure(1, 3 if with_loop else 1, width=11.0 if with_loop else 6.0, height=3.4, share_x=False)
-    axes = np.atleast_1d(axes)
-    names = [rung.name for rung in found.rungs]
-    at = np.arange(len(names))
+    """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
     rms = np.array([rung.force.rms for rung in found.rungs])
     spread = np.abs(np.array([rung.interval for rung in found.rungs]).T - rms)
-    axes[0].errorbar(at, rms, yerr=spread, fmt="o-", color=AFTER, linewidth=0.8, capsize=4)
-    axes[0].axhline(found.floor, color="k", linestyle="--", label="noise floor")
-    axes[0].set_ylabel("missing force, N RMS")
-    axes[0].legend()
-    if with_loop:
-        for axis, scale, signal, label in (
-            (axes[1], 1e6, "position", "position, um RMS"),
-            (axes[2], 1.0, "command", "command, N RMS"),
-        ):
-            of_rungs = [scale * getattr(rung.loop, f"{signal}_rms") for rung in found.rungs]
-            axis.plot(at, of_rungs, "o-", color=AFTER, linewidth=0.8)
-            floor = scale * getattr(found.rungs[-1].loop, f"{signal}_floor")
-            axis.axhline(floor, color="k", linestyle="--")
-            axis.set_ylabel(f"{label}, closed loop")
+    loops = [rung.loop for rung in found.rungs if rung.loop is not None]
+    simulated = [one for one in loops if not one.says]
+    figure, axes = new_figure(1, 3 if simulated else 1, width=11.0 if simulated else 6.0, height=3.4, share_x=False)
+    axes = np.atleast_1d(axes)
+    axes[0].set_title("missing force, N RMS", fontsize="medium")
+    _points(axes[0], rms, found.floor, spread)
+    for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("um", "N"), strict=False):
+        of_loops = [np.nan if one.says else scale * getattr(one, f"{signal}_rms") for one in loops]
+        axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
+        _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"))
     for axis in axes:
-        axis.set_xticks(at, names, rotation=20, ha="right")
-        axis.set_xlim(-0.5, len(names) - 0.5)
-        axis.set_yscale("log")
-    figure.suptitle(f"The gap, {found.split.says}")
+        axis.set_xticks(np.arange(len(rms)), [rung.name for rung in found.rungs], rotation=20, ha="right")
+        axis.set_xlim(-0.5, len(rms) - 0.5)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right")
+    figure.suptitle(f"The gap, {found.split.says}", x=0.01, ha="left")
     return figure
+
+
+def _points(axis: Any, values: np.ndarray, floor: float, spread: np.ndarray | None = None) -> None:
+    """One value for each model, with its error bar, on a logarithmic axis; nan for one whose simulation runs away."""
+    at, good = np.arange(len(values)), values[np.isfinite(values)]
+    axis.errorbar(at, values, yerr=spread, fmt="o", color=AFTER, capsize=4)
+    axis.axhline(floor, color="k", linestyle="--", label="noise floor")
+    axis.set_yscale("log")
+    axis.set_ylim(min(floor, *good) / ROOM, max(floor, *good) * ROOM)
+    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
+    for k, value in enumerate(values):
+        if np.isfinite(value):
+            axis.annotate(f"{value:.3g}", (k, value), xytext=(0, 8), textcoords="offset points", ha="center")
+        else:
+            axis.text(k, 0.97, "runs away", transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
 
 
 def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
@@ -61,37 +71,41 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
     figure, axes = new_figure(2, 1, width=11.0, height=2.8, share_x=False)
     lane = found.logged.owner.index(found.split.logs[-1])
     rate = found.logged.sampling.rate
-    for rung, color in _first_and_last(found.rungs, BEFORE, AFTER):
+    for rung, label, color in _first_and_last(found.rungs):
         counts = rung.force.counts[lane] > 0
         every = max(1, counts.size // MOST_POINTS)
         force = np.where(counts, rung.force.force[lane], np.nan)[::every]
         position = 1e3 * np.asarray(rung.force.course.position[lane])[::every]
-        axes[0].plot(np.arange(counts.size)[::every] / rate, force, color=color, linewidth=0.8, label=rung.name)
+        axes[0].plot(np.arange(counts.size)[::every] / rate, force, color=color, linewidth=0.8, label=label)
         axes[1].plot(position, force, ".", color=color, markersize=1.5)
     axes[0].set_xlabel("time, s")
     axes[1].set_xlabel("position, mm")
     for axis in axes:
         axis.set_ylabel("missing force, N")
-    axes[0].legend(loc="upper right")
-    figure.suptitle(f"Force that the model lacks while the table slides, {logs[found.split.logs[-1]].name}")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    name = logs[found.split.logs[-1]].name
+    figure.suptitle(f"Force that the model lacks while the table slides, {name}", x=0.01, ha="left")
     return figure
 
 
-def _first_and_last(rungs: Sequence[Rung], before: str, after: str) -> list[tuple[Rung, str]]:
-    return [(rungs[1], before)] + ([(rungs[-1], after)] if len(rungs) > 2 else [])
+def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:
+    """Recalibrated and, if there is anything, with what was found: each with its label and colour."""
+    last = [(rungs[-1], "with what was found", AFTER)] if len(rungs) > 2 else []
+    return [(rungs[1], "recalibrated", BEFORE), *last]
 
 
 def _where(found: Diagnosis) -> Any:
     """Shares of the gap beside the shares of the time."""
     telling = [one for one in found.where if one.dimension not in ("subsystem", "signal")]
     telling = [one for one in telling if one.p_value < SIGNIFICANT][:REGIONS] or telling[:REGIONS]
-    figure, axis = new_figure(width=9.0, height=0.6 + 0.34 * max(len(telling), 3))
+    figure, axis = new_figure(width=9.0, height=0.9 + 0.34 * max(len(telling), 3))
     at = np.arange(len(telling))[::-1]
     axis.barh(at + 0.2, [100 * one.share for one in telling], 0.4, color=AFTER, label="of the gap")
     axis.barh(at - 0.2, [100 * one.expected for one in telling], 0.4, color=BEFORE, label="expected by chance")
     axis.set_yticks(at, [f"{one.dimension}: {one.region}" for one in telling])
     axis.set_xlabel("share, %")
-    axis.legend()
+    axis.set_axisbelow(True)
+    figure.legend(loc="outside upper right", ncols=2)
     return figure
 
 
@@ -100,8 +114,11 @@ def _causes(found: Diagnosis) -> Any:
     beliefs = found.verdict.beliefs[:CAUSES]
     figure, axis = new_figure(width=7.0, height=0.6 + 0.34 * max(len(beliefs), 3))
     at = np.arange(len(beliefs))[::-1]
-    axis.barh(at, [one.confidence for one in beliefs], color=[AFTER if one.found else BEFORE for one in beliefs])
-    axis.set_yticks(at, [one.effect for one in beliefs])
-    axis.set_xlim(0, 1)
+    colors = [AFTER if one.found else BEFORE for one in beliefs]
+    axis.bar_label(axis.barh(at, [one.confidence for one in beliefs], color=colors), fmt="%.2f", padding=3)
+    rounds = any(one.round for one in beliefs)
+    axis.set_yticks(at, [f"{one.effect} (round {one.round + 1})" if rounds else one.effect for one in beliefs])
+    axis.set_xlim(0, 1.1)
+    axis.set_axisbelow(True)
     axis.set_xlabel("confidence (blue: part of the explanation)")
     return figure

@@ -1,56 +1,194 @@
-"""The diagnosis as one self-contained HTML page that a colleague can open."""
+"""The diagnosis for its readers: on the console, and as one self-contained HTML page that a colleague can open.
+
+Both are made of what diagnosis.json holds, and of nothing else.
+"""
 
 import base64
+from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+from experiments import payoff
 from experiments.report import Report
 from tuning.diagnosis.where import SIGNIFICANT
 
 STYLE = """
 body { font-family: sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222; line-height: 1.4 }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem; border-bottom: 1px solid #ccc }
-table { border-collapse: collapse } td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee }
-td:first-child, th:first-child { text-align: left } img { max-width: 100% }
+table { border-collapse: collapse; margin: 1rem 0 } caption { text-align: left; padding-bottom: .3rem }
+td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee; vertical-align: top }
+td:first-child, th:first-child, .words td, .words th { text-align: left } img { max-width: 100% }
 .verdict { font-size: 1.15rem; padding: .7rem 1rem; background: #eef4fb; border-left: 4px solid #1f77b4 }
 """
-REGIONS = 10
+REGIONS = 10  # that are shown; the JSON has all
+
+SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
+LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
+LOOP = "RMS of simulation against log, position and command in closed loop; low and high: 95 %"
+SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, against nominal"
+CAUSES = ("effect", "round", "confidence", "parameters with 95 % intervals", "not excluded in its place")
+NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
+BOTH = "Nominal parameters; damping moves with viscous friction"
+
+Row = list[Any]
+
+
+def tell(report: Report, told: dict[str, Any]) -> None:
+    """Print the four answers, in their order."""
+    gap, regions = told["gap"], _regions(told)
+    report.say(f"\n1. How large is the gap? ({gap['judged_on']})\n  {gap['says']}")
+    report.table("gap", SIZE, _sizes(told), LOOP)
+    report.say("\n2. Where does it lie? (after recalibration)")
+    for region in regions:
+        report.say(f"  - {region}")
+    if not regions:
+        report.say("  - nowhere in particular: no region has more than chance would give it")
+    report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
+    if told["causes"]:
+        report.table("causes", CAUSES, [_cause(one) for one in told["causes"]], "Causes, the surest first")
+    report.say(f"\n4. How far does the gap shrink once it is added?\n  {told['closed']['says']}")
+    report.table("ladder", LADDER, _ladder(told), SHRINK)
+    for reason in _not_simulated(told):
+        report.say(f"  {reason}")
+    report.say(f"\nNext: {told['next_experiment']['says']}")
 
 
 def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     """Write report.html beside the figures, which it holds inside."""
     assert report.out is not None
-    gap, title = told["gap"], escape(report.data["title"])
-    where = [one for one in told["where"] if one["p_value"] < SIGNIFICANT][:REGIONS]
+    gap, title, regions = told["gap"], escape(report.data["title"]), _regions(told)
+    loop = "".join(f"<p>{escape(reason)}</p>" for reason in _not_simulated(told))
     parts = [
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>",
         f"<h1>{title}</h1>",
         f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {escape(told['says'])}</p>",
+        _findings(told["findings"]),
         "<h2>1. How large is the gap?</h2>",
-        f"<p>RMS of simulation against log, {escape(gap['judged_on'])}.</p>",
-        _table(
-            ("model", "missing force, N", "95 %", "position, um", "command, N"),
-            [*[_ladder_row(one) for one in told["ladder"]], _floor_row(gap)],
-        ),
-        _image(report, "ladder"),
+        f"<p>{escape(gap['says'])}.</p>",
+        _table(SIZE, _sizes(told), f"{LOOP}; {gap['judged_on']}"),
+        _image(report, "missing_force"),
         "<h2>2. Where does it lie?</h2>",
-        "<ul>" + "".join(f"<li>{escape(one['says'])} (p = {one['p_value']:.2g})</li>" for one in where) + "</ul>"
-        if where
+        "<ul>" + "".join(f"<li>{escape(one)}</li>" for one in regions) + "</ul>"
+        if regions
         else "<p>No region has more of it than chance would give it.</p>",
         _image(report, "where"),
         "<h2>3. Which unmodelled effect causes it?</h2>",
-        _table(
-            ("effect", "confidence", "parameters with 95 % intervals", "not excluded in its place"),
-            [_cause_row(one) for one in told["causes"]],
-        ),
+        _table(CAUSES, [_cause(one) for one in told["causes"]], words=True)
+        if told["causes"]
+        else "<p>No effect of the catalogue was worth a fit.</p>",
         _image(report, "causes"),
+        _table(NOMINAL, [_recalibrated(one) for one in told["recalibrated"]], BOTH),
         "<h2>4. How far does the gap shrink once it is added?</h2>",
-        _image(report, "missing_force"),
-        f"<p>Drive with what was found: <code>{escape(augmented)}</code></p>" if augmented else "",
+        f"<p>{escape(told['closed']['says'])}</p>",
+        _table(LADDER, _ladder(told), f"{SHRINK}; {gap['judged_on']}"),
+        loop,
+        _image(report, "ladder"),
+        f"<p>Drive with what was found, as in log 1: <code>{escape(augmented)}</code></p>" if augmented else "",
+        _paid(told["payoff"]) if "payoff" in told else "",
         f"<h2>What next?</h2><p>{escape(told['next_experiment']['says'])}</p>",
         "</html>",
     ]
     (report.out / "report.html").write_text("\n".join(parts), encoding="utf-8")
+
+
+def parameter(name: str, cause: dict[str, Any]) -> str:
+    """A parameter of a cause with its interval and unit; log by log where the logs differ in it."""
+    value, interval, unit = cause["parameters"][name], cause["intervals"][name], cause["units"][name]
+    many = isinstance(value, list)
+    each = list(zip(value, *interval, strict=True)) if many else [(value, *interval)]
+    shown = [f"{at:.4g} ({low:.4g} to {high:.4g})" for at, low, high in each]
+    if len(shown) > 1:
+        shown = [f"log {k} {one}" for k, one in enumerate(shown, start=1)]
+    return f"{name} {', '.join(shown)}{'' if unit == '1' else ' ' + unit}"
+
+
+def _regions(told: dict[str, Any]) -> list[str]:
+    """Where more of the gap lies than chance would give, in words."""
+    telling = [one for one in told["where"] if one["p_value"] < SIGNIFICANT][:REGIONS]
+    return [f"{one['says']} (p = {one['p_value']:.2g})" for one in telling]
+
+
+def _rung(one: dict[str, Any]) -> Row:
+    position = one["position_rms_m"]
+    return [
+        one["model"],
+        one["force_rms_N"],
+        *one["force_interval_N"],
+        None if position is None else 1e6 * position,
+        one["command_rms_N"],
+    ]
+
+
+def _floor(told: dict[str, Any]) -> Row:
+    gap = told["gap"]
+    floor = {"position_rms_m": gap["noise_floor_position_m"], "command_rms_N": gap["noise_floor_command_N"]}
+    force = {"force_rms_N": gap["noise_floor_force_N"], "force_interval_N": [None, None]}
+    return _rung({"model": "noise floor"} | force | floor)
+
+
+def _sizes(told: dict[str, Any]) -> list[Row]:
+    """The gap before anything is added, against the floor."""
+    return [*(_rung(one) for one in told["ladder"][:2]), _floor(told)]
+
+
+def _ladder(told: dict[str, Any]) -> list[Row]:
+    nothing: Row = [None, None, None]
+    first, *others = told["ladder"]
+    shrinks = [[100.0 * share for share in (one["shrink"], *one["shrink_interval"])] for one in others]
+    rows = [_rung(one) + shrink for one, shrink in zip(others, shrinks, strict=True)]
+    return [_rung(first) + nothing, *rows, _floor(told) + nothing]
+
+
+def _not_simulated(told: dict[str, Any]) -> list[str]:
+    """Why there are no numbers in closed loop, each reason with the models that it is about."""
+    models: dict[str, list[str]] = {}
+    for one in told["ladder"]:
+        if one["loop_says"]:
+            models.setdefault(one["loop_says"], []).append(one["model"])
+    return [f"{', '.join(names)}: {reason}" for reason, names in models.items()]
+
+
+def _cause(one: dict[str, Any]) -> Row:
+    return [
+        one["effect"],
+        one["round"],
+        round(one["confidence"], 3),
+        "; ".join(parameter(name, one) for name in one["parameters"]) if one["found"] else "",
+        ", ".join(one["indistinguishable_from"]),
+    ]
+
+
+def _recalibrated(one: dict[str, Any]) -> Row:
+    row = [one["parameter"], "" if one["unit"] == "1" else one["unit"], one["drive_file"]]
+    for key in ("recalibrated", "with_effects"):
+        row += [one.get(key), *one.get(f"{key}_interval", (None, None))]
+    return row
+
+
+def _findings(findings: Sequence[dict[str, str]]) -> str:
+    """What the log checks found, or nothing."""
+    if not findings:
+        return ""
+    columns = ("log", "severity", "channel", "found", "mend")
+    return _table(
+        columns, [[one[key] for key in columns] for one in findings], "Before all: the log checks", words=True
+    )
+
+
+def _paid(paid: dict[str, Any]) -> str:
+    """What the controller gains by being tuned on what was found."""
+    rows = [
+        [name, *(one[key] for key in payoff.COLUMNS), "yes" if one["requirements_kept_where_tuned"] else "no"]
+        for name, one in paid["gains"].items()
+    ]
+    columns = ("gains", *(_spaced(key) for key in payoff.COLUMNS), "requirements kept where tuned")
+    return f"<p>{escape(paid['says'])}</p>" + (_table(columns, rows, payoff.CAPTION) if rows else "")
+
+
+def _spaced(key: str) -> str:
+    """A key that ends with its unit, as a heading."""
+    *words, unit = key.split("_")
+    return f"{' '.join(words)}, {unit}"
 
 
 def _image(report: Report, name: str) -> str:
@@ -62,48 +200,14 @@ def _image(report: Report, name: str) -> str:
     return f"<img alt='{name}' src='data:image/png;base64,{data}'>"
 
 
-def _table(columns: tuple[str, ...], rows: list[list[str]]) -> str:
+def _table(columns: tuple[str, ...], rows: list[Row], caption: str = "", words: bool = False) -> str:
     head = "".join(f"<th>{escape(one)}</th>" for one in columns)
-    body = "".join("<tr>" + "".join(f"<td>{escape(one)}</td>" for one in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+    body = "".join("<tr>" + "".join(f"<td>{_cell(one)}</td>" for one in row) + "</tr>" for row in rows)
+    kind, above = " class='words'" if words else "", f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table{kind}>{above}<tr>{head}</tr>{body}</table>"
 
 
-def _number(value: Any, scale: float = 1.0) -> str:
-    return "-" if value is None else f"{scale * value:.3g}"
-
-
-def _ladder_row(one: dict[str, Any]) -> list[str]:
-    low, high = one["force_interval_N"]
-    return [
-        one["model"],
-        _number(one["force_rms_N"]),
-        f"{low:.3g} to {high:.3g}",
-        _number(one["position_rms_m"], 1e6),
-        _number(one["command_rms_N"]),
-    ]
-
-
-def _floor_row(gap: dict[str, Any]) -> list[str]:
-    return [
-        "noise floor",
-        _number(gap["noise_floor_force_N"]),
-        "",
-        _number(gap["noise_floor_position_m"], 1e6),
-        _number(gap["noise_floor_command_N"]),
-    ]
-
-
-def _cause_row(one: dict[str, Any]) -> list[str]:
-    return [
-        one["effect"],
-        f"{one['confidence']:.2f}",
-        "; ".join(_parameter(name, one) for name in one["parameters"]) if one["found"] else "",
-        ", ".join(one["indistinguishable_from"]),
-    ]
-
-
-def _parameter(name: str, cause: dict[str, Any]) -> str:
-    value, (low, high), unit = cause["parameters"][name], cause["intervals"][name], cause["units"][name]
-    if isinstance(value, list):
-        value, low, high = value[0], low[0], high[0]
-    return f"{name} {value:.4g} ({low:.4g} to {high:.4g}){'' if unit == '1' else ' ' + unit}"
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))

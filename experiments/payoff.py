@@ -22,6 +22,8 @@ from tuning.requirements import Limits, Requirements, points
 
 STANDSTILL = 0.0  # m/s
 NAMES = ("given", "tuned on nominal", "tuned on augmented")
+COLUMNS = ("mean_rms_um", "worst_peak_um", "command_noise_N", "phase_deg", "gain_up_dB", "gain_down_dB")
+CAPTION = "On the drive with what was found, in scenarios not tuned on"
 
 
 def payoff(
@@ -47,16 +49,17 @@ def payoff(
             judged = [judge(controller, one, augmented.sampling) for one in scenarios]
         found[name] = _told(judged, _margins(augmented, controller, plan)) | {"requirements_kept_where_tuned": kept}
         rows.append([name, *(found[name].get(key) for key in COLUMNS)])
-    report.table("payoff", ("gains", *COLUMNS), rows, "On the drive with what was found, in scenarios not tuned on")
-    was, now = (found[name]["mean RMS um"] for name in NAMES[1:])
-    report.say(
-        f"Tuning on the augmented drive leaves {now:.3g} um of tracking error where tuning on the nominal one leaves "
-        f"{was:.3g} um ({100 * (now / was - 1):+.0f} %)."
-    )
+    report.table("payoff", ("gains", *COLUMNS), rows, CAPTION)
     return found
 
 
-COLUMNS = ("mean RMS um", "worst peak um", "command noise N", "phase_deg", "gain_up_dB", "gain_down_dB")
+def in_words(found: dict[str, dict[str, Any]]) -> str:
+    """What `payoff` found, in a sentence."""
+    was, now = (found[name]["mean_rms_um"] for name in NAMES[1:])
+    return (
+        f"Tuning on the augmented drive leaves {now:.3g} um of tracking error where tuning on the nominal one leaves "
+        f"{was:.3g} um ({100 * (now / was - 1):+.0f} %)."
+    )
 
 
 def _below(report: Report, name: str) -> Path | None:
@@ -65,9 +68,9 @@ def _below(report: Report, name: str) -> Path | None:
 
 def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
     return {
-        "mean RMS um": float(np.mean([one.rms for one in judged])),
-        "worst peak um": float(np.max([one.peak for one in judged])),
-        "command noise N": float(np.max([one.command_noise for one in judged])),
+        "mean_rms_um": float(np.mean([one.rms for one in judged])),
+        "worst_peak_um": float(np.max([one.peak for one in judged])),
+        "command_noise_N": float(np.max([one.command_noise for one in judged])),
         "runs_ok": all(one.run.status.ok for one in judged),
         **margins,
     }

@@ -9,7 +9,7 @@ the same cogging found in both from the measured current?
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Actuator, Directional, Drive
 from experiments import emps, laas
-from experiments.diagnose import augmented_drive
+from experiments.diagnose import augmented_drive, cause
+from experiments.diagnose_page import parameter
 from experiments.emps_study import Records, identify_axis
 from experiments.report import Report
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
@@ -30,6 +31,7 @@ IDENTIFIED = 0.005  # of a drive that was identified from the same log
 GUESSED = 0.2  # of one that nobody identified
 TOO_MUCH = 1.2  # of the force that the command is said to be
 NOTHING = Directional(0.0, 0.0)
+AS_IT_IS = "none"  # the term that is withheld from the identified drive as it is
 PUBLISHED_ERROR = 5.982  # %, of the benchmark's own model on the pulse file
 BAR = 3.0  # %, for what the diagnosis makes of it
 
@@ -80,17 +82,24 @@ def terms(drive: Drive) -> dict[str, Withheld]:
     }
 
 
-def real_axes(report: Report, which: str = "all") -> None:
+def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = ()) -> None:
     """Every part for which the data are there; `which` is "emps", "laas" or "all".
 
-    Raises `ParameterError` where there are none.
+    `wanted_terms` are those of `terms` that are withheld from EMPS, or `AS_IT_IS`; all by default. Raises
+    `ParameterError` where there are no data, and for an axis or a term that is not known.
     """
     parts: dict[str, tuple[Path | None, Callable[[Report, Path], None]]] = {
-        "emps": (emps.find_folder(), _emps),
+        "emps": (emps.find_folder(), lambda report, folder: _emps(report, folder, wanted_terms)),
         "laas": (laas.find_folder(), _laas),
     }
     if which != "all" and which not in parts:
         raise ParameterError(f"{which}: no such axis; known: all, {', '.join(parts)}")
+    if wanted_terms and which != "emps":
+        raise ParameterError("--term is of the EMPS axis: give --axis emps beside it")
+    known = [*terms(emps.reference_drive()), AS_IT_IS]
+    for term in wanted_terms:
+        if term not in known:
+            raise ParameterError(f"--term {term}: no such term; known: {', '.join(known)}")
     wanted = {name: part for name, part in parts.items() if which in ("all", name)}
     there = {name: part for name, part in wanted.items() if part[0] is not None}
     if not there:
@@ -109,27 +118,29 @@ def _diagnosed(
         return diagnose(drive, controller, [log], tolerance=tolerance, most_effects=most, progress=progress)
 
 
-def _emps(report: Report, folder: Path) -> None:
+def _emps(report: Report, folder: Path, wanted_terms: Sequence[str]) -> None:
     records = emps.read_all(folder)
     drive = identify_axis(report, records).drive
     controller = emps.controller(records["estimation"])
-    _emps_withheld(report, records, drive, controller)
-    _emps_as_it_is(report, records, drive, controller)
+    cases = {term: case for term, case in terms(drive).items() if term in wanted_terms or not wanted_terms}
+    if cases:
+        _emps_withheld(report, records, cases, controller)
+    if AS_IT_IS in wanted_terms or not wanted_terms:
+        _emps_as_it_is(report, records, drive, controller)
 
 
-def _emps_withheld(report: Report, records: Records, drive: Drive, controller: Controller) -> None:
+def _emps_withheld(report: Report, records: Records, cases: dict[str, Withheld], controller: Controller) -> None:
     """Each term withheld: is it named, and does adding it close the gap on the other file?"""
     rows = []
-    for term, case in terms(drive).items():
+    for term, case in cases.items():
         estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
         report.say(f"EMPS without its {term}:")
         found = _diagnosed(report, case.nominal, controller, estimation, 2, case.tolerance)
-        first = found.verdict.beliefs[0]
         full = force_error(registered(case.full, records["pulses"].log), records["pulses"].log)
         without, added = (
             force_error(registered(one, pulses), pulses) for one in (case.nominal, augmented_drive(found))
         )
-        named = [first.effect, *first.alternatives]
+        named = [name for one in found.verdict.beliefs[:1] for name in (one.effect, *one.alternatives)]
         rows.append(
             [term, found.verdict.verdict, " or ".join(named), bool(set(named) & set(case.names)), full, without, added]
         )
@@ -199,12 +210,9 @@ def _others(found: Diagnosis) -> str:
 
 
 def _causes(found: Diagnosis) -> list[list[Any]]:
-    effects = {one.name: one for one in augmented_drive(found).effects}
     rows = []
     for one in found.verdict.beliefs:
-        shown = ""
-        if one.found and one.effect in effects:
-            values = dataclasses.asdict(effects[one.effect])
-            shown = "; ".join(f"{name} {float(value):.4g}" for name, value in values.items() if float(value))
+        told = cause(found, one)
+        shown = "; ".join(parameter(name, told) for name in told["parameters"]) if one.found else ""
         rows.append([one.effect, round(one.confidence, 3), round(one.gain), shown])
     return rows

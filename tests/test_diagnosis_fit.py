@@ -31,7 +31,7 @@ def fitter_of(*effects):
     truth = dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects))
     lanes = lanes_of([logged(truth, two_sines())])
     noise = jnp.asarray(noise_floor(DRIVE.drive, lanes))
-    return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10)))
+    return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10), jnp.zeros(1)))
 
 
 def catalogue(fitter, base):
@@ -142,7 +142,9 @@ def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     truth = {"ratio": 0.05, "frequency": 6.0, "damping": 0.02}
     fitter = fitter_of(FrameVibration(**truth))
     candidate = next(
-        one for one in candidates(setting(DRIVE.drive, fitter.logged.lanes, 1.0 / RATE)) if one.name == "frame_vibration"
+        one
+        for one in candidates(setting(DRIVE.drive, fitter.logged.lanes, 1.0 / RATE))
+        if one.name == "frame_vibration"
     )
     model = joined(Model(fitter.logged), candidate)
     u = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in truth.items()})]
@@ -183,7 +185,9 @@ def test_a_secant_holds_along_the_step_that_was_taken():
 def test_parameters_of_the_session_are_one_for_each_log():
     fitter = fitter_of()
     twice = fitter.logged._replace(
-        lanes=jax.tree.map(lambda one: jnp.concatenate([one, one]), fitter.logged.lanes), owner=(0, 1)
+        lanes=jax.tree.map(lambda one: jnp.concatenate([one, one]), fitter.logged.lanes),
+        owner=(0, 1),
+        starts=jnp.zeros(2),
     )
     candidate = next(one for one in candidates(setting(DRIVE.drive, twice.lanes, 1.0 / RATE)) if one.name == "cogging")
     model = joined(Model(twice), candidate)

@@ -76,7 +76,7 @@ class LoopDelay(ActuatorEffect):
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
         """What arrives over the period: one force, and from somewhere within the period the next."""
         forces = (force, *state)
-        late = jnp.maximum(self.delay, 0.0)
+        late = jnp.clip(self.delay, 0.0, LONGEST_DELAY)
         shares = [jnp.clip(1.0 - jnp.abs(late - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
         steps = [shares[k] * shares[k + 1] * (forces[k] - forces[k + 1]) for k in range(LONGEST_DELAY)]
         mean = sum(share * one for share, one in zip(shares, forces, strict=True))

@@ -54,18 +54,24 @@ def _begin() -> None:
     keep_compiled()
 
 
+def unanswered(folder: Path, out: Path, without: dict[str, list[str]] | None = None) -> list[Path]:
+    """The cases of `folder`, or those of them that `without` names, that have no answer in `out` yet."""
+    places = sorted(one.parent for one in folder.glob("*/drive.toml"))
+    return [one for one in places if (without is None or one.name in without) and not _path(out, one).exists()]
+
+
+def _path(out: Path, place: Path) -> Path:
+    return out / place.name / "diagnosis.json"
+
+
 def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]] | None = None) -> None:
     """Answer every case of `folder`, or those that `without` names, that has no answer in `out` yet."""
-    places = sorted(one for one in folder.iterdir() if (one / "drive.toml").exists())
-    wanted = places if without is None else [one for one in places if one.name in without]
-    paths = {one: out / one.name / "diagnosis.json" for one in wanted}
     # spawned, not forked: a forked JAX hangs
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, initializer=_begin, max_tasks_per_child=TASKS) as pool:
         asked = [
-            pool.submit(_answer, place, path, tuple((without or {}).get(place.name, ())))
-            for place, path in paths.items()
-            if not path.exists()
+            pool.submit(_answer, place, _path(out, place), tuple((without or {}).get(place.name, ())))
+            for place in unanswered(folder, out, without)
         ]
         for one in as_completed(asked):
             print(one.result(), flush=True)

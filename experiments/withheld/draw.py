@@ -5,17 +5,16 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from diffdrive import presets
 from diffdrive.parameters import Directional, Drive
 from experiments.withheld.machine import Faults, Kind, Told
+from experiments.withheld.motions import ROOM, STROKE, told
 
 OFF = 0.03  # the most that a true parameter is off nominal, by its logarithm
-SHORTEST, LONGEST = 8.0, 11.0  # s
+LEAD, SCALE_PERIOD = 5e-3, 2e-5  # m
 FAINT, STRONG = 0.3, 4.0  # sizes against that which is clear
-STROKE = 0.05  # m, to either side
-ROOM = np.random.Generator
+RATES, OFTEN = (1000.0, 2000.0, 4000.0, 10000.0), (0.15, 0.5, 0.25, 0.1)  # Hz
 
 
 class Fault(NamedTuple):
@@ -26,7 +25,7 @@ class Fault(NamedTuple):
     faults: dict[str, float | tuple[float, float]]  # pairs: one for each log
     kind: dict[str, bool]
     scaled: dict[str, float]  # parameters of the drive by their factors
-    true: dict[str, Any]  # what the key says
+    traces: dict[str, float]  # of what acts as a trace drawn for each log: its scale
 
 
 class Case(NamedTuple):
@@ -39,6 +38,7 @@ class Case(NamedTuple):
     faults: tuple[Fault, ...]
     told: tuple[Told, Told]
     noise: float
+    pitfall: bool  # the effect is such that other parameters absorb much of it
 
 
 def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
@@ -58,12 +58,16 @@ def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
         plant=dataclasses.replace(
             plant, mass=float(plant.mass) * factors.get("mass", 1.0), damping=pair(plant, "damping")
         ),
-        friction=dataclasses.replace(friction, **{name: pair(friction, name) for name in names}),
+        friction=dataclasses.replace(
+            friction,
+            initial_load=float(friction.initial_load) * factors.get("initial_load", 1.0),
+            **{name: pair(friction, name) for name in names},
+        ),
     )
 
 
-def _one(name: str, size: float, true: dict[str, Any], faults: dict[str, Any] | None = None, **rest: Any) -> Fault:
-    return Fault(name, size, faults or {}, rest.get("kind", {}), rest.get("scaled", {}), true)
+def _one(name: str, size: float, faults: dict[str, Any] | None = None, **rest: Any) -> Fault:
+    return Fault(name, size, faults or {}, rest.get("kind", {}), rest.get("scaled", {}), rest.get("traces", {}))
 
 
 def _phases(room: ROOM) -> tuple[float, float]:
@@ -74,63 +78,63 @@ def _phases(room: ROOM) -> tuple[float, float]:
 def _applied_load(room: ROOM, size: float) -> Fault:
     if room.random() < 0.4:
         load = 15e3 * size
-        return _one("applied_load", size, {"load": load}, {"extra_load": load})
+        return _one("applied_load", size, {"extra_load": load})
     load = 4e3 * size
     start, long = room.uniform(1.0, 4.0, 2), room.uniform(2.0, 4.0, 2)
     given = {"extra_load": load, "load_start": tuple(start), "load_end": tuple(start + long)}
-    return _one("applied_load", size, {"more": load, "start": list(start), "end": list(start + long)}, given)
+    return _one("applied_load", size, given)
 
 
 def _friction_shape(room: ROOM, size: float) -> Fault:
     which = room.choice(["stribeck_velocity", "breakaway_gap", "viscous"])
     way = float(np.exp(room.choice([-1.0, 1.0]) * min(0.15 * size, 0.7)))
     scaled = {which: way} | ({"damping": way} if which == "viscous" else {})
-    return _one("friction_shape", size, {which: way - 1.0}, scaled=scaled)
+    return _one("friction_shape", size, scaled=scaled)
 
 
 def _friction_asymmetry(room: ROOM, size: float) -> Fault:
     share = float(room.choice([-1.0, 1.0]) * 0.08 * size)
     scaled = {"coulomb_screw+": 1 + share, "coulomb_screw-": 1 - share}
-    return _one("friction_asymmetry", size, {"share": share}, scaled=scaled)
+    return _one("friction_asymmetry", size, scaled=scaled)
 
 
 def _position_friction(room: ROOM, size: float) -> Fault:
     if room.random() < 0.5:
         slope = float(room.choice([-1, 1]) * 0.05 * size / STROKE)
-        return _one("position_friction", size, {"slope": slope}, {"slope": slope})
+        return _one("position_friction", size, {"slope": slope})
     period = float(room.uniform(0.04, 0.15))
     given = {"wave": 0.05 * size, "wave_period": period, "wave_phase": float(room.uniform(0, 6.28))}
-    return _one("position_friction", size, {"period": period, "amplitude": 0.05 * size}, given)
+    return _one("position_friction", size, given)
 
 
 def _viscous_drift(room: ROOM, size: float) -> Fault:
     time = float(room.uniform(2.0, 6.0))
     given = {"drift_viscous": 0.08 * size, "drift_coulomb": 0.01 * size, "drift_time": time}
-    return _one("viscous_drift", size, {"viscous": 0.08 * size, "time_constant": time}, given)
+    return _one("viscous_drift", size, given)
 
 
 def _friction_dwell(room: ROOM, size: float) -> Fault:
     given = {"growth": 0.2 * size, "onset": float(room.uniform(0.05, 0.15)), "slip": float(room.uniform(5e-6, 15e-6))}
-    return _one("friction_dwell", size, dict(given), given)
+    return _one("friction_dwell", size, given)
 
 
 def _presliding(room: ROOM, size: float) -> Fault:
     longest = float(np.clip(4e-6 * size, 2e-6, 1.2e-5))
-    return _one("presliding_hysteresis", size, {"longest": longest}, {"longest": longest}, kind={"maxwell": True})
+    return _one("presliding_hysteresis", size, {"longest": longest}, kind={"maxwell": True})
 
 
 def _payload_mass(room: ROOM, size: float) -> Fault:
-    return _one("payload_mass", size, {"share": 0.12 * size}, scaled={"mass": 1 + 0.12 * size})
+    return _one("payload_mass", size, scaled={"mass": 1 + 0.12 * size})
 
 
 def _constant_force(room: ROOM, size: float) -> Fault:
     force = float(room.choice([-1, 1]) * 3.0 * size)
-    return _one("constant_force", size, {"force": force}, {"constant": force})
+    return _one("constant_force", size, {"constant": force})
 
 
 def _position_spring(room: ROOM, size: float) -> Fault:
     given = {"spring": 80.0 * size, "neutral": float(room.uniform(-0.02, 0.02))}
-    return _one("position_spring", size, {"stiffness": given["spring"], "neutral": given["neutral"]}, given)
+    return _one("position_spring", size, given)
 
 
 def _elastic(room: ROOM, frequency: float, damping: float) -> dict[str, float]:
@@ -147,13 +151,13 @@ def _elastic(room: ROOM, frequency: float, damping: float) -> dict[str, float]:
 def _compliance(room: ROOM, size: float) -> Fault:
     frequency = float(np.clip(250.0 / np.sqrt(size), 100.0, 500.0))
     given = _elastic(room, frequency, float(room.uniform(0.02, 0.05)))
-    return _one("compliance", size, {"frequency": frequency}, given, kind={"elastic": True})
+    return _one("compliance", size, given, kind={"elastic": True})
 
 
 def _backlash(room: ROOM, size: float) -> Fault:
     gap = float(np.clip(2.5e-6 * size, 8e-7, 1e-5))
     given = _elastic(room, float(room.uniform(350, 600)), float(room.uniform(0.05, 0.1))) | {"gap": gap}
-    return _one("backlash", size, {"gap": gap}, given, kind={"elastic": True})
+    return _one("backlash", size, given, kind={"elastic": True})
 
 
 def _frame_vibration(room: ROOM, size: float) -> Fault:
@@ -162,7 +166,7 @@ def _frame_vibration(room: ROOM, size: float) -> Fault:
         "base_frequency": float(room.uniform(12, 45)),
         "base_damping": float(room.uniform(0.02, 0.05)),
     }
-    return _one("frame_vibration", size, {"ratio": 0.015 * size, "frequency": given["base_frequency"]}, given)
+    return _one("frame_vibration", size, given)
 
 
 def _process_force(room: ROOM, size: float) -> Fault:
@@ -175,7 +179,7 @@ def _process_force(room: ROOM, size: float) -> Fault:
         "process_start": tuple(start),
         "process_end": tuple(start + long),
     }
-    return _one("process_force", size, {"frequency": given["process_frequency"], "amplitude": 1.2 * size}, given)
+    return _one("process_force", size, given)
 
 
 def _cogging(room: ROOM, size: float) -> Fault:
@@ -187,36 +191,45 @@ def _cogging(room: ROOM, size: float) -> Fault:
         "second": float(room.uniform(0, 0.2)),
         "sixth": float(room.uniform(0, 0.3)),
     }
-    return _one("cogging", size, {"period": period, "amplitude": 1.2 * size}, given)
+    return _one("cogging", size, given)
 
 
 def _force_gain(room: ROOM, size: float) -> Fault:
     gain = float(room.choice([-1, 1]) * min(0.06 * size, 0.3))
-    return _one("force_gain", size, {"gain": gain}, {"gain": gain})
+    return _one("force_gain", size, {"gain": gain})
 
 
 def _actuator_lag(room: ROOM, size: float) -> Fault:
     lag = 3e-4 * size
-    return _one("actuator_lag", size, {"time_constant": lag}, {"lag": lag}, kind={"lagging": True})
+    return _one("actuator_lag", size, {"lag": lag}, kind={"lagging": True})
 
 
 def _loop_delay(room: ROOM, size: float) -> Fault:
     delay = float(np.clip(0.4 * size, 0.15, 2.0))
-    return _one("loop_delay", size, {"delay": delay}, {"delay": delay})
+    return _one("loop_delay", size, {"delay": delay})
 
 
 def _force_limit(room: ROOM, size: float) -> Fault:
-    return _one("force_limit", size, {"below": min(0.04 * size, 0.2)}, {"limit": -min(0.04 * size, 0.2)})
+    return _one("force_limit", size, {"limit": -min(0.04 * size, 0.2)})
 
 
 def _lead_error(room: ROOM, size: float) -> Fault:
-    given = {"lead_error": 2e-6 * size, "lead_phase": _phases(room), "linear": float(room.normal(0, 2e-5))}
-    return _one("lead_error", size, {"amplitude": 2e-6 * size, "lead": 5e-3}, given)
+    given = {
+        "lead_error": 2e-6 * size,
+        "lead": LEAD,
+        "lead_phase": _phases(room),
+        "linear": float(room.normal(0, 2e-5)),
+    }
+    return _one("lead_error", size, given)
 
 
 def _interpolation_error(room: ROOM, size: float) -> Fault:
-    given = {"interpolation": 1.5e-7 * size, "interpolation_phase": _phases(room)}
-    return _one("interpolation_error", size, {"amplitude": 1.5e-7 * size, "period": 2e-5}, given)
+    given = {
+        "interpolation": 1.5e-7 * size,
+        "interpolation_period": SCALE_PERIOD,
+        "interpolation_phase": _phases(room),
+    }
+    return _one("interpolation_error", size, given)
 
 
 def _chip(room: ROOM, size: float) -> Fault:
@@ -226,19 +239,36 @@ def _chip(room: ROOM, size: float) -> Fault:
         "chip_width": float(room.uniform(2e-3, 8e-3)),
         "chip_start": tuple(room.uniform(2.0, 4.0, 2)),
     }
-    return _one("chip", size, {}, given)
+    return _one("chip", size, given)
 
 
 def _droop(room: ROOM, size: float) -> Fault:
-    return _one("droop", size, {}, {"droop": min(0.1 * size, 0.4)})
+    return _one("droop", size, {"droop": min(0.1 * size, 0.4)})
 
 
 def _shocks(room: ROOM, size: float) -> Fault:
-    return _one("shocks", size, {"peak": 10.0 * size})
+    return _one("shocks", size, traces={"peak": 10.0 * size})
 
 
 def _wandering(room: ROOM, size: float) -> Fault:
-    return _one("wandering_friction", size, {"share": 0.03 * size})
+    return _one("wandering_friction", size, traces={"share": 0.03 * size})
+
+
+def _swallowed_frame(room: ROOM, size: float) -> Fault:
+    """Above the loop's bandwidth and well damped: it looks like a softer bristle and some delay."""
+    given = {
+        "base_ratio": 0.04 * size,
+        "base_frequency": float(room.uniform(60, 150)),
+        "base_damping": float(room.uniform(0.1, 0.3)),
+    }
+    return _one("frame_vibration", size, given)
+
+
+def _swallowed_screw(room: ROOM, size: float) -> Fault:
+    """Stiff and well damped: it looks like some delay, and a softer bristle."""
+    frequency = float(np.clip(450.0 / np.sqrt(size), 200.0, 600.0))
+    given = _elastic(room, frequency, float(room.uniform(0.15, 0.3)))
+    return _one("compliance", size, given, kind={"elastic": True})
 
 
 KNOWN: dict[str, Callable[[ROOM, float], Fault]] = {
@@ -270,44 +300,17 @@ OUTSIDE: dict[str, Callable[[ROOM, float], Fault]] = {
     "shocks": _shocks,
     "wandering_friction": _wandering,
 }
-
-
-def _moves(room: ROOM, rate: float) -> Float[np.ndarray, " n"]:
-    """Strokes at several speeds with pauses, and vibrations to and fro, as a commissioning engineer would run them."""
-    pieces, at = [np.zeros(round(0.2 * rate))], 0.0
-    total, wanted = 0.2, room.uniform(SHORTEST, LONGEST)
-    while total < wanted:
-        if room.random() < 0.25:
-            amplitude, frequency = np.exp(room.uniform(np.log(2e-5), np.log(3e-3))), room.uniform(0.8, 5.0)
-            amplitude = min(amplitude, 4.0 / (2 * np.pi * frequency) ** 2)
-            time = np.arange(round(max(2.0 / frequency, 0.8) * rate)) / rate
-            turns = np.round(time[-1] * frequency)
-            smooth = np.sin(np.pi * np.clip(time / time[-1], 0, 1)) ** 2
-            piece = at + amplitude * smooth * np.sin(2 * np.pi * turns * time / time[-1])
-        else:
-            speed = np.exp(room.uniform(np.log(1e-3), np.log(0.09)))
-            stroke = min(speed * room.uniform(0.3, 1.2), 0.7 * STROKE) * room.choice([-1.0, 1.0])
-            if abs(at + stroke) > STROKE:
-                stroke = -stroke
-            ramp = max(0.04, speed / room.uniform(0.8, 2.5))
-            time = np.arange(round((abs(stroke) / speed + ramp) * rate)) / rate
-            share = np.clip(time / ramp, 0, 1)
-            rise = share**3 * (10 - 15 * share + 6 * share**2)
-            share = np.clip((time[-1] - time) / ramp, 0, 1)
-            profile = np.minimum(rise, share**3 * (10 - 15 * share + 6 * share**2))
-            piece = at + stroke * np.cumsum(profile) / profile.sum()
-        pieces.append(piece)
-        at = float(piece[-1])
-        rest = room.uniform(0.02, 0.5)
-        pieces.append(np.full(round(rest * rate), at))
-        total = sum(map(len, pieces)) / rate
-    return np.concatenate(pieces)
+PITFALLS: dict[str, Callable[[ROOM, float], Fault]] = {
+    "swallowed_frame": _swallowed_frame,
+    "swallowed_screw": _swallowed_screw,
+}
 
 
 def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
     """A machine with these effects, of sizes drawn at random."""
-    base = presets.paper_drive()
+    base, apart = presets.paper_drive(), room.spawn(1)[0]
     varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
+    varied["initial_load"] = float(np.exp(apart.normal(0, 0.2)))
     nominal = dataclasses.replace(
         _scaled(base, varied), sensor=dataclasses.replace(base.sensor, resolution=1e-7, noise=0.0)
     )
@@ -318,39 +321,22 @@ def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
     sizes = np.exp(room.uniform(np.log(FAINT), np.log(STRONG), len(effects)))
     if len(effects) > 1:
         sizes = np.maximum(sizes, 1.5)
-    faults = tuple((KNOWN | OUTSIDE)[name](room, float(size)) for name, size in zip(effects, sizes, strict=True))
+    makers = KNOWN | OUTSIDE | PITFALLS
+    faults = tuple(makers[name](room, float(size)) for name, size in zip(effects, sizes, strict=True))
     true = _scaled(nominal, off)
     for fault in faults:
         true = _scaled(true, fault.scaled)
-    rate = float(room.choice([2000.0, 4000.0, 10000.0], p=[0.6, 0.3, 0.1]))
+    rate = float(room.choice(RATES, p=OFTEN))
     bandwidth = room.uniform(170, 210)  # rad/s
     kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
     noise = float(room.uniform(2e-8, 5e-8))
-    told = tuple(_told(room, rate, noise, faults) for _ in range(2))
-    return Case(nominal, true, (kp, kd), rate, faults, told, noise)  # type: ignore[arg-type]
+    traces = {name: scale for fault in faults for name, scale in fault.traces.items()}
+    logs = told(room, apart, rate, noise, traces), told(room, apart, rate, noise, traces)
+    return Case(nominal, true, (kp, kd), rate, faults, logs, noise, any(name in PITFALLS for name in effects))
 
 
-def _told(room: ROOM, rate: float, noise: float, faults: tuple[Fault, ...]) -> Told:
-    reference = _moves(room, rate)
-    n = len(reference)
-    push, rub = np.zeros(n), np.zeros(n)
-    for fault in faults:
-        if fault.effect == "shocks":
-            width = max(2, round(3e-3 * rate))
-            for at in room.uniform(0.5, n / rate - 0.5, room.integers(8, 20)):
-                k = int(at * rate)
-                peak = fault.true["peak"] * np.exp(room.normal(0, 0.4)) * room.choice([-1, 1])
-                push[k : k + width] += peak * np.sin(np.pi * (np.arange(width) + 0.5) / width)
-        if fault.effect == "wandering_friction":
-            fade = np.exp(-1.0 / (0.3 * rate))
-            kick = fault.true["share"] * np.sqrt(1 - fade**2) * room.standard_normal(n)
-            for k in range(1, n):
-                rub[k] = fade * rub[k - 1] + kick[k]
-    return Told(reference, np.zeros(n), noise * room.standard_normal(n), push, rub)
-
-
-def of_log(case: Case, log: int, peak: float | None) -> tuple[Faults, Kind]:
-    """Faults of one log; a limit is set below the `peak` (N) of the command without it."""
+def of_log(case: Case, log: int, peak: float | None = None) -> tuple[Faults, Kind]:
+    """Faults of one log; a limit is set below the `peak` (N) of the command without it, and not without a peak."""
     values: dict[str, float] = {}
     kind: dict[str, bool] = {}
     for fault in case.faults:

@@ -1,6 +1,5 @@
-"""Cases as a user would have them: a drive file and two logs each. The key stays with whoever holds the seed."""
+"""Cases as a user would have them: a drive file and two logs each; what the key says of them is kept elsewhere."""
 
-import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,14 +9,15 @@ import numpy as np
 
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import DriveDescription, write_drive
-from diffdrive.errors import DivergenceError
+from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
 from diffdrive.motion import Limits
 from diffdrive.parameters import Sampling
-from experiments.withheld.draw import KNOWN, OUTSIDE, Case, draw, of_log
+from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, Case, draw, of_log
 from experiments.withheld.machine import run
+from experiments.withheld.truth import truth
 
-NONE, TWO, UNKNOWN = 0.12, 0.12, 0.12  # shares of cases
+NONE, TWO, UNKNOWN, PITFALL = 0.12, 0.12, 0.12, 0.05  # shares of cases
 RESOLUTION = 1e-7  # m
 ATTEMPTS = 5  # at a machine whose loop is stable
 
@@ -25,27 +25,15 @@ ATTEMPTS = 5  # at a machine whose loop is stable
 def kinds(seed: int, count: int) -> list[tuple[str, ...]]:
     """Which effects each case has: every effect of the catalogue in turn, and none, two, and others mixed in."""
     room = np.random.default_rng([seed, 0])
-    names = list(KNOWN)
+    names, pits = list(KNOWN), list(PITFALLS)
     mixed: list[tuple[str, ...]] = [()] * round(NONE * count)
     mixed += [tuple(room.choice(names, 2, replace=False)) for _ in range(round(TWO * count))]
     mixed += [(str(room.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN * count))]
     left = count - len(mixed)
-    singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(left)]
-    cases = [*mixed, *singles]
+    trapped = round(PITFALL * count)
+    singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(left - trapped)]
+    cases = [*mixed, *singles, *((pits[k % len(pits)],) for k in range(trapped))]
     return [tuple(map(str, cases[k])) for k in room.permutation(len(cases))]
-
-
-def cases(seed: int, count: int) -> Iterator[tuple[str, Case, list[Log]]]:
-    """Name, machine and logs of each case."""
-    for number, effects in enumerate(kinds(seed, count)):
-        for attempt in range(ATTEMPTS):
-            case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects)
-            logs = [_log(case, log) for log in range(2)]
-            if all(_followed(log) for log in logs):
-                break
-        else:
-            raise DivergenceError(f"case {number} ({', '.join(effects)}) does not follow its reference")
-        yield f"{number + 1:03d}", case, logs
 
 
 def _followed(log: Log) -> bool:
@@ -53,51 +41,81 @@ def _followed(log: Log) -> bool:
     return bool(np.all(np.abs(log.position - log.reference) < 2e-3))
 
 
-def _log(case: Case, log: int) -> Log:
-    told, peak = case.told[log], None
-    for _ in range(2):  # a limit is set by the peak that there is without it
-        faults, kind = of_log(case, log, peak)
-        position, command = run(case.true, faults, kind, case.gains, RESOLUTION, told, case.rate)
-        if not any(fault.effect == "force_limit" for fault in case.faults) or peak is not None:
-            break
-        peak = float(np.abs(command).max())
+def _log(case: Case, log: int, peak: float | None = None) -> Log:
+    told = case.told[log]
+    faults, kind = of_log(case, log, peak)
+    position, command = run(case.true, faults, kind, case.gains, RESOLUTION, told, case.rate)
     time = np.arange(len(position)) / case.rate
     return Log("ab"[log], time, position, command, reference=told.reference, load=told.load)
 
 
-def key_of(case: Case) -> dict[str, Any]:
-    """What was done to a machine."""
+def _logs(case: Case) -> tuple[list[Log], float | None]:
+    """Both logs; of a machine with a limit also the peak (N) below which it is set, that of the first log without."""
+    limited = any(fault.effect == "force_limit" for fault in case.faults)
+    peak = float(np.abs(_log(case, 0).command).max()) if limited else None
+    return [_log(case, log, peak) for log in range(2)], peak
+
+
+def key_of(case: Case, peak: float | None = None) -> dict[str, Any]:
+    """What was done to a machine; `peak` as in `draw.of_log`."""
     return {
         "effects": [
-            {"name": fault.effect, "size": fault.size, "outside": fault.effect in OUTSIDE, "true": fault.true}
+            {
+                "name": fault.effect,
+                "size": fault.size,
+                "outside": fault.effect in OUTSIDE,
+                "true": truth(case, fault, peak),
+            }
             for fault in case.faults
         ],
         "rate": case.rate,
+        "pitfall": case.pitfall,
     }
 
 
-def generate(folder: Path, seed: int, count: int) -> Iterator[str]:
-    """Write the cases that are not there yet; yields the name of each."""
-    for name, case, logs in cases(seed, count):
-        place = folder / name
-        if not (place / "drive.toml").exists():
-            place.mkdir(parents=True, exist_ok=True)
-            for log in logs:
-                write_log(place / f"log-{log.name}.parquet", log)
-            write_drive(place / "drive.toml", _believed(case))
+def generate(folder: Path, parts: Path, seed: int, count: int) -> Iterator[str]:
+    """Write the cases that are not there yet, and to `parts` what the key says of each; yields the name of each.
+
+    Raises `ParameterError` where `parts` is of another seed or count, `DivergenceError` for a case that no attempt
+    keeps on its reference.
+    """
+    parts.mkdir(parents=True, exist_ok=True)
+    for number, effects in enumerate(kinds(seed, count)):
+        name, drawn = f"{number + 1:03d}", {"seed": seed, "of": count}
+        part = parts / f"{name}.json"
+        there = part.exists() and (folder / name / "drive.toml").exists()
+        if there and json.loads(part.read_text(encoding="utf-8"))["drawn"] != drawn:
+            raise ParameterError(f"{folder.parent}: holds machines of another seed or number; choose another folder")
+        if not there:
+            case, logs, peak = _followable(seed, number, effects)
+            part.write_text(json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n", encoding="utf-8")
+            _write(folder / name, case, logs)
         yield name
+
+
+def _followable(seed: int, number: int, effects: tuple[str, ...]) -> tuple[Case, list[Log], float | None]:
+    for attempt in range(ATTEMPTS):
+        case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects)
+        logs, peak = _logs(case)
+        if all(_followed(log) for log in logs):
+            return case, logs, peak
+    raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference")
+
+
+def _write(place: Path, case: Case, logs: list[Log]) -> None:
+    place.mkdir(parents=True, exist_ok=True)
+    for log in logs:
+        write_log(place / f"log-{log.name}.parquet", log)
+    write_drive(place / "drive.toml", _believed(case))  # the last: with it a case is there
 
 
 def _believed(case: Case) -> DriveDescription:
     kp, kd = case.gains
-    nominal = dataclasses.replace(case.nominal)
-    return DriveDescription(nominal, PD(Tracking(Gains(kp, kd))), Sampling(case.rate, 10), Limits())
+    return DriveDescription(case.nominal, PD(Tracking(Gains(kp, kd))), Sampling(case.rate, 10), Limits())
 
 
-def write_key(path: Path, seed: int, count: int) -> dict[str, Any]:
-    """The key, drawn again from the seed."""
-    drawn = {}
-    for name, case, _ in cases(seed, count):
-        drawn[name] = key_of(case)
-    path.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")
-    return drawn
+def write_key(path: Path, parts: Path) -> dict[str, Any]:
+    """The key, from what was kept of each case."""
+    key = {part.stem: json.loads(part.read_text(encoding="utf-8")) for part in sorted(parts.glob("*.json"))}
+    path.write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
+    return key

@@ -8,19 +8,32 @@ from typing import Any
 import numpy as np
 
 CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
+MEANT = 1.0  # the size from which an effect was drawn to be clear
 BINS = 10  # of confidence
 NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a share
 
 
-def visibility(told: dict[str, Any]) -> float:
-    """Largest gap of the recalibrated drive over its floor."""
-    gap = told.get("gap", {})
-    found = [0.0]
+def visibility(told: dict[str, Any]) -> float | None:
+    """Largest gap of the recalibrated drive over its floor; None of an answer without a gap."""
+    gap, found = told.get("gap", {}), []
     for signal, unit in (("force", "N"), ("position", "m"), ("command", "N")):
         rms, floor = gap.get(f"recalibrated_{signal}_rms_{unit}"), gap.get(f"noise_floor_{signal}_{unit}")
         if isinstance(rms, float) and isinstance(floor, float) and floor > 0:
             found.append(rms / floor)
-    return float(max(found))
+    return float(max(found)) if found else None
+
+
+def is_clear(told: dict[str, Any], key: dict[str, Any]) -> bool:
+    """Whether a case is one of clear visibility: the key's word; where it has none, the gap over its floor.
+
+    The gap was measured before any effect was looked for. Where the answer has none, as it failed, the sizes drawn.
+    """
+    if key.get("visibility") in ("clear", "faint"):
+        return bool(key["visibility"] == "clear")
+    seen = visibility(told)
+    if seen is None:
+        return min((one["size"] for one in key["effects"]), default=0.0) >= MEANT
+    return seen >= CLEAR
 
 
 def score(
@@ -30,32 +43,40 @@ def score(
 ) -> dict[str, Any]:
     """Every figure of the check; `answers` and `key` by case.
 
-    `oracle` are answers with nothing but the true effects to choose from, for the cases where these were not found.
+    `oracle` are answers with nothing but the true effects to choose from, for the cases where these were not found;
+    without it nothing is said of an oracle. An answer that failed is wrong in whatever a case of its kind counts for.
     """
     rows = [_row(name, answers[name], key[name]) for name in sorted(answers)]
-    best = {row["case"]: _shrink((oracle or {}).get(row["case"], answers[row["case"]])) for row in rows}
+    best = {row["case"]: _best(row, oracle) for row in rows}
     single = [row for row in rows if row["kind"] == "single"]
     clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
     sound = [row for row in rows if row["kind"] == "none"]
     outside = [row for row in rows if row["kind"] == "unknown"]
     two = [row for row in rows if row["kind"] == "compound"]
+    pitfalls = [row for row in rows if row["kind"] == "pitfall"]
     return {
         "cases": len(rows),
+        "errors": sum(row["failed"] for row in rows),
         "clear_single": len(clear),
+        "named_clear": _share(clear, "named"),
         "top1_clear": _share(clear, "top1"),
         "declared_clear": _share(clear, "declared"),
         "top2_clear": _share(clear, "top2"),
         "effect_verdict_clear": _share(clear, "said_effect"),
         "faint_single": len(faint),
+        "named_faint": _share(faint, "named"),
         "top1_faint": _share(faint, "top1"),
+        "top2_faint": _share(faint, "top2"),
         "confidently_wrong_faint": _share(faint, "confidently_wrong"),
         "confidently_wrong": _share(rows, "confidently_wrong"),
         "none": len(sound),
-        "false_alarms": _share(sound, "said_effect"),
+        "false_alarms": _share(sound, "alarm"),
         "outside": len(outside),
         "unknown_recall": _share(outside, "said_unknown"),
         "compounds": len(two),
         "both_found": _share(two, "both"),
+        "pitfalls": len(pitfalls),
+        "pitfall_named": _share(pitfalls, "named"),
         "calibration_error": _calibration(rows),
         "reliability": _reliability(rows),
         "median_parameter_error": _median([row["parameter_error"] for row in clear if row["top1"]]),
@@ -70,36 +91,50 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
     true = [one["name"] for one in key["effects"]]
     outside = any(one["outside"] for one in key["effects"])
     kind = "unknown" if outside else ("none", "single", "compound")[len(true)]
+    kind = "pitfall" if key.get("pitfall") else kind
     causes = told["causes"]
     found = [one["effect"] for one in causes if one["found"]]
     ranked = [one["effect"] for one in causes]
     sure = [one for one in causes if one["found"] and one["confidence"] >= 0.5]
     first = causes[0] if causes else None
     declared = set(found[:1]) | set(first["indistinguishable_from"] if first and first["found"] else [])
-    seen = visibility(told)
+    seen, failed, said_effect = visibility(told), told["verdict"] == "error", told["verdict"] == "effect"
+    top1 = bool(true) and found[:1] == true[:1]
     return {
         "case": name,
         "kind": kind,
         "true": true,
         "size": [round(one["size"], 2) for one in key["effects"]],
-        "visibility": round(seen, 2),
-        "clear": seen >= CLEAR or min((one["size"] for one in key["effects"]), default=0.0) >= CLEAR,
+        "visibility": None if seen is None else round(seen, 2),
+        "clear": is_clear(told, key),
+        "failed": failed,
         "verdict": told["verdict"],
         "found": found,
-        "top1": bool(true) and found[:1] == true[:1],
+        "top1": top1,
+        "named": top1 and said_effect,
         "top2": bool(true) and true[0] in ranked[:2],
         "declared": bool(true) and true[0] in declared,
         "both": set(true) <= set(found),
-        "said_effect": told["verdict"] == "effect",
+        "said_effect": said_effect,
+        "alarm": said_effect or failed,
         "said_unknown": told["verdict"] == "unknown",
-        "confidently_wrong": told["verdict"] == "effect" and any(one["effect"] not in true for one in sure),
+        "confidently_wrong": failed or (said_effect and any(one["effect"] not in true for one in sure)),
         "sure": [(one["effect"], one["confidence"], one["effect"] in true) for one in causes if one["found"]],
         "parameter_error": _parameter_error(first["parameters"], key["effects"][0]["true"])
-        if first and found[:1] == true[:1] and "true" in key["effects"][0]
+        if first and top1 and "true" in key["effects"][0]
         else None,
         "shrink": _shrink(told),
         "seconds": told.get("seconds"),
     }
+
+
+def _best(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | None) -> float | None:
+    """The shrink with the true effects: the oracle's; where just these were found there was no need to ask it."""
+    if oracle is None:
+        return None
+    if row["case"] in oracle:
+        return _shrink(oracle[row["case"]])
+    return row["shrink"] if set(row["found"]) == set(row["true"]) else None  # type: ignore[no-any-return]
 
 
 def _shrink(told: dict[str, Any]) -> float | None:
@@ -119,15 +154,19 @@ def _ratio(one: float | None, other: float | None) -> float | None:
 
 
 def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | None:
-    """The largest relative error of the numbers that both name; an amplitude is that of cosine and sine."""
+    """The largest relative error of the numbers that both name, log by log where they differ; of zero there is none.
+
+    An amplitude is that of cosine and sine.
+    """
     told = dict(found)
-    if isinstance(told.get("cosine"), float):
-        told["amplitude"] = float(np.hypot(told["cosine"], told["sine"]))
-    elif isinstance(told.get("cosine"), list):
-        told["amplitude"] = float(np.mean(np.hypot(told["cosine"], told["sine"])))
-    pairs = [(told[name], value) for name, value in true.items() if name in told]
-    errors = [abs(a / b - 1.0) for a, b in pairs if isinstance(a, float) and isinstance(b, float) and b != 0.0]
-    return max(errors) if errors else None
+    if "cosine" in told:
+        told["amplitude"] = np.hypot(told["cosine"], told["sine"])
+    errors: list[float] = []
+    for name in told.keys() & true.keys():
+        ours, theirs = np.broadcast_arrays(*(np.asarray(one, float) for one in (told[name], true[name])))
+        there = theirs != 0.0
+        errors += list(np.abs(ours[there] / theirs[there] - 1.0))
+    return float(max(errors)) if errors else None
 
 
 def _share(rows: list[dict[str, Any]], what: str) -> float | None:

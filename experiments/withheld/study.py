@@ -1,32 +1,43 @@
 """`diffdrive withheld`: draw machines, have them diagnosed by a process that cannot see the key, score the answers."""
 
 import json
+import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from experiments.report import Report
 from experiments.withheld import again
+from experiments.withheld.answer import unanswered
 from experiments.withheld.generate import generate, write_key
 from experiments.withheld.score import read_answers, read_key, score
 
 SHOWN = (
-    "cases", "clear_single", "top1_clear", "declared_clear", "top2_clear", "faint_single", "top1_faint",
-    "confidently_wrong_faint", "confidently_wrong", "none", "false_alarms", "outside", "unknown_recall", "compounds",
-    "both_found", "calibration_error", "median_parameter_error", "median_shrink_held_out", "median_shrink_of_oracle",
+    "cases", "errors", "clear_single", "named_clear", "top1_clear", "declared_clear", "top2_clear",
+    "effect_verdict_clear", "faint_single", "named_faint", "top1_faint", "top2_faint", "confidently_wrong_faint",
+    "confidently_wrong", "none", "false_alarms", "outside", "unknown_recall", "compounds", "both_found", "pitfalls",
+    "pitfall_named", "calibration_error", "median_parameter_error", "median_shrink_held_out", "median_shrink_of_oracle",
 )  # fmt: skip
+ANSWERING = ("-m", "experiments.withheld.answer")
+CODE = Path(__file__).resolve().parents[2]
 
 
 def withheld(out: Path, count: int, seed: int, workers: int = 1, twice: bool = False) -> dict[str, Any]:
-    """Run the check, or what is left of it, in the folder `out`; the answering process is given the logs' folder."""
+    """Run the check, or what is left of it, in the folder `out`.
+
+    The answering process is given copies of logs and drive files in a folder of their own; the key is written once all
+    answers are there.
+    """
     with Report(f"withheld-effect check: {count} machines, seed {seed}", out) as report:
-        cases = out / "cases"
+        cases, parts = out / "cases", out / "key_parts"
         with report.stages() as progress:
-            for done, _ in enumerate(generate(cases, seed, count), start=1):
+            for done, _ in enumerate(generate(cases, parts, seed, count), start=1):
                 progress("drawing machines", done, count)
         _ask(report, cases, out / "answers", workers)
-        return _tell(report, cases, write_key(out / "key.json", seed, count), workers, twice)
+        return _tell(report, cases, write_key(out / "key.json", parts), workers, twice)
 
 
 def examined(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
@@ -36,24 +47,54 @@ def examined(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = 
         return _tell(report, cases, read_key(key), workers, twice)
 
 
-def _ask(report: Report, cases: Path, answers: Path, workers: int, without: Path | None = None) -> None:
+def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict[str, list[str]] | None = None) -> None:
+    """Have those cases diagnosed that are not yet, in a process that is given them and nothing else."""
+    wanted = unanswered(cases, answers, without)
+    if not wanted:
+        return
     report.say(f"diagnosing into {answers.name}, in a process that has neither key nor seed ...")
-    command = [sys.executable, "-m", "experiments.withheld.answer", str(cases), str(answers), str(workers)]
-    subprocess.run([*command, *([] if without is None else [str(without)])], check=True)
+    with tempfile.TemporaryDirectory(prefix="machines-") as folder:
+        room = Path(folder)
+        for place in wanted:
+            (room / "cases" / place.name).mkdir(parents=True)
+            for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
+                shutil.copyfile(path, room / "cases" / place.name / path.name)
+        (room / "without.json").write_text(json.dumps(without), encoding="utf-8")
+        command = [sys.executable, *ANSWERING, "cases", "answers", str(workers), "without.json"]
+        paths = os.pathsep.join([str(CODE), *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = os.environ | {"PYTHONPATH": paths}
+        with subprocess.Popen(command, cwd=room, env=environment, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            try:
+                for line in process.stdout:
+                    print(line, end="", flush=True)
+                    _bring(room / "answers", answers)  # one by one: an interrupted run goes on from there
+            finally:
+                _bring(room / "answers", answers)
+        if process.returncode:
+            raise subprocess.CalledProcessError(process.returncode, command)
+
+
+def _bring(there: Path, here: Path) -> None:
+    """Bring the answers that are `there` over."""
+    for path in there.glob("*/diagnosis.json"):
+        place = here / path.parent.name / path.name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, place.with_suffix(".part"))
+        place.with_suffix(".part").replace(place)  # whole or not at all
+        path.unlink()
 
 
 def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> again.Answers:
     assert report.out is not None
-    path = report.out / f"{name}.json"
-    path.write_text(json.dumps(wanted, indent=1) + "\n", encoding="utf-8")
-    _ask(report, cases, report.out / name, workers, path)
+    _ask(report, cases, report.out / name, workers, wanted)
     return read_answers(report.out / name)
 
 
 def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool) -> dict[str, Any]:
     assert report.out is not None
     answers = read_answers(report.out / "answers")
-    oracle: again.Answers = {}
+    oracle: again.Answers | None = None
     if twice:
         oracle = _asked_again(report, cases, "oracle", again.oracle(answers, key), workers)
         removed = again.removed(answers, key)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
 from diffdrive.effects.base import Effect
@@ -79,8 +80,11 @@ class Setting(NamedTuple):
     command: float  # N, largest
 
 
-def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1) -> Setting:
-    """The scales of `drive` and `lanes`, whose samples are `period` (s) or so many control periods apart."""
+def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts: ArrayLike = 0.0) -> Setting:
+    """The scales of `drive` and `lanes`, whose samples are `period` (s) or so many control periods apart.
+
+    `starts` (s) is when each lane begins in its log.
+    """
     friction, plant = drive.friction, drive.plant
     load = float(friction.initial_load) + float(np.mean(np.asarray(lanes.load)))
     guide = 0.5 * float(friction.load_coefficient.positive + friction.load_coefficient.negative)
@@ -100,9 +104,9 @@ def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1) -> Set
         load_coefficient=max(guide, SLIPPERY),
         viscous=max(viscous, LEAST * command / max(fastest, 1e-4)),
         delay=(actuator.delay_samples + float(actuator.delay_fraction or 0.0)) / thinning,
-        bristle=level / float(friction.bristle_stiffness.positive),
+        bristle=max(level, LEAST * command) / float(friction.bristle_stiffness.positive),
         period=period,
-        duration=float(counted.sum(axis=1).max() * period),
+        duration=float((np.asarray(starts) + counted.sum(axis=1) * period).max()),
         low=float(position[counted].min()),
         high=float(position[counted].max()),
         speed=fastest,

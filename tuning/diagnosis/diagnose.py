@@ -13,7 +13,8 @@ import numpy as np
 
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.catalogue import PLACES
+from diffdrive.effects.catalogue import EFFECTS, PLACES
+from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -27,7 +28,7 @@ from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, 
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
-from tuning.fit import lanes_of, noise_floor, sampling_of
+from tuning.fit import SHORTEST, lanes_of, noise_floor, sampling_of
 from tuning.prediction import Lanes
 from tuning.replay import long_pieces
 
@@ -76,6 +77,9 @@ def _padded(lanes: Lanes) -> Lanes:
 
 def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     """The logs as the diagnosis takes them; the drive's own effects are no part of it."""
+    for log in logs:
+        if not long_pieces(log):
+            raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap: leave this log out")
     drive = dataclasses.replace(drive, effects=())
     thinning = max(1, int(logs[0].rate / ENOUGH))
     lanes = thinned(lanes_of(list(logs)), thinning)
@@ -84,7 +88,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0)) / thinning
     noise = jnp.asarray(noise_floor(drive, lanes))
     sampling = sampling_of(float(round(logs[0].rate / thinning, 6)), SUBSTEP)
-    return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, thinning)
+    starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
+    return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, starts, thinning)
 
 
 def diagnose(
@@ -101,18 +106,21 @@ def diagnose(
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
     nominal parameter; `most_effects` is how many are looked for, one after the other. Effects that the drive has stay
-    as they are. Raises `LogError` for logs without a long enough piece, and `ParameterError` for a drive that no filter
-    can run.
+    as they are. Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no
+    filter can run and for effects that the catalogue has not.
     """
     logged = logged_of(drive, logs)
+    unknown = [name for name in without if name not in EFFECTS]
+    if unknown:
+        raise ParameterError(f"no effect {', '.join(unknown)} in the catalogue: {', '.join(EFFECTS)}")
     effects = [counted_in(one, logged.thinning) for one in drive.effects]
     fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning))
-    at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning)
+    at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     lacks = shortcomings(logged, at)
     progress("recalibrating", 0, 1)
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)))
     progress("recalibrating", 1, 1)
-    open_loop = isinstance(controller, UnknownController) or logs[0].reference is None
+    open_loop = isinstance(controller, UnknownController) or logs[-1].reference is None
     catalogue = [one for one in candidates(at) if one.name not in without]
     hopeless = any(one.hopeless for one in lacks)
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)

@@ -24,7 +24,6 @@ from tuning.diagnosis.following import (
     Slopes,
     Track,
     answers,
-    exposure,
     follow,
     slopes,
 )
@@ -49,7 +48,6 @@ NEAR = np.array(  # times the last process forces are tried after a step
 FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3, 3.0)])
 MOST_STEPS, TRIALS = 25, 6
 DIFFERENCE = 0.02  # in units of the prior
-ROUGH_DIFFERENCE = 0.1  # where blows make the cost rough
 SMALL = 0.05  # of the scatter, RMS: a change of the residuals that is still linear
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
@@ -120,7 +118,7 @@ def _moved(
     def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> Float[Array, "lanes n"]:
         loose, coupled = effects
         own, drive = machine(logged, b, (*loose, *coupled))
-        under = exposure(own, loose, logged.delay, logged.lanes, course, logged.sampling)
+        under = exposed(logged, own, loose, course)
         given = (logged.noise, logged.lanes, logged.sampling, course)
         return follow(drive, under, coupled, process, *given).innovation
 
@@ -212,14 +210,12 @@ class Fitter:
         A coupled effect answers the table, and the table answers it: no derivative along a given course tells. What the
         logs tell a hundred times better than the prior is differenced again, over a step that is no larger than that.
         """
-        rough = any(member.candidate.searched for member in model.members)
         away = np.where(point.u > 0.0, -1.0, 1.0)
         columns = np.zeros((self.counts.size, model.size))
-        columns[:, wanted] = self._over(model, point, wanted, away * (ROUGH_DIFFERENCE if rough else DIFFERENCE))
-        if not rough:
-            steps = away * SMALL * np.sqrt(self.counts.sum()) / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
-            sharp = wanted[np.abs(steps[wanted]) < DIFFERENCE]
-            columns[:, sharp] = self._over(model, point, sharp, steps)
+        columns[:, wanted] = self._over(model, point, wanted, away * DIFFERENCE)
+        steps = away * SMALL * np.sqrt(self.counts.sum()) / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
+        sharp = wanted[np.abs(steps[wanted]) < DIFFERENCE]
+        columns[:, sharp] = self._over(model, point, sharp, steps)
         return columns
 
     def _over(

@@ -102,20 +102,26 @@ def altered(drive: Drive, effects: tuple[Effect, ...]) -> Drive:
 
 
 def exposure(
-    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lanes: Lanes, course: Course, sampling: Sampling
+    drive: Drive,
+    effects: tuple[Effect, ...],
+    delay: Scalar,
+    lanes: Lanes,
+    course: Course,
+    sampling: Sampling,
+    starts: Float[Array, " lanes"],
 ) -> Exposure:
-    """What the effects, whose parameters are given for each lane, do along a course."""
+    """What the effects, whose parameters are given for each lane, do along a course that starts at `starts` (s)."""
     machine = altered(drive, effects)
     period = sampling.period
 
-    def one(lane: Lanes, course: Course, effects: tuple[Effect, ...]) -> Exposure:
+    def one(lane: Lanes, course: Course, effects: tuple[Effect, ...], start: Scalar) -> Exposure:
         early = [jnp.minimum(effect.delay, 0.0) for effect in effects if isinstance(effect, LoopDelay)]
         asked = delayed(limited(drive.actuator, lane.command), jnp.maximum(delay + sum(early), 0.0))
 
         def step(states: Any, at: tuple[Scalar, ...]) -> tuple[Any, Exposure]:
             count, position, velocity, bristle, friction, force, pushed, load = at
             states, (force, tilt) = acting.through(effects, states, force, period)
-            seen = Seen(count * period, position, velocity, bristle, force + pushed, friction, load)
+            seen = Seen(start + count * period, position, velocity, bristle, force + pushed, friction, load)
             states, acts = acting.upon(effects, states, seen, machine, period)
             scale = acting.scale_error(effects, position)
             shift = acting.displaced(machine, tilt, period)
@@ -126,7 +132,7 @@ def exposure(
         signals = (count, *course, asked, lane.disturbance, lane.load)
         return lax.scan(step, acting.at_rest(effects, asked[0]), signals)[1]
 
-    return lax.map(lambda both: one(*both), (lanes, course, effects))
+    return lax.map(lambda each: one(*each), (lanes, course, effects, starts))
 
 
 def _begun(

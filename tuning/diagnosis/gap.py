@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
@@ -114,13 +114,13 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
     thinning = fitted.model.logged.thinning
     mine = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
     effects = [counted_in(one, 1.0 / thinning) for one in mine]
-    early = [one for one in effects if isinstance(one, LoopDelay) and one.delay < 0]
-    late = thinning * float(fitted.model.logged.delay) + sum(float(one.delay) for one in early)
-    if early:  # less delay than the drive file claims
+    apart = [one for one in effects if isinstance(one, LoopDelay) and not 0.0 <= one.delay <= LONGEST_DELAY]
+    late = thinning * float(fitted.model.logged.delay) + sum(float(one.delay) for one in apart)
+    if apart:  # less delay than the drive file claims, or more than the effect can hold back
         whole, part = divmod(max(late, 0.0), 1.0)
         actuator = dataclasses.replace(fitted.own.actuator, delay_samples=int(whole), delay_fraction=part)
         fitted = fitted._replace(own=dataclasses.replace(fitted.own, actuator=actuator))
-    return dataclasses.replace(fitted.own, effects=tuple(one for one in effects if one not in early))
+    return dataclasses.replace(fitted.own, effects=tuple(one for one in effects if one not in apart))
 
 
 @eqx.filter_jit
@@ -139,18 +139,31 @@ def _simulated(drive: Drive, controller: Controller, at: Given, sampling: Sampli
 
 
 def loop_gap(
-    drives: list[Drive], controller: Controller, logs: list[Log], noise: float, sampling: Sampling, seed: int = 0
+    drives: list[Drive],
+    controller: Controller,
+    logs: list[Log],
+    counts: list[Float[np.ndarray, "lanes n"]],
+    noise: float,
+    sampling: Sampling,
+    seed: int = 0,
 ) -> LoopGap:
-    """Each log simulated by its drive, its sensor's noise in the loop; `noise` (m) is quantisation and all."""
+    """Each log simulated by its drive, its sensor's noise in the loop; `noise` (m) is quantisation and all.
+
+    `counts` says which samples of each log to judge by, padded or cut to the log's own.
+    """
     off: list[Any] = [[], [], [], []]
     keys = jax.random.split(jax.random.key(seed), SEEDS)
-    for drive, log in zip(drives, logs, strict=True):
+    for drive, log, judged in zip(drives, logs, counts, strict=True):
         quantised = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution) / np.sqrt(12)
         white = float(np.sqrt(max(noise**2 - quantised**2, 0.0)))
         noisy = dataclasses.replace(drive, sensor=dataclasses.replace(drive.sensor, noise=white))
         pieces = given([log])
         position, command = _simulated(*as_arrays((noisy, controller)), pieces, sampling, keys)
-        counted = np.asarray(pieces.lanes.counts) > 0
+        counted = np.asarray(pieces.lanes.counts)
+        asked = np.zeros_like(counted)
+        common = min(asked.shape[1], judged.shape[1])
+        asked[:, :common] = judged[:, :common]
+        counted = (counted > 0) & (asked > 0)
         found = [np.moveaxis(np.asarray(one), 1, 0)[:, counted] for one in (position, command)]
         true = [np.asarray(one)[counted] for one in (pieces.lanes.position, pieces.lanes.command)]
         away = np.max(np.abs(found[0] - true[0]), initial=0.0)

@@ -48,7 +48,7 @@ def _sides(drive: Drive, log: Log, source: Stretch, dynamics: float) -> tuple[np
     course = Course(position[None], velocity[None], jnp.zeros_like(velocity)[None], rigid[None])
     in_lanes = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], effects)
     delay = jnp.asarray(own.actuator.delay_samples + float(own.actuator.delay_fraction or 0.0))
-    acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period))
+    acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period), jnp.zeros(1))
     bent = Acts(jnp.zeros_like(velocity), acts.coulomb[0], acts.gap[0], acts.viscous[0])
     needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent)
     there = acts.force[0] + machine.plant.constant_force

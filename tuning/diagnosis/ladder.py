@@ -60,6 +60,12 @@ def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
     return Fitter(fitter.logged._replace(lanes=lanes), twist)
 
 
+def _at_control(fitter: Fitter, counts: Float[np.ndarray, "lanes n"], log: int) -> Float[np.ndarray, "pieces n"]:
+    """The weights of one log's pieces, at every control period."""
+    mine = [lane for lane, owner in enumerate(fitter.logged.owner) if owner == log]
+    return np.repeat(counts[mine], fitter.logged.thinning, axis=1)
+
+
 def climb(
     fitter: Fitter, found: Explanation, logs: list[Log], controller: Controller | None
 ) -> tuple[list[Rung], Split]:
@@ -98,7 +104,9 @@ def climb(
         if controller is not None:
             drives = [drive_of(one, log) for log in parts.logs]
             noise = float(fitter.logged.noise)
-            loop = loop_gap(drives, controller, [logs[log] for log in parts.logs], noise, fitter.logged.control)
+            judged = [logs[log] for log in parts.logs]
+            counts = [_at_control(fitter, parts.test, log) for log in parts.logs]
+            loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
         rungs.append(Rung(name, one, gap, gap.interval(rate), shrink, loop, foreseen.cost - float(one.u @ one.u)))
     return rungs, parts

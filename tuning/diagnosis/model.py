@@ -34,6 +34,7 @@ class Logged(NamedTuple):
     owner: tuple[int, ...]  # of each lane, the number of its log
     noise: Scalar  # m
     sampling: Sampling
+    starts: Float[Array, " lanes"]  # s, when each begins in its log
     thinning: int = 1  # control periods to one of these samples; delays here are counted in the latter
 
     @property
@@ -124,6 +125,17 @@ class Model:
             found.append(effect_in_lanes(member.candidate.effect, values, self.logged.owner))
         return tuple(found)
 
+    def possible(self, u: Vector) -> bool:
+        """Whether every free parameter is one that the effect may have; less than no delay corrects the drive file."""
+        for member, values in zip(self.members, self.values(u), strict=True):
+            fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(member.candidate.effect)}
+            least = {one.name: fields[one.name].at_least for one in member.candidate.parameters}
+            if member.candidate.effect is LoopDelay:
+                continue
+            if any(low is not None and np.any(values[name] < low) for name, low in least.items()):
+                return False
+        return True
+
     def apart(self, effects: tuple[A, ...]) -> tuple[tuple[A, ...], tuple[A, ...]]:
         """Those that are stepped along a course, and those that are stepped within the filter."""
         both = list(zip(self.members, effects, strict=True))
@@ -166,10 +178,14 @@ def machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...]) 
     return own, altered(own, effects)
 
 
+def _acts(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
+    return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling, logged.starts)
+
+
 @eqx.filter_jit
 def exposed(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
     """What the effects do along a course."""
-    return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling)
+    return _acts(logged, own, effects, course)
 
 
 @eqx.filter_jit
@@ -177,8 +193,7 @@ def exposure_by_machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Ef
     """Derivatives of what the effects do, [lanes, n, b], with respect to the calibration."""
 
     def at(b: Float[Array, " b"]) -> Exposure:
-        own = calibrated(logged.drive, b)
-        return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling)
+        return _acts(logged, calibrated(logged.drive, b), effects, course)
 
     return jax.vmap(lambda way: jax.jvp(at, (b,), (way,))[1], out_axes=-1)(jnp.eye(len(b)))
 
@@ -190,7 +205,7 @@ def exposure_slopes(
     """Derivatives of what the effects do, [lanes, n, m], in the directions `tangents`, which are stacked."""
 
     def at(effects: tuple[Effect, ...]) -> Exposure:
-        return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling)
+        return _acts(logged, own, effects, course)
 
     return jax.vmap(lambda way: jax.jvp(at, (effects,), (way,))[1], out_axes=-1)(tangents)
 

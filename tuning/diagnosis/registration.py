@@ -30,9 +30,9 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
     Raises `LogError` for a log without a long enough piece.
     """
     logged = logged_of(drive, [log])
-    early = np.arange(logged.lanes.position.shape[1]) < seconds * logged.sampling.rate
-    logged = logged._replace(lanes=logged.lanes._replace(counts=logged.lanes.counts * early))
-    at = setting(logged.drive, logged.lanes, logged.sampling.period)
+    time = np.asarray(logged.starts)[:, None] + logged.sampling.period * np.arange(logged.lanes.position.shape[1])
+    logged = logged._replace(lanes=logged.lanes._replace(counts=logged.lanes.counts * (time < seconds)))
+    at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     known = {one.name: one for one in candidates(at)}
     model, u = Model(logged), np.zeros(len(NAMES))
     mine = [counted_in(one, logged.thinning) for one in drive.effects]

@@ -115,6 +115,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
             amount = np.clip(amount, 0.0, 1.5)
             gain = float(-2.0 * slope @ amount - amount @ schur @ amount)
         evidence = gain - float(np.linalg.slogdet(schur)[1]) if labels[0] is not None else gain
+        evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing
         if best is None or evidence > best.evidence:
             for (one, log), value in zip([x for x in labels if x is not None], amount, strict=False):
                 row = values.setdefault(one.name, np.zeros(logged.logs))
@@ -136,7 +137,7 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     if candidate.searched:
         best, process = evolved(fitted, model, candidate, before)
         points, processes = [best], np.vstack([processes, process])
-    starts = [before, fitted.u] if first and not candidate.searched else [before]
+    starts = [before, fitted.u] if first else [before]
     found = []
     for values in points:
         for calibration in starts:

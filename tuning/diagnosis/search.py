@@ -257,10 +257,14 @@ def _name(fitted: Fitted) -> str:
     return fitted.model.members[-1].candidate.name
 
 
+def _may_be(fitted: Fitted) -> bool:
+    return bool(np.isfinite(fitted.evidence)) and fitted.model.possible(fitted.u)
+
+
 def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
     """One fit of each kind, the best first."""
     found: dict[Hashable, Fitted] = {}
-    for one in sorted((one for one in fits if np.isfinite(one.evidence)), key=lambda one: one.evidence):
+    for one in sorted((one for one in fits if _may_be(one)), key=lambda one: one.evidence):
         found.setdefault(kind(one), one)
     return list(found.values())
 

@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
 def _probabilities(gains: Float[np.ndarray, " k"], left: float) -> Float[np.ndarray, " k"]:
     best = float(np.max(gains, initial=0.0))
     temperature = max(COLDEST, (SOFT + ROUGH * left) * best)
-    weights = np.exp((gains - best) / temperature)
+    weights = np.exp((gains - np.max(gains)) / temperature)
     return weights / np.sum(weights)
 
 

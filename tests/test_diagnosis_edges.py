@@ -1,0 +1,118 @@
+"""The diagnosis at its edges: gaps in a log, no friction in the file, long delays, impossible machines."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sound_log import DRIVE, RATE, SOUND, described, logged, two_sines, without
+
+from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.friction import ViscousDrift
+from diffdrive.errors import LogError, ParameterError
+from diffdrive.parameters import Directional, as_arrays
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.diagnose import diagnose, logged_of
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import drive_of, loop_gap
+from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.screening import begin, joined, screen
+from tuning.diagnosis.search import recalibrated, standing
+from tuning.diagnosis.verdict import _probabilities
+
+
+def candidate_of(logs, name):
+    at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning, logs.starts)
+    return next(one for one in candidates(at) if one.name == name)
+
+
+def test_time_goes_on_through_a_gap():
+    broken = without(SOUND, range(2000, 3000), restamp=False)
+    broken = dataclasses.replace(broken, gaps=(2000,))
+    logs = logged_of(DRIVE.drive, [broken])
+    assert logs.owner == (0, 0)
+    np.testing.assert_allclose(np.asarray(logs.starts), [0.0, 1.5])
+    whole = logged_of(DRIVE.drive, [SOUND])
+    drift = {"viscous": np.array([0.4]), "time_constant": np.array([1.0])}
+    in_pieces, in_one = (
+        exposed(each, as_arrays(DRIVE.drive), (effect_in_lanes(ViscousDrift, drift, each.owner),), standing(each))
+        for each in (logs, whole)
+    )
+    later = np.asarray(in_one.viscous)[0, 3000:5000]
+    np.testing.assert_allclose(np.asarray(in_pieces.viscous)[1, :2000], later, rtol=1e-12)
+    at = setting(logs.drive, logs.lanes, 1.0 / RATE, 1, logs.starts)
+    assert at.duration == pytest.approx(len(SOUND.time) / RATE)
+
+
+def test_a_log_of_scraps_is_named_before_anything_is_searched():
+    scraps = dataclasses.replace(SOUND, name="scraps", gaps=tuple(range(100, len(SOUND.time), 100)))
+    with pytest.raises(LogError, match=r"scraps: no stretch of 200 samples.*leave this log out"):
+        diagnose(DRIVE.drive, DRIVE.controller, [scraps, SOUND])
+
+
+def test_an_effect_that_does_not_exist_cannot_be_left_out():
+    with pytest.raises(ParameterError, match="no effect coging in the catalogue"):
+        diagnose(DRIVE.drive, DRIVE.controller, [SOUND], without=("coging",))
+
+
+def test_a_drive_file_without_friction_has_priors_and_a_screening_of_numbers():
+    friction = DRIVE.drive.friction
+    none = dataclasses.replace(friction, coulomb_screw=Directional(1e-9, 1e-9), load_coefficient=Directional(0.0, 0.0))
+    logs = logged_of(dataclasses.replace(DRIVE.drive, friction=none), [SOUND])
+    at = setting(logs.drive, logs.lanes, 1.0 / RATE)
+    for candidate in candidates(at):
+        for one in candidate.parameters:
+            assert np.isfinite(one.middle), candidate.name
+            assert one.spread > 0, candidate.name
+            assert one.middle > 0 or not one.positive, candidate.name
+    base = recalibrated(Fitter(logs), 0.02)
+    for name in ("friction_dwell", "presliding_hysteresis", "friction_asymmetry"):
+        assert not np.isnan(screen(base, candidate_of(logs, name)).evidence), name
+
+
+@pytest.mark.parametrize("gains", [[-7000.0, -9000.0], [-1e6], [0.0, 0.0], [5e5, -5e5]])
+def test_probabilities_are_that_however_bad_all_are(gains):
+    found = _probabilities(np.array(gains), 0.0)
+    assert np.sum(found) == pytest.approx(1.0)
+    assert np.all(found >= 0.0)
+    assert int(np.argmax(found)) == int(np.argmax(gains))
+
+
+def test_a_longer_delay_than_the_effect_can_hold_never_loses_the_force():
+    forces = tuple([100.0] * 8)
+    for delay in (7.5, 8.0, 8.5, 20.0):
+        assert float(LoopDelay(delay).step(forces, jnp.asarray(100.0), 1e-3)[1].mean) == pytest.approx(100.0)
+    fast = described(rate=10_000.0)
+    logs = logged_of(fast.drive, [logged(fast, two_sines(1.0, 10_000.0))])
+    model = joined(Model(logs), candidate_of(logs, "loop_delay"))
+    u = np.r_[np.zeros(len(NAMES)), begin(model, {"delay": np.array([2.1])})]  # samples of the thinned log
+    fit = Fitter(logs).fit(model, u, None, standing(logs), 0)
+    drive = drive_of(fit, 0)
+    assert drive.effects == ()
+    assert drive.actuator.delay_samples + float(drive.actuator.delay_fraction) == pytest.approx(10.5)
+
+
+def test_a_machine_that_cannot_be_is_no_explanation():
+    logs = logged_of(DRIVE.drive, [SOUND])
+    model = joined(Model(logs), candidate_of(logs, "frame_vibration"))
+    values = {"frequency": np.array([20.0]), "damping": np.array([0.03])}
+    for ratio, possible in ((0.1, True), (-0.1, False)):
+        u = np.r_[np.zeros(len(NAMES)), begin(model, values | {"ratio": np.array([ratio])})]
+        assert model.possible(u) is possible
+    less = Model(logs, (Member(candidate_of(logs, "loop_delay")),))
+    assert less.possible(np.r_[np.zeros(len(NAMES)), -1.0])  # the drive file claims too much
+
+
+def test_the_loop_is_judged_by_what_is_held_out():
+    """A first half that is off by 0.1 mm does not count when the second one is asked for."""
+    half = len(SOUND.time) // 2
+    off = dataclasses.replace(SOUND, position=SOUND.position + np.where(np.arange(len(SOUND.time)) < half, 1e-4, 0.0))
+    late = (np.arange(len(SOUND.time)) >= half).astype(float)[None]
+    given = (DRIVE.drive, DRIVE.controller, off)
+    judged, all_of_it = (
+        loop_gap([given[0]], given[1], [given[2]], [counts], 5e-8, DRIVE.sampling)
+        for counts in (late, np.ones_like(late))
+    )
+    assert judged.position_rms < 2e-7
+    assert all_of_it.position_rms > 5e-5

@@ -1,0 +1,259 @@
+"""What `diffdrive diagnose` tells: JSON, page, figures and augmented drive agree, and leave nothing out."""
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rich.console import Console
+from sound_log import DRIVE, logged, moved, two_sines
+from typer.testing import CliRunner
+
+from diffdrive.drive_file import read_drive, write_drive
+from diffdrive.effects.forces import ConstantForce
+from diffdrive.errors import ParameterError
+from diffdrive.logs import write_log
+from experiments import cli, real_axes
+from experiments import diagnose as command
+from experiments.diagnose_figures import _ladder
+from experiments.diagnose_page import parameter
+from experiments.report import Report
+from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.diagnose import diagnose
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import LoopGap
+from tuning.diagnosis.model import Member, Model
+from tuning.diagnosis.next_experiment import Experiment
+
+OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+UNASKED = Experiment("", [], 0.0, "not asked")
+MASS = float(DRIVE.drive.plant.mass) * np.exp(OFF[NAMES.index("mass")])  # kg, the machine's
+
+
+@pytest.fixture(scope="module")
+def log():
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
+    return logged(
+        dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=(ConstantForce(6.0),))), two_sines()
+    )
+
+
+@pytest.fixture(scope="module")
+def tilted(log):
+    return diagnose(DRIVE.drive, DRIVE.controller, [log])
+
+
+@pytest.fixture
+def told_of(log, tmp_path, monkeypatch):
+    """The command on this log, as if it had found what it is given; and the folder that it wrote."""
+
+    def run(found, log=log, **options):
+        write_log(tmp_path / "lap.parquet", log)
+        write_drive(tmp_path / "drive.toml", DRIVE)
+        monkeypatch.setattr(command, "diagnose", lambda *_, **__: found)
+        monkeypatch.setattr(command, "next_experiment", lambda *_: UNASKED)
+        out = tmp_path / "out"
+        return command.diagnose_logs([tmp_path / "lap.parquet"], tmp_path / "drive.toml", out, **options), out
+
+    return run
+
+
+def with_rung(found, number, **changes):
+    rungs = list(found.rungs)
+    rungs[number] = rungs[number]._replace(**changes)
+    return dataclasses.replace(found, rungs=rungs)
+
+
+def with_second(found):
+    """The same with a second effect, which the catalogue has before the first one, fitted together with it."""
+    alone, logged = found.found, found.logged
+    other = next(
+        one
+        for one in candidates(setting(logged.drive, logged.lanes, logged.sampling.period))
+        if one.name == "friction_asymmetry"
+    )
+    model = Model(logged, (*alone.model.members, Member(other)), alone.model.tolerance)
+    u = np.r_[alone.u[:-1], alone.u[-1] + 0.5, 0.3, -0.2]
+    joint = Fitter(logged).fit(model, u, alone.process, alone.track.course, most=0)
+    first = found.verdict.beliefs[0]
+    beliefs = [first, first._replace(effect=other.name, round=1, fitted=joint)]
+    return dataclasses.replace(
+        found,
+        explanation=found.explanation._replace(best=joint),
+        verdict=found.verdict._replace(beliefs=beliefs),
+        rungs=[*found.rungs, found.rungs[-1]._replace(name=f"+ {other.name}", fitted=joint)],
+    )
+
+
+def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_drive_has_them(tilted, told_of):
+    told, out = told_of(with_second(tilted))
+    written = {one.name: one for one in read_drive(out / "augmented.toml").drive.effects}
+    assert set(written) == {"friction_asymmetry", "constant_force"}
+    alone = command.as_json(tilted, UNASKED)["causes"][0]["parameters"]["force"]
+    for cause in told["causes"]:
+        for name, value in cause["parameters"].items():
+            assert float(getattr(written[cause["effect"]], name)) == pytest.approx(value)
+            low, high = cause["intervals"][name]
+            assert low < value < high
+    assert told["causes"][0]["parameters"]["force"] != pytest.approx(alone, abs=1.0)
+    assert f"force {float(written['constant_force'].force):.4g} (" in (out / "report.html").read_text()
+
+
+def section(page, begin):
+    """The text of the page's section whose heading begins so."""
+    return next(part for part in page.split("<h2>") if part.startswith(begin))
+
+
+def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
+    nominal = tilted.rungs[0]  # as if recalibration had explained nothing
+    told, out = told_of(with_rung(tilted, 1, force=nominal.force, interval=nominal.interval))
+    last, (low, high) = told["ladder"][-1], told["closed"]["interval"]
+    assert last["force_floor_N"] == tilted.floor
+    assert last["position_floor_m"] == pytest.approx(last["position_rms_m"], rel=0.3)
+    assert last["command_floor_N"] == pytest.approx(last["command_rms_N"], rel=0.3)
+    assert 0.9 < low <= told["closed"]["share"] <= high <= 1.0
+    text = section((out / "report.html").read_text(), "4.")
+    for number in (last["force_rms_N"], *last["force_interval_N"], tilted.floor, 1e6 * last["position_rms_m"]):
+        assert f"<td>{number:.4g}</td>" in text
+    for share in (last["shrink"], *last["shrink_interval"]):
+        assert f"<td>{100 * share:.4g}</td>" in text
+    assert f"{100 * told['closed']['share']:.0f} % (" in text
+    assert "held out" in text
+
+
+def test_where_recalibration_hides_the_gap_it_is_said(tilted):
+    closed = command.as_json(tilted, UNASKED)["closed"]
+    assert closed["share"] is None
+    assert "Recalibration hides the gap" in closed["says"]
+
+
+GAINS = {"phase_deg": 31.0, "gain_up_dB": 7.0, "gain_down_dB": 8.0, "command_noise_N": 9.0, "worst_peak_um": 5.0}
+
+
+def paid(*_):
+    return {
+        name: GAINS | {"mean_rms_um": rms, "requirements_kept_where_tuned": True, "runs_ok": True}
+        for name, rms in (("given", 3.0), ("tuned on nominal", 2.0), ("tuned on augmented", 1.5))
+    }
+
+
+def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(tilted, told_of, monkeypatch):
+    monkeypatch.setattr(command, "payoff", paid)
+    told, out = told_of(tilted, tuned=True)
+    assert json.loads((out / "diagnosis.json").read_text())["payoff"] == told["payoff"]
+    assert told["payoff"]["gains"]["tuned on augmented"]["mean_rms_um"] == 1.5
+    text = section((out / "report.html").read_text(), "4.")
+    assert "-25 %" in text
+    assert "<td>tuned on augmented</td><td>1.5</td>" in text
+
+
+def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_of, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "payoff", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        told_of(tilted, tuned=True)
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["verdict"] == "effect"
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
+    cause = {
+        "parameters": {"sine": [1.0, -2.0], "period": 0.005, "rested": [0.3]},
+        "intervals": {"sine": ([0.9, -2.1], [1.1, -1.9]), "period": (0.004, 0.006), "rested": ([0.2], [0.4])},
+        "units": {"sine": "N", "period": "m", "rested": "s"},
+    }
+    assert parameter("sine", cause) == "sine log 1 1 (0.9 to 1.1), log 2 -2 (-2.1 to -1.9) N"
+    assert parameter("period", cause) == "period 0.005 (0.004 to 0.006) m"
+    assert parameter("rested", cause) == "rested 0.3 (0.2 to 0.4) s"
+
+
+def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):
+    told, out = told_of(tilted)
+    rows = {one["parameter"]: one for one in told["recalibrated"]}
+    assert set(NAMES) - {"bristle_stiffness", "bristle_damping"} < set(rows)
+    mass, drive = rows["mass"], read_drive(out / "augmented.toml").drive
+    assert (mass["drive_file"], mass["unit"]) == (float(DRIVE.drive.plant.mass), "kg")
+    low, high = mass["with_effects_interval"]
+    assert low < mass["with_effects"] < high
+    assert mass["with_effects"] == pytest.approx(MASS, rel=1e-3)
+    assert float(drive.plant.mass) == pytest.approx(mass["with_effects"])
+    stiffness = rows["bristle_stiffness.negative"]
+    assert float(drive.friction.bristle_stiffness.negative) == pytest.approx(stiffness["with_effects"])
+    assert rows["mass"]["recalibrated"] == pytest.approx(float(tilted.explanation.base.own.plant.mass))
+    text = section((out / "report.html").read_text(), "3.")
+    assert f"<td>mass</td><td>kg</td><td>100</td><td>{mass['recalibrated']:.4g}</td>" in text
+
+
+def test_a_simulation_that_runs_away_is_told_with_its_reason(tilted, told_of):
+    away = LoopGap(np.inf, np.inf, np.inf, np.inf, "lap: the simulation in closed loop runs away")
+    found = with_rung(tilted, 0, loop=away)
+    told, out = told_of(found)
+    first = json.loads((out / "diagnosis.json").read_text())["ladder"][0]
+    assert (first["position_rms_m"], first["command_rms_N"], first["loop_says"]) == (None, None, away.says)
+    assert told["gap"]["position_rms_m"] is None
+    assert f"nominal: {away.says}" in (out / "report.html").read_text()
+    assert len(_ladder(found).axes) == 3  # the others are drawn all the same
+
+
+def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_of):
+    found = dataclasses.replace(tilted, rungs=[one._replace(loop=None) for one in tilted.rungs])
+    told, out = told_of(found)
+    assert "controller" in told["ladder"][0]["loop_says"]
+    assert told["ladder"][0]["loop_says"] in (out / "report.html").read_text()
+    assert len(_ladder(found).axes) == 1
+
+
+def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of, capsys):
+    assert told_of(tilted)[0]["findings"] == []
+    late = dataclasses.replace(log, command=moved(log.command, 1))
+    told, out = told_of(tilted, late)
+    printed = capsys.readouterr().out
+    assert "FORCED" not in printed
+    assert "1 fatal" in printed
+    finding = told["findings"][0]
+    assert (finding["severity"], finding["channel"]) == ("fatal", "command")
+    assert told["verdict"] == "unknown"
+    assert finding["found"] in told["says"]
+    assert all(one["confidence"] <= 0.5 for one in told["causes"])
+    page = (out / "report.html").read_text()
+    assert f"<td>{finding['mend']}</td>" in page
+    assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
+
+
+@pytest.mark.parametrize(("channel", "verdict"), [("command", "effect"), ("position", "unknown")])
+def test_an_effect_that_is_what_the_finding_is_about_is_believed(tilted, channel, verdict):
+    finding = {"log": "lap", "severity": "fatal", "channel": channel, "found": "one sample late", "mend": "shift it"}
+    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay")
+    found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
+    assert command._doubted(found, [finding]).verdict.verdict == verdict
+    assert command._doubted(tilted, [finding]).verdict.verdict == "unknown"
+    assert command._doubted(tilted, [finding | {"severity": "warning"}]) is tilted
+
+
+def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
+    nothing = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", beliefs=[]))
+    record = SimpleNamespace(log=SimpleNamespace(command=0.0))
+    stubs = {"identify_axis": SimpleNamespace(drive=real_axes.emps.reference_drive()), "force_error": 5.0}
+    stubs |= {"_scaled": None, "_diagnosed": nothing, "registered": None, "augmented_drive": None}
+    for name, value in stubs.items():
+        monkeypatch.setattr(real_axes, name, lambda *_, value=value: value)
+    monkeypatch.setattr(real_axes.emps, "find_folder", lambda: "here")
+    monkeypatch.setattr(real_axes.emps, "read_all", lambda _: {"estimation": record, "pulses": record})
+    monkeypatch.setattr(real_axes.emps, "controller", lambda _: None)
+    report = Report("axes", None, Console(quiet=True))
+    real_axes.real_axes(report, "emps", ["delay"])
+    assert list(report.data["tables"]) == ["emps_withheld"]
+    assert report.data["tables"]["emps_withheld"]["rows"] == [["delay", "unknown", "", False, 5.0, 5.0, 5.0]]
+
+
+@pytest.mark.parametrize(("axis", "says"), [("emps", "no such term"), ("all", "--axis emps")])
+def test_a_term_that_is_not_there_is_refused(axis, says):
+    result = CliRunner().invoke(cli.app, ["real-axes", "--axis", axis, "--term", "nonsense"])
+    assert isinstance(result.exception, ParameterError)
+    assert says in str(result.exception)

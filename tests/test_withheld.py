@@ -1,0 +1,272 @@
+"""The withheld-effect check: what is drawn, what the key says of it, what the answering process is given."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.errors import ParameterError
+from diffdrive.logs import Log
+from experiments.report import Report
+from experiments.withheld import answer, generate, study
+from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, RATES, _scaled, draw, of_log
+from experiments.withheld.machine import Faults
+from experiments.withheld.truth import truth
+
+ALL = [*KNOWN, *OUTSIDE, *PITFALLS]
+
+
+def drawn(*effects, seed=3):
+    return draw(np.random.default_rng([seed, 1, 0]), effects)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
+    case, same = drawn(name), drawn(name)
+    assert case.rate in RATES
+    for log in range(2):
+        faults, kind = of_log(case, log, 200.0)
+        assert (faults, kind) == of_log(same, log, 200.0)
+        assert np.all(np.isfinite(faults))
+        assert faults != Faults() or case.faults[0].scaled or case.faults[0].traces
+        told = case.told[log]
+        assert len({len(trace) for trace in told}) == 1
+        assert np.all(np.isfinite(told))
+        assert np.all(told.load >= 0.0)
+        np.testing.assert_array_equal(told, same.told[log])
+        assert len(told.reference) / case.rate > 8.0
+    assert case.true == same.true
+    assert case.true != drawn(name, seed=4).true
+    known = {field.name for field in dataclasses.fields(EFFECTS[case.faults[0].effect])} if name not in OUTSIDE else ()
+    assert truth(case, case.faults[0], 200.0).keys() <= {*known, "amplitude"}
+    assert bool(truth(case, case.faults[0], 200.0)) == (name not in OUTSIDE and name != "presliding_hysteresis")
+    json.dumps(generate.key_of(case, 200.0))
+
+
+def test_machines_differ_in_what_the_engineer_knows():
+    several = [drawn("cogging", seed=seed) for seed in range(30)]
+    assert {one.rate for one in several} == set(RATES)
+    assert len({float(one.nominal.friction.initial_load) for one in several}) == 30
+    loaded = [bool(told.load.any()) for one in several for told in one.told]
+    assert 0 < sum(loaded) < len(loaded)
+
+
+def sole(effect):
+    """A machine with the effect, and the one without, all else alike."""
+    case = drawn(effect)
+    fault = case.faults[0]
+    back = {name: 1.0 / factor for name, factor in fault.scaled.items()}
+    return case, fault, _scaled(case.true, back)
+
+
+def test_truths_are_those_of_the_catalogue_on_the_true_drive():
+    case, fault, without = sole("payload_mass")
+    assert truth(case, fault)["mass"] == pytest.approx(float(case.true.plant.mass - without.plant.mass))
+    case, fault, without = sole("friction_asymmetry")
+    altered = EFFECTS["friction_asymmetry"](**truth(case, fault)).alter(without).friction.coulomb_screw
+    there = case.true.friction.coulomb_screw
+    assert altered.positive - altered.negative == pytest.approx(there.positive - there.negative)
+
+
+@pytest.mark.parametrize("which", ["stribeck_velocity", "breakaway_gap", "viscous"])
+def test_the_shape_of_friction_is_told_as_the_catalogue_bends_it(which):
+    seed = next(seed for seed in range(50) if which in drawn("friction_shape", seed=seed).faults[0].scaled)
+    case = drawn("friction_shape", seed=seed)
+    fault = case.faults[0]
+    told, factor = truth(case, fault), fault.scaled[which]
+    if which != "viscous":
+        assert told == {which: pytest.approx(math.log(factor))}
+        return
+    friction, plant = case.true.friction, case.true.plant
+    total = friction.viscous.positive + friction.viscous.negative + plant.damping.positive + plant.damping.negative
+    assert told == {"viscous": pytest.approx(0.5 * float(total) * (1 - 1 / factor))}
+
+
+def test_a_screws_frequency_is_that_of_the_true_masses_and_windows_are_counted_from_halfway():
+    case = drawn("compliance")
+    told = truth(case, case.faults[0])
+    s, mass = told["motor_share"], float(case.true.plant.mass)
+    angular = 2 * np.pi * told["frequency"]
+    assert angular**2 * s * (1 - s) * mass == pytest.approx(case.faults[0].faults["stiffness"])
+    case = drawn("process_force")
+    told, faults = truth(case, case.faults[0]), case.faults[0].faults
+    np.testing.assert_allclose(np.subtract(told["start"], faults["process_start"]), 0.005)
+    np.testing.assert_allclose(np.subtract(told["end"], faults["process_end"]), -0.005)
+
+
+def test_a_limit_is_one_for_the_machine():
+    case = drawn("force_limit")
+    told = truth(case, case.faults[0], 200.0)["limit"]
+    assert told == of_log(case, 0, 200.0)[0].limit == of_log(case, 1, 200.0)[0].limit
+    assert 150.0 < told < 200.0
+    assert truth(case, case.faults[0]) == {}
+
+
+def test_kinds_mix_every_effect_with_none_two_outsiders_and_pitfalls():
+    kinds = generate.kinds(0, 120)
+    assert len(kinds) == 120
+    assert sum(kind == () for kind in kinds) == 14
+    assert sum(len(kind) == 2 for kind in kinds) == 14
+    assert sum(kind[0] in OUTSIDE for kind in kinds if kind) == 14
+    assert sum(kind[0] in PITFALLS for kind in kinds if kind) == 6
+    assert set(KNOWN) <= {kind[0] for kind in kinds if len(kind) == 1}
+    case = drawn("swallowed_frame")
+    key = generate.key_of(case)
+    assert key["pitfall"]
+    assert key["effects"][0]["name"] == "frame_vibration"
+    assert not generate.key_of(drawn("frame_vibration"))["pitfall"]
+
+
+@pytest.fixture
+def integrated(monkeypatch):
+    """Logs without integration; what was asked for."""
+    asked = []
+
+    def log_of(case, log, peak=None):
+        asked.append((log, peak))
+        reference = case.told[log].reference
+        time = np.arange(len(reference)) / case.rate
+        return Log("ab"[log], time, reference, 0.0 * reference + 100.0, reference=reference)
+
+    monkeypatch.setattr(generate, "_log", log_of)
+    return asked
+
+
+def test_cases_that_are_there_are_not_integrated_again(tmp_path, integrated):
+    cases, parts = tmp_path / "cases", tmp_path / "key_parts"
+    names = list(generate.generate(cases, parts, 0, 4))
+    key = generate.write_key(tmp_path / "key.json", parts)
+    assert names == sorted(key) == ["001", "002", "003", "004"]
+    assert integrated
+    (cases / "002" / "drive.toml").unlink()
+    integrated.clear()
+    assert list(generate.generate(cases, parts, 0, 4)) == names
+    assert {log for log, _ in integrated} == {0, 1}
+    assert len(integrated) <= 3  # of the one case that was not finished
+    assert generate.write_key(tmp_path / "key.json", parts) == key
+    with pytest.raises(ParameterError, match="another seed"):
+        list(generate.generate(cases, parts, 1, 4))
+
+
+def test_a_limit_lies_below_the_peak_of_the_first_log(integrated):
+    logs, peak = generate._logs(drawn("force_limit"))
+    assert len(logs) == 2
+    assert peak == 100.0
+    assert integrated == [(0, None), (0, 100.0), (1, 100.0)]
+
+
+def machine(place):
+    """A folder that looks like a case."""
+    place.mkdir(parents=True)
+    for name in ("drive.toml", "log-a.parquet", "notes.txt"):
+        (place / name).write_text("")
+    return place
+
+
+def test_an_answer_that_fails_is_an_error_and_whole(tmp_path, monkeypatch):
+    def fails(place, without):
+        raise ValueError("no such thing")
+
+    monkeypatch.setattr(answer, "answer", fails)
+    path = tmp_path / "answers" / "1" / "diagnosis.json"
+    assert answer._answer(machine(tmp_path / "1"), path, ()) == "1 error []"
+    told = json.loads(path.read_text())
+    assert told == {"verdict": "error", "says": "ValueError: no such thing", "causes": []}
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_answers_that_are_there_are_left_alone_and_half_of_one_is_none(tmp_path):
+    cases, out = tmp_path / "cases", tmp_path / "answers"
+    for name in "123":
+        machine(cases / name)
+        (out / name).mkdir(parents=True)
+    (out / "1" / "diagnosis.json").write_text("{}")
+    (out / "2" / "diagnosis.part").write_text('{"verdict": ')
+    assert [one.name for one in answer.unanswered(cases, out)] == ["2", "3"]
+    assert [one.name for one in answer.unanswered(cases, out, {"1": [], "3": []})] == ["3"]
+    answer.main(cases, out, 1, {"1": ["cogging"]})  # nothing is asked
+    assert (out / "1" / "diagnosis.json").read_text() == "{}"
+
+
+SPY = """
+import json, pathlib, sys
+cases, answers, workers, without = sys.argv[1:]
+here = pathlib.Path.cwd()
+seen = sorted(str(one.relative_to(here)) for one in here.rglob("*") if one.is_file())
+links = [str(one) for one in here.rglob("*") if one.is_symlink()]
+for place in pathlib.Path(cases).iterdir():
+    path = pathlib.Path(answers) / place.name / "diagnosis.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps({
+        "verdict": "none", "causes": [], "seen": seen, "cwd": str(here), "links": links, "argv": sys.argv[1:],
+        "without": json.loads(pathlib.Path(without).read_text()),
+    }))
+    print(place.name, flush=True)
+if "fail" in json.dumps(seen):
+    sys.exit(3)
+"""
+
+
+@pytest.fixture
+def spied(tmp_path, monkeypatch):
+    """In the place of the answering process one that says what it can see."""
+    spy = tmp_path / "spy.py"
+    spy.write_text(SPY)
+    monkeypatch.setattr(study, "ANSWERING", (str(spy),))
+    return tmp_path
+
+
+def test_the_answering_process_is_given_machines_and_no_key(spied):
+    bench, out = spied / "bench", spied / "out"
+    for name in "12":
+        machine(bench / name)
+    (bench / "key.json").write_text('{"1": {"kind": "none", "effects": []}, "2": {"kind": "none", "effects": []}}')
+    done = out / "answers" / "2" / "diagnosis.json"
+    done.parent.mkdir(parents=True)
+    done.write_text('{"verdict": "none", "causes": []}')
+    card = study.examined(out, bench, bench / "key.json")
+    assert (card["cases"], card["false_alarms"]) == (2, 0.0)
+    told = json.loads((out / "answers" / "1" / "diagnosis.json").read_text())
+    assert told["seen"] == ["cases/1/drive.toml", "cases/1/log-a.parquet", "without.json"]
+    assert told["argv"] == ["cases", "answers", "1", "without.json"]
+    assert (told["links"], told["without"]) == ([], None)
+    above = [Path(told["cwd"]), *Path(told["cwd"]).parents]
+    assert not {out, bench, spied} & set(above)
+    assert json.loads(done.read_text()) == {"verdict": "none", "causes": []}
+
+
+def test_answers_of_a_process_that_ends_early_are_kept(spied):
+    machine(spied / "cases" / "fail")
+    with pytest.raises(Exception, match="exit status 3"), Report("check", spied / "out") as report:
+        study._ask(report, spied / "cases", spied / "out" / "answers", 1, {"fail": ["cogging"]})
+    told = json.loads((spied / "out" / "answers" / "fail" / "diagnosis.json").read_text())
+    assert told["without"] == {"fail": ["cogging"]}
+
+
+def test_the_key_is_written_after_the_answers(spied, integrated, monkeypatch):
+    order = []
+    ask, write = study._ask, study.write_key
+    monkeypatch.setattr(study, "_ask", lambda *args: (order.append("ask"), ask(*args)))
+    monkeypatch.setattr(study, "write_key", lambda *args: (order.append("key"), write(*args))[1])
+    card = study.withheld(spied / "out", 3, 0)
+    assert order == ["ask", "key"]
+    assert card["cases"] == 3
+    told = json.loads((spied / "out" / "answers" / "001" / "diagnosis.json").read_text())
+    assert not any("key" in one or "out" in Path(one).parts for one in told["seen"])
+    order.clear()
+    integrated.clear()
+    study.withheld(spied / "out", 3, 0)
+    assert (order, integrated) == (["ask", "key"], [])
+
+
+def test_the_answering_process_runs_from_anywhere_and_outlives_a_case_that_cannot_be_read(tmp_path):
+    machine(tmp_path / "cases" / "1")
+    with Report("check", tmp_path / "out") as report:
+        study._ask(report, tmp_path / "cases", tmp_path / "out" / "answers", 1)
+    told = json.loads((tmp_path / "out" / "answers" / "1" / "diagnosis.json").read_text())
+    assert told["verdict"] == "error"
+    assert "DriveFileError" in told["says"]
