@@ -161,7 +161,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "says": found.verdict.says,
         "unexplained": found.verdict.unexplained,
         "gap": {
-            "says": _size(nominal, recalibrated, found.floor),
+            "says": _size(nominal, recalibrated, found.floor) + (f"; {found.laps.says}" if found.laps else ""),
             "position_rms_m": _in_loop(nominal, "position_rms"),
             "command_rms_N": _in_loop(nominal, "command_rms"),
             "force_rms_N": nominal.force.rms,
@@ -173,6 +173,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
             "recalibrated_command_rms_N": _in_loop(recalibrated, "command_rms"),
             "recalibrated_force_rms_N": recalibrated.force.rms,
             "judged_on": found.split.says,
+            "laps": found.laps and found.laps._asdict(),
         },
         "where": [one._asdict() for one in found.where],
         "causes": [cause(found, one) for one in found.verdict.beliefs],

@@ -11,7 +11,9 @@ from tuning.diagnosis.where import SLOWEST
 SHORTEST = 1.0  # s of motion
 TRAVEL = 10.0  # times the bristle's bend before it slides
 SPEEDS = 2.0  # ratio of the fast to the slow part of the motion
-SATURATED = 0.5  # of the samples, at the largest command
+SATURATED = 0.5  # of the time in which it moves, at the limit
+AT_THE_LIMIT = 0.98  # of it: a measured command is noisy
+LARGEST = 99.5  # percentile: the limit that the command itself shows
 SMOOTH = 5e-3  # s
 
 
@@ -31,8 +33,8 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     rate = logged.sampling.rate
     few = max(1, round(SMOOTH * rate))
     velocity = (position[:, few:] - position[:, :-few]) * rate / few
-    moving = velocity[counts[:, few:]]
-    moving = moving[np.abs(moving) > SLOWEST]
+    moves = counts[:, few:] & (np.abs(velocity) > SLOWEST)
+    moving = velocity[moves]
     found = []
     if at.high - at.low < TRAVEL * at.bristle or len(moving) == 0:
         return [
@@ -69,8 +71,11 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
                 "strokes at two speeds at least, a factor of five apart",
             )
         )
-    largest = np.abs(command[counts]).max()
-    if np.mean(np.abs(command[counts]) > 0.999 * largest) > SATURATED:
+    asked = np.abs(command[:, few:][moves])
+    # the command is that before the actuator, and may be far beyond what it can do
+    known = logged.drive.actuator.force_limit
+    limit = float(np.percentile(asked, LARGEST)) if known is None else float(known)
+    if np.mean(asked > AT_THE_LIMIT * limit) > SATURATED:
         found.append(
             Shortcoming(
                 "anything in the forces",

@@ -10,10 +10,12 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS, PLACES
+from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
@@ -21,8 +23,9 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates, given, setting
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.gap import ForceGap, force_floor, force_gap
+from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
 from tuning.diagnosis.ladder import Rung, Split, climb
+from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
@@ -51,6 +54,7 @@ class Diagnosis:
     rungs: list[Rung]
     split: Split
     lacks: list[Shortcoming]
+    laps: Laps | None  # where a reference repeats
 
     @property
     def found(self) -> Fitted:
@@ -129,10 +133,19 @@ def diagnose(
     found, rungs = _upheld(found, rungs)
     verdict = _confirmed(_within(judge(fitter, found), lacks), rungs)
     gap = force_gap(fitter, base, base.model, base.u)
-    where = localise(gap, logged.lanes, logged.owner, logged.sampling.rate)
-    where = [*_subsystems(found), *_signals(rungs), *where]
+    where = localise(
+        gap,
+        logged.lanes,
+        logged.owner,
+        logged.sampling.rate,
+        starts=logged.starts,
+        noise=force_noise(fitter, base),
+        lead=next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None),
+        others=[*_subsystems(found), *_signals(rungs)],
+    )
     progress("judging on held-out data", 1, 1)
-    return Diagnosis(logged, found, verdict, where, gap, force_floor(fitter, found.best), rungs, parts, lacks)
+    again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning)
+    return Diagnosis(logged, found, verdict, where, gap, force_floor(fitter, found.best), rungs, parts, lacks, again)
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
@@ -174,13 +187,16 @@ def _subsystems(found: Explanation) -> list[Region]:
     total = max(found.base.cost - found.best.cost, 1e-9)
     gains = {one.candidate.name: one.gain for one in first.screened}
     gains |= {one.model.members[-1].candidate.name: first.before.cost - one.cost for one in first.fits}
+    freedom = {one.candidate.name: max(len(one.candidate.parameters), 1) for one in first.screened}
     regions = []
     for place, effects in PLACES.items():
         best = max((gains.get(effect.name, 0.0), effect.name) for effect in effects)
+        free = freedom.get(best[1], 1)
+        chance = min(1.0, len(freedom) * float(chi2.sf(max(best[0], 0.0), free)))
         share = float(np.clip(best[0] / total, 0.0, 1.0))
         says = f"a change in the {place} ({best[1]}) could explain {100 * share:.0f} % of it"
-        regions.append(Region("subsystem", place, share, 0.0, float(np.exp(-0.5 * max(best[0], 0.0))), says))
-    return sorted(regions, key=lambda one: -one.share)
+        regions.append(Region("subsystem", place, share, 0.0, chance, says))
+    return regions
 
 
 def _signals(rungs: list[Rung]) -> list[Region]:

@@ -193,14 +193,18 @@ def _told(track: Track, linear: Slopes, off: Any, period: float) -> Float[Array,
     return jax.vmap(one)(track.pull[3], error)
 
 
-def force_floor(fitter: Fitter, fitted: Fitted) -> float:
-    """Root mean square (N) of the force that a model without a gap would seem to lack, from the measuring noise."""
+def force_noise(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, "lanes n draws"]:
+    """The force (N) that a model without a gap would seem to lack, from the measuring noise."""
     logged = fitter.logged
     point = fitter.at(fitted.model, fitted.u, comparing(logged), fitted.track.course)
     linear = slopes_of(point.drive, point.acting, point.track, logged.lanes, logged.sampling)
     noise = float(logged.noise) * np.sqrt(float(fitted.track.size))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
-    told = np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
-    every = np.asarray(logged.lanes.counts)
-    counts = _counting(every, point.track, logged.sampling.rate)
+    return np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
+
+
+def force_floor(fitter: Fitter, fitted: Fitted) -> float:
+    """Root mean square (N) of that force where the table slides."""
+    told = force_noise(fitter, fitted)
+    counts = _counting(np.asarray(fitter.logged.lanes.counts), fitted.track, fitter.logged.sampling.rate)
     return float(np.sqrt(np.sum(told**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))

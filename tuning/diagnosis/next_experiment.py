@@ -1,10 +1,13 @@
-"""Which motion would decide between the causes that the logs leave open.
+"""Which motion would decide between the causes that the logs leave open, or show more of what none explains.
 
 Each motion that the axis can do is simulated with the surest cause and then read by the model of its rival, the
 rival's own parameters free to make the best of it: what is left is what the motion would tell (T-optimality: Atkinson
-and Fedorov 1975).
+and Fedorov 1975). Where no effect explains the gap, there are no two models to tell apart: the motion is one that
+dwells where the gap lies.
 """
 
+import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,21 +15,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from diffdrive import motion as motions
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
-from diffdrive.motion import Motion
+from diffdrive.errors import MotionError
+from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import as_arrays
 from diffdrive.simulate import Inputs, inputs_of, rollout
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.model import Logged, Member, Model, thinned
-from tuning.next_motion import candidates
+from tuning.diagnosis.where import SIGNIFICANT, Region
+from tuning.next_motion import ACCELERATION, candidates
 from tuning.prediction import Lanes
 
-STEPS = 3  # of the rival's fit
+STEPS, MORE = 3, 12  # of the rival's fit: to choose a motion, and before it is believed
 ENOUGH = 12.0  # of cost between them
-MOTIONS = 4  # that are tried
+LASTS = 10.0  # s, that strokes are repeated for
+TURNS = 5.0  # Hz, of a sine that is to turn often
+SLOW, PAUSE = 5.0, 0.5  # s for a slow stroke, and between strokes that stop often
+UNITS = {
+    "amplitude": "m", "travel": "m", "distance": "m", "start": "m", "speed": "m/s", "speeds": "m/s",
+    "acceleration": "m/s^2", "dwell": "s", "duration": "s", "frequency": "Hz",
+}  # fmt: skip
+ELSEWHERE = ("subsystem", "signal")  # regions that are no part of a motion
+PLACES = (0.05, 0.9)  # of the travel that was logged: where strokes begin, and how long they are
 
 
 class Experiment(NamedTuple):
@@ -42,41 +56,156 @@ _rollout = eqx.filter_jit(rollout)
 
 
 def next_experiment(found: Diagnosis, description: DriveDescription) -> Experiment:
-    """The motion that tells the surest cause from its nearest rival best."""
-    beliefs = found.verdict.beliefs
+    """The motion that tells a cause that was found from its nearest rival best, or that shows more of the gap."""
+    verdict = found.verdict
+    causes = [one for one in verdict.beliefs if one.found]
     if found.lacks:
         return Experiment("", [], 0.0, f"log {found.lacks[0].motion}")
-    if not beliefs or found.verdict.verdict == "none":
+    if verdict.verdict == "none":
         return Experiment("", [], 0.0, "nothing is left to decide")
-    first = beliefs[0]
-    rivals = [one for one in beliefs if one.round == first.round and one.effect in first.alternatives]
-    if not rivals:
-        return Experiment("", [first.effect], 0.0, "these logs leave no rival: no further motion is needed")
-    rival = rivals[0]
+    if verdict.verdict == "unknown" and not causes and verdict.unexplained == 0.0:
+        return Experiment("", [], 0.0, f"measure that parameter by itself, no motion is proposed: {verdict.says}")
+    if verdict.verdict == "unknown":
+        return _exciting(found, description)
+    pairs = [
+        (cause, one)
+        for cause in causes
+        for one in verdict.beliefs
+        if one.round == cause.round and one.effect in cause.alternatives
+    ]
+    if not pairs:
+        says = "these logs leave no rival: no further motion is needed"
+        return Experiment("", [one.effect for one in causes], 0.0, says)
+    first, rival = pairs[0]
     between = [first.effect, rival.effect]
     if isinstance(description.controller, UnknownController):
         return Experiment("", between, 0.0, "no motion can be tried: the drive file names no controller to simulate")
-    motions = candidates(description.drive, description.limits, description.sampling.rate)
-    best = ("", 0.0)
-    for name, motion in list(motions.items())[-MOTIONS:]:
-        told = _told(first.fitted, rival.fitted, description, inputs_of(motion, np.zeros(len(motion.time))))
-        if told > best[1]:
-            best = (name, told)
-    if best[1] < ENOUGH:
-        says = f"none of the motions tried would tell {between[0]} from {between[1]}: a second sensor would"
-        return Experiment("", between, best[1], says)
-    says = f"{best[0]} would tell {between[0]} from {between[1]} (by {best[1]:.0f} in -2 log likelihood)"
-    return Experiment(best[0], between, best[1], says)
+    tried = candidates(description.drive, description.limits, description.sampling.rate)
+
+    def tells_of(name: str, steps: int) -> float:
+        inputs = inputs_of(tried[name], np.zeros(len(tried[name].time)))
+        return _told(first.fitted, rival.fitted, description, inputs, steps)
+
+    best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
+    if tells < ENOUGH:
+        says = (
+            f"none of the {len(tried)} motions tried would tell {between[0]} from {between[1]} "
+            f"(the best by {tells:.0f} in -2 log likelihood, {ENOUGH:.0f} being enough)"
+        )
+        return Experiment("", between, tells, says)
+    says = f"{best} would tell {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)"
+    return Experiment(best, between, tells, says)
+
+
+def _surest(told: dict[str, float], again: Callable[[str], float]) -> tuple[str, float]:
+    """The motion that tells most once it was looked at `again`: a rival's short fit may have stopped on its way."""
+    looked: dict[str, float] = {}
+    while told:
+        name = max(told, key=lambda one: looked.get(one, told[one]))
+        if name in looked:
+            return name, looked[name]
+        looked[name] = min(told[name], again(name))
+    return "", 0.0
 
 
 def reference(offer: Experiment, description: DriveDescription) -> Motion | None:
     """The motion that was offered; None where none was."""
     if not offer.motion:
         return None
-    return candidates(description.drive, description.limits, description.sampling.rate)[offer.motion]
+    rate = description.sampling.rate
+    known = candidates(description.drive, description.limits, rate)
+    return known[offer.motion] if offer.motion in known else _built(offer.motion, rate)
 
 
-def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: Inputs) -> float:
+def _written(kind: str, **settings: float | list[float]) -> str:
+    """A motion as text."""
+    texts = {key: ";".join(f"{one:.6g}" for one in np.atleast_1d(value)) for key, value in settings.items()}
+    return f"{kind}:" + ",".join(f"{key}={value}{UNITS.get(key, '')}" for key, value in texts.items())
+
+
+def _built(text: str, rate: float) -> Motion:
+    """The motion from such a text."""
+    kind, _, rest = text.partition(":")
+    settings = dict(item.split("=") for item in rest.split(","))
+    values = {
+        key: [float(one) for one in value.removesuffix(UNITS.get(key, "")).split(";")]
+        for key, value in settings.items()
+    }
+    given = {key: value if key == "speeds" else value[0] for key, value in values.items()}
+    return getattr(motions, kind)(**given, rate=rate)
+
+
+class _Axis(NamedTuple):
+    """What the logs went through, and what a motion may do there."""
+
+    start: float  # m
+    travel: float  # m
+    speed: float  # m/s
+    acceleration: float  # m/s^2
+
+
+def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
+    """The motion that dwells where the recalibrated drive's gap lies."""
+    limits = description.limits
+    counted = np.asarray(found.logged.lanes.counts) > 0
+    position = np.asarray(found.logged.lanes.position)[counted]
+    speed = np.percentile(np.abs(np.asarray(found.gap.course.velocity)[counted]), 95)
+    at = _Axis(
+        float(position.min() + PLACES[0] * np.ptp(position)),
+        float(PLACES[1] * np.ptp(position)),
+        min(float(speed), 0.8 * limits.speed),
+        min(ACCELERATION, 0.8 * limits.acceleration),
+    )
+    telling = [one for one in found.where if one.p_value < SIGNIFICANT and one.dimension not in ELSEWHERE]
+    text, does = _dwelling(telling[0] if telling else None, at)
+    lies = (
+        f"of what the recalibrated drive lacks, {telling[0].says}" if telling else "the gap lies nowhere in particular"
+    )
+    try:
+        require_within(_built(text, description.sampling.rate), limits)
+    except MotionError as problem:
+        return Experiment("", [], 0.0, f"{lies}; no motion is proposed: {problem}")
+    return Experiment(text, [], 0.0, f"{lies}: log {text}, which {does}")
+
+
+def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:
+    """A motion that has much of a region, and what it does there."""
+    name = "" if region is None else region.region
+    if region is None or region.dimension == "frequency" or name == "cruise" or name.startswith("period"):
+        speeds, travel = [share * at.speed for share in (0.2, 0.5, 1.0)], min(at.travel, 0.4 * SLOW * at.speed)
+        text = _written("staircase", speeds=speeds, travel=travel, acceleration=at.acceleration, start=at.start)
+        does = "cruises at three speeds: what is locked to time keeps its frequency, what is locked to place its period"
+        return text, does
+    if name in ("reversal", "acceleration"):
+        swing = 2.0 * np.pi * TURNS
+        amplitude = min(0.5 * at.travel, at.speed / swing, at.acceleration / swing**2)
+        text = _written("sine", amplitude=amplitude, frequency=TURNS, duration=LASTS, start=at.start)
+        return text, f"turns {2 * TURNS:.0f} times a second and accelerates in between"
+    if name in ("rest", "start and stop"):
+        return _strokes(at, at.speed, 0.2 * at.travel, PAUSE), "starts and stops often, and rests in between"
+    if region.dimension == "position":
+        return _strokes(at, min(at.speed, at.travel / SLOW), at.travel), "passes slowly over the travel"
+    if region.dimension == "speed":
+        low, high = (1e-3 * float(one) for one in re.findall(r"[\d.]+(?:e[-+]\d+)?", name))
+        speed = 0.5 * (low + high)
+        return _strokes(at, speed, min(at.travel, SLOW * speed)), "stays at such a speed"
+    if region.dimension == "load":
+        return _strokes(at, at.speed, at.travel), "is to be run under such a load and under another"
+    if region.dimension == "direction":
+        return _strokes(at, at.speed, at.travel), "runs the same strokes in both directions"
+    return _strokes(at, at.speed, at.travel), "repeats one stroke, and so tells what comes once from what comes again"
+
+
+def _strokes(at: _Axis, speed: float, distance: float, dwell: float = 0.1) -> str:
+    """Strokes there and back, for `LASTS` s or once."""
+    once = 2.0 * (distance / speed + speed / at.acceleration + dwell)
+    return _written(
+        "trapezoidal", distance=distance, speed=speed, acceleration=at.acceleration, dwell=dwell,
+        repeats=max(1, round(LASTS / once)), start=at.start,
+    )  # fmt: skip
+
+
+def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: Inputs, steps: int) -> float:
     """By how much a log of this motion would speak for the truth and against the rival."""
     logged = truth.model.logged
     frame = _rollout(*as_arrays((drive_of(truth, 0), description.controller)), inputs, logged.control)
@@ -85,14 +214,14 @@ def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: I
     flat = jnp.zeros_like(position)
     signals = (position, frame.command, flat, flat, jnp.ones_like(position))
     lanes = thinned(Lanes(*(one[None] for one in signals), velocity=jnp.zeros(1)), logged.thinning)
-    fitter = Fitter(logged._replace(lanes=lanes, owner=(0,)))
+    fitter = Fitter(logged._replace(lanes=lanes, owner=(0,), starts=jnp.zeros(1)))
     flat = jnp.zeros(lanes.position.shape[1])
     costs = []
     for one in (truth, rival):
         model, u = _alone(one, fitter.logged)
         course = jax.tree.map(lambda _: flat[None], one.track.course)._replace(position=lanes.position)
         start = fitter.at(model, u, truth.process, course)
-        costs.append(fitter.fit(model, u, truth.process, start.track.course, STEPS).cost)
+        costs.append(fitter.fit(model, u, truth.process, start.track.course, steps).cost)
     return costs[1] - costs[0]
 
 

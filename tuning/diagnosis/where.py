@@ -1,29 +1,36 @@
 """Where the gap lies: shares of its energy by phase of motion, direction, speed, place, frequency, load and time.
 
 A share means nothing by itself: a third of the energy in a third of the time is what chance would give. Each is held
-against what it is when the same energy, in the order in which it came, is laid elsewhere over the motion (shifted round
-and round the log): the p-value is how often chance does as well. Lines in time and in position are held against the
-median of their neighbourhood, and paid for by how many places were looked at.
+against what it is when the same energy, in pieces of a quarter of a second, is laid elsewhere over the motion: the
+p-value is how often chance does as well. Frequency bands are held against the spectrum that the measuring noise makes,
+lines against the median of their neighbourhood, paid for by how many bins were looked at. Of so many regions some would
+stand out by chance: every p-value is raised for that (Benjamini and Hochberg 1995).
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage
+import scipy.signal
+import scipy.stats
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
+from tuning.diagnosis.following import LASTING
 from tuning.diagnosis.gap import ForceGap
-from tuning.diagnosis.lines import Line, lines_in_position, lines_in_time
+from tuning.diagnosis.lines import Standing, lines_in_position, lines_in_time, told_apart
 from tuning.prediction import Lanes
 
-SHIFTS = 400  # of the energy against the motion
+LAID = 4000  # times that the energy is laid elsewhere: a single region must stand out from some forty
+PIECE, CELL = 0.25, 5e-3  # s: what is laid together, and what is told apart within it
 SLOWEST = 2e-4  # m/s, below which the table is at rest
 SETTLING = 0.05  # s about a change of direction that count as the reversal
 STEADY = 0.15  # of the largest acceleration, below which a motion is a cruise
 PLACES, TIMES, SPEEDS = 6, 6, 4
 BANDS = (0.0, 2.0, 10.0, 30.0, 100.0)  # Hz; above, the force is the measuring noise
+FAINT = 0.01  # of the gap: a line or a band with less is not worth telling, sure as it may be
 SIGNIFICANT = 0.05
 
 Labels = Bool[np.ndarray, "lanes n"]
@@ -35,8 +42,8 @@ class Region(NamedTuple):
     dimension: str
     region: str
     share: float
-    expected: float  # share of the time
-    p_value: float
+    expected: float  # share of the time; of the noise, for a band of frequencies; 0 for a line
+    p_value: float  # that chance does as well in any of the regions looked at
     says: str
 
 
@@ -78,41 +85,82 @@ def phases(motion: Motion, rate: float) -> dict[str, Labels]:
     }
 
 
-class _Shares:
-    """Shares of the energy beyond the floor, and of the energy laid elsewhere."""
+def ranked(regions: Sequence[Region], unlisted: int = 0) -> list[Region]:
+    """The regions with p-values paid for by how many were looked at, `unlisted` ones besides these.
 
-    def __init__(self, gap: ForceGap, every: Float[np.ndarray, "lanes n"], seed: int) -> None:
-        self.counted = every > 0
-        self.energy = gap.surprise[self.counted]
-        offsets = np.random.default_rng(seed).integers(1, len(self.energy), SHIFTS)
-        self.shifted = [np.roll(self.energy, offset) for offset in offsets]
+    Significant ones first, and among these those with most of the gap beyond what was expected. To be called once, with
+    every region and p-values that nothing was paid for yet.
+    """
+    if not regions:
+        return []
+    each = np.array([one.p_value for one in regions])
+    paid = scipy.stats.false_discovery_control(np.r_[each, np.ones(unlisted)])[: len(regions)]
+    found = [one._replace(p_value=float(p)) for one, p in zip(regions, paid, strict=True)]
+    return sorted(found, key=lambda one: (one.p_value >= SIGNIFICANT, one.expected - one.share))
 
-    def region(self, dimension: str, name: str, inside: Labels, says: Callable[[float, float], str]) -> Region | None:
-        """The share of a region, if it is one: neither nothing nor everything."""
-        here = inside[self.counted]
-        expected = float(here.mean())
-        if not 0.005 < expected < 0.995:
-            return None
-        total = max(float(self.energy.sum()), 1e-300)
-        share = float(self.energy[here].sum()) / total
-        chance = np.array([one[here].sum() for one in self.shifted]) / total
-        p = float((1 + np.sum(chance >= share)) / (1 + SHIFTS))
-        return Region(dimension, name, share, expected, p, says(share, expected))
+
+class _Asked(NamedTuple):
+    """A region that is looked at; `says` is where, in words."""
+
+    dimension: str
+    region: str
+    inside: Labels
+    says: str
+
+
+def _shares(
+    gap: ForceGap, every: Float[np.ndarray, "lanes n"], asked: list[_Asked], rate: float, seed: int
+) -> list[Region]:
+    """The regions that are neither nothing nor everything; each p-value is how often chance does as well there."""
+    counted = every > 0
+    asked = [one for one in asked if 0.005 < one.inside[counted].mean() < 0.995]
+    energy = gap.surprise[counted]
+    if not asked or not energy.sum() > 0.0:
+        return []
+    starts = np.arange(0, len(energy), max(1, round(CELL * rate)))
+    lengths = np.diff(np.r_[starts, len(energy)])
+    cells = np.add.reduceat(energy, starts) / energy.sum()
+    inside = np.array([np.add.reduceat(one.inside[counted].astype(float), starts) / lengths for one in asked])
+    observed, as_well = inside @ cells, np.zeros(len(asked))
+    piece = np.arange(len(cells)) // max(1, round(PIECE / CELL))
+    room = np.random.default_rng(seed)
+    for _ in range(LAID):
+        order = np.argsort(room.random(piece[-1] + 1)[piece], kind="stable")
+        as_well += inside @ np.roll(cells, room.integers(len(cells)))[order] >= observed * (1.0 - 1e-9)
+    found = []
+    for one, chance in zip(asked, (1 + as_well) / (1 + LAID), strict=True):
+        here = one.inside[counted]
+        share, expected = float(energy[here].sum() / energy.sum()), float(here.mean())
+        says = f"{_percent(share)} of the gap lies {one.says}, in {_percent(expected)} of the time"
+        found.append(Region(one.dimension, one.region, share, expected, float(chance), says))
+    return found
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _plainly(what: str) -> Callable[[float, float], str]:
-    return lambda share, expected: f"{_percent(share)} of the gap lies {what}, in {_percent(expected)} of the time"
+def localise(
+    gap: ForceGap,
+    lanes: Lanes,
+    owner: tuple[int, ...],
+    rate: float,
+    seed: int = 0,
+    *,
+    starts: ArrayLike = 0.0,
+    noise: Float[np.ndarray, "lanes n draws"] | None = None,
+    lead: float | None = None,
+    others: Sequence[Region] = (),
+) -> list[Region]:
+    """Every region of every dimension, the most telling first.
 
-
-def localise(gap: ForceGap, lanes: Lanes, owner: tuple[int, ...], rate: float, seed: int = 0) -> list[Region]:
-    """Every region of every dimension, the most telling first."""
+    `starts` (s) is when each lane begins in its log. `noise` (N) is the force that a sound model would seem to lack,
+    from the measuring noise alone: without it no band of frequencies is significant, since the filter colours noise.
+    With `lead` (m), where that of the screw is known, periods are given per turn as well. `others` are regions from
+    elsewhere, their p-values not yet paid for, to be ranked among these.
+    """
     motion, every = motion_of(gap, rate), np.asarray(lanes.counts)
-    shares = _Shares(gap, every, seed)
-    asked: list[tuple[str, str, Labels, str]] = []
+    asked: list[_Asked] = []
     words = {
         "rest": "where the table rests",
         "reversal": "at reversals",
@@ -120,31 +168,30 @@ def localise(gap: ForceGap, lanes: Lanes, owner: tuple[int, ...], rate: float, s
         "acceleration": "where it accelerates or brakes",
         "cruise": "at constant speed",
     }
-    asked += [("phase", name, inside, words[name]) for name, inside in phases(motion, rate).items()]
+    asked += [_Asked("phase", name, inside, words[name]) for name, inside in phases(motion, rate).items()]
     ahead, back = motion.velocity > SLOWEST, motion.velocity < -SLOWEST
-    asked += [("direction", "positive", ahead, "in positive direction")]
-    asked += [("direction", "negative", back, "in negative direction")]
+    asked.append(_Asked("direction", "positive", ahead, "in positive direction"))
+    asked.append(_Asked("direction", "negative", back, "in negative direction"))
     speed = np.abs(motion.velocity)
     asked += _bands("speed", speed, speed > SLOWEST, every, SPEEDS, 1e3, "mm/s", "at speeds of")
     asked += _bands("position", motion.position, every > 0, every, PLACES, 1e3, "mm", "at positions of")
     load = np.asarray(lanes.load)
     if np.ptp(load[every > 0]) > 0.0:
         asked += _bands("load", load, every > 0, every, 3, 1.0, "N", "under loads of")
-    time = np.broadcast_to(np.arange(gap.force.shape[1]) / rate, gap.force.shape)
+    time = np.broadcast_to(np.reshape(starts, (-1, 1)) + np.arange(gap.force.shape[1]) / rate, gap.force.shape)
     for log in sorted(set(owner)):
         mine = np.array([one == log for one in owner])[:, None] & (every > 0)
         if len(set(owner)) > 1:
-            asked.append(("log", f"log {log + 1}", mine, f"in log {log + 1}"))
+            asked.append(_Asked("log", f"log {log + 1}", mine, f"in log {log + 1}"))
         named = f"in log {log + 1} at times of" if len(set(owner)) > 1 else "at times of"
         asked += _bands("time", time, mine, every, TIMES, 1.0, "s", named)
-    found = [shares.region(dimension, name, inside, _plainly(what)) for dimension, name, inside, what in asked]
-    regions = [one for one in found if one is not None]
-    regions += _frequencies(gap, rate)
-    regions += [_line(one) for one in lines_in_time(gap.force, rate) if one.p_value < SIGNIFICANT]
-    for one in lines_in_position(gap.force, motion.position, gap.counts):
-        if one.p_value < SIGNIFICANT:
-            regions.append(_line(one))
-    return sorted(regions, key=lambda one: (one.p_value > SIGNIFICANT, -(one.share - one.expected)))
+    regions = [*others, *_shares(gap, every, asked, rate, seed)]
+    bands = _frequencies(gap, rate, noise)
+    lines = [*lines_in_time(gap.force, rate), *lines_in_position(gap.force, motion.position, gap.counts)]
+    clear = [one for one in lines if one.p_value < SIGNIFICANT]
+    apart = told_apart(clear, gap.force, motion.position, motion.velocity, gap.counts, rate)
+    told = [one for one in (*bands, *(_line(one, lead) for one in apart)) if one.share > FAINT]
+    return ranked([*regions, *told], len(bands) + len(lines) - len(told))
 
 
 def _bands(
@@ -156,7 +203,7 @@ def _bands(
     scale: float,
     unit: str,
     what: str,
-) -> list[tuple[str, str, Labels, str]]:
+) -> list[_Asked]:
     """Bands with equal shares of the time."""
     inside = where & (counts > 0)
     if not inside.any():
@@ -167,37 +214,64 @@ def _bands(
         last = high == edges[-1]
         name = f"{scale * low:.3g} to {scale * high:.3g} {unit}"
         here = inside & (signal >= low) & ((signal <= high) if last else (signal < high))
-        found.append((dimension, name, here, f"{what} {name}"))
+        found.append(_Asked(dimension, name, here, f"{what} {name}"))
     return found
 
 
-def _frequencies(gap: ForceGap, rate: float) -> list[Region]:
-    """Shares of frequency bands; expected is the share that the floor, a filtered white noise, has there."""
-    power = np.sum(np.abs(np.fft.rfft(gap.force, axis=1)) ** 2, axis=0)
-    noise = np.random.default_rng(0).standard_normal(gap.force.shape) * gap.counts
-    fade = np.exp(-1.0 / (0.02 * rate))
-    floor = np.sum(np.abs(np.fft.rfft(noise, axis=1)) ** 2, axis=0)
+def _frequencies(gap: ForceGap, rate: float, noise: Float[np.ndarray, "lanes n draws"] | None) -> list[Region]:
+    """Shares of frequency bands; expected is the share that the noise has there.
+
+    Where the noise is not given, white innovations stand for it, and nothing is significant.
+    """
+    known = noise is not None
+    if noise is None:
+        white = np.random.default_rng(0).standard_normal(gap.force.shape)
+        noise = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / (LASTING * rate))], white, axis=1)[..., None]
+    power, floor = (
+        np.sum(np.abs(np.fft.rfft(one * gap.counts[..., None], axis=1)) ** 2, axis=(0, 2))
+        for one in (gap.force[..., None], noise)
+    )
     axis = np.fft.rfftfreq(gap.force.shape[1], 1.0 / rate)
-    floor = floor / np.abs(1.0 - fade * np.exp(-2j * np.pi * axis / rate)) ** 2
     found = []
     for low, high in itertools.pairwise(BANDS):
         inside = (axis >= low) & (axis < high)
         if not inside.any() or low > 0.5 * rate:
             continue
         share, expected = (float(one[inside].sum() / max(one.sum(), 1e-300)) for one in (power, floor))
-        # independent cells of the spectrum: how often would white noise have as much here
-        cells = max(1, int(inside.sum()))
-        ratio = share / max(expected, 1e-9)
-        p = float(np.exp(-cells * (ratio - 1.0 - np.log(ratio)))) if ratio > 1.0 else 1.0
+        # chance makes both the band's power and that of all others; each weighs as many cells as are about equal in it
+        over = share * (1.0 - expected) / max(expected * (1.0 - share), 1e-9)
+        cells = [gap.counts.sum() / gap.counts.shape[1] * _alike(floor[one]) for one in (inside, ~inside)]
+        p = float(scipy.stats.f.sf(over, 2.0 * cells[0], 2.0 * cells[1])) if known else 1.0
         name = f"{low:g} to {min(high, 0.5 * rate):g} Hz"
-        found.append(Region("frequency", name, share, expected, p, f"{_percent(share)} of the gap lies at {name}"))
+        says = f"{_percent(share)} of the gap lies at {name}"
+        says += f", where the noise has {_percent(expected)}" if known else ""
+        found.append(Region("frequency", name, share, expected, p, says))
     return found
 
 
-def _line(line: Line) -> Region:
-    if line.dimension == "frequency":
-        says = f"a line at {line.value:.4g} Hz, locked to time, with {_percent(line.share)} of the gap"
-        return Region("frequency", f"line at {line.value:.4g} Hz", line.share, 0.0, line.p_value, says)
-    millimetres = 1e3 * line.value
-    says = f"a ripple every {millimetres:.4g} mm of travel, locked to position, with {_percent(line.share)} of the gap"
-    return Region("position", f"period of {millimetres:.4g} mm", line.share, 0.0, line.p_value, says)
+def _alike(power: Float[np.ndarray, " n"]) -> float:
+    """As many equal cells would scatter as much as these: Satterthwaite's degrees of freedom."""
+    return float(np.sum(power) ** 2 / max(np.sum(power**2), 1e-300))
+
+
+def _line(standing: Standing, lead: float | None) -> Region:
+    """A line in words: locked to time or to position only where the motion tells which."""
+    line, rival = standing
+    in_time = line.dimension == "frequency"
+    name = f"line at {line.value:.4g} Hz" if in_time else f"period of {1e3 * line.value:.4g} mm"
+    if rival is None:
+        locked = "locked to time" if in_time else "locked to position"
+    else:
+        speed = line.value * rival.value
+        locked = (
+            f"which cannot be told from {_wave(rival.value, not in_time, lead)} at one speed ({1e3 * speed:.3g} mm/s)"
+        )
+    says = f"{_wave(line.value, in_time, lead)}, {locked}, with {_percent(line.share)} of the gap"
+    return Region(line.dimension, name, line.share, 0.0, line.p_value, says)
+
+
+def _wave(value: float, in_time: bool, lead: float | None) -> str:
+    if in_time:
+        return f"a line at {value:.4g} Hz"
+    turns = "" if lead is None else f" ({lead / value:.3g} to a turn of the screw)"
+    return f"a ripple every {1e3 * value:.4g} mm of travel{turns}"

@@ -1,0 +1,238 @@
+"""Where a gap lies: shares of lines, what they are locked to, and how often chance alone is told as significant."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+from sound_log import DRIVE, RATE
+
+from diffdrive.logs import Log
+from tuning.diagnosis.candidates import Setting, candidates, setting
+from tuning.diagnosis.coverage import shortcomings
+from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.following import LASTING, Course
+from tuning.diagnosis.gap import ForceGap
+from tuning.diagnosis.lines import lines_in_position, lines_in_time, looked_for, told_apart
+from tuning.diagnosis.where import FAINT, SIGNIFICANT, Region, localise, ranked
+from tuning.prediction import Lanes
+
+PITCH = 1.25e-3  # m
+SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0)
+
+
+def triangle(time, speed, stroke):
+    """Position (m) to and fro at one speed."""
+    return stroke * (0.5 + 0.5 * scipy.signal.sawtooth(np.pi * speed / stroke * time, 0.5))
+
+
+def located(force, position, **more):
+    """The regions of a force (N) along a position (m), with everything counted."""
+    ones, flat = np.ones((1, len(force))), np.zeros((1, len(force)))
+    velocity = np.gradient(position)[None] * RATE
+    gap = ForceGap(force[None], Course(position[None], velocity, flat, flat), force[None] ** 2, ones)
+    lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
+    return localise(gap, lanes, (0,), RATE, **more)
+
+
+def standing(force, position):
+    """The lines of a force that stand for themselves and are worth telling."""
+    force, position = force[None], position[None]
+    counts = np.ones(force.shape)
+    lines = [*lines_in_time(force, RATE), *lines_in_position(force, position, counts)]
+    lines = [one for one in lines if one.p_value < SIGNIFICANT]
+    found = told_apart(lines, force, position, np.gradient(position, axis=1) * RATE, counts, RATE)
+    return [one for one in found if one.line.share > FAINT]
+
+
+@pytest.mark.parametrize("seconds", [3.0, 10.0, 30.0])
+@pytest.mark.parametrize(("noise", "share"), [(0.0, 1.0), (1.0, 2.0 / 3.0), (2.0, 1.0 / 3.0)])
+def test_a_ripple_has_its_share_of_the_energy(seconds, noise, share):
+    time = np.arange(round(seconds * RATE)) / RATE
+    position = triangle(time, 0.031, 0.04)
+    force = 2.0 * np.sin(2 * np.pi * position / PITCH) + noise * np.random.default_rng(3).standard_normal(len(time))
+    line = lines_in_position(force[None], position[None], np.ones((1, len(time))))[0]
+    assert line.value == pytest.approx(PITCH, rel=0.02)
+    assert line.share == pytest.approx(share, rel=0.15)
+
+
+def test_a_ripple_that_part_of_the_log_sees_has_a_part_of_the_energy():
+    time = np.arange(20_000) / RATE
+    position = triangle(time, 0.02, 0.03)
+    ripple, other = np.sin(2 * np.pi * position / PITCH), np.sin(2 * np.pi * 83.0 * time)
+    line = lines_in_position((ripple + other)[None], position[None], np.ones((1, len(time))))[0]
+    assert line.share == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_ripple_at_two_speeds_is_locked_to_position_alone():
+    time = np.arange(16_000) / RATE
+    slow = time < 6.0
+    position = np.where(slow, 0.01 * time, 0.06 + 0.03 * (time - 6.0))
+    noise = 0.3 * np.random.default_rng(1).standard_normal(len(time))
+    found = standing(2.0 * np.sin(2 * np.pi * position / PITCH) + noise, position)
+    assert [one.line.dimension for one in found] == ["position"]
+    assert found[0].line.value == pytest.approx(PITCH, rel=0.01)
+    assert found[0].rival is None
+    assert found[0].line.share == pytest.approx(0.96, abs=0.02)
+
+
+def test_a_vibration_at_two_speeds_is_locked_to_time_alone():
+    time = np.arange(16_000) / RATE
+    position = np.where(time < 6.0, 0.01 * time, 0.06 + 0.03 * (time - 6.0))
+    noise = 0.3 * np.random.default_rng(1).standard_normal(len(time))
+    force = 2.0 * np.sin(2 * np.pi * 8.0 * time) + noise
+    counts = np.ones((1, len(time)))
+    in_place = [one for one in lines_in_position(force[None], position[None], counts) if one.p_value < SIGNIFICANT]
+    assert in_place  # which is why it must be decided
+    found = standing(force, position)
+    assert [one.line.dimension for one in found] == ["frequency"]
+    assert found[0].line.value == pytest.approx(8.0, abs=0.05)
+    assert found[0].rival is None
+
+
+def test_a_ripple_and_a_vibration_at_once_are_both_told():
+    time = np.arange(16_000) / RATE
+    position = np.where(time < 6.0, 0.01 * time, 0.06 + 0.03 * (time - 6.0))
+    found = standing(np.sin(2 * np.pi * 13.0 * time) + 1.5 * np.sin(2 * np.pi * position / PITCH), position)
+    assert [one.line.dimension for one in found[:2]] == ["position", "frequency"]
+    assert all(one.rival is None for one in found[:2])
+
+
+def test_a_ripple_that_the_filter_sees_late_is_still_locked_to_position():
+    time = np.arange(16_000) / RATE
+    position = 0.02 * np.sin(3.0 * time) + 0.003 * np.sin(11.0 * time)
+    late = position - 4e-3 * np.gradient(position) * RATE
+    noise = 0.3 * np.random.default_rng(1).standard_normal(len(time))
+    found = standing(2.0 * np.sin(2 * np.pi * late / PITCH) + noise, position)
+    assert found[0].line.dimension == "position"
+    assert found[0].line.share > 0.9
+
+
+@pytest.mark.parametrize("truth", ["ripple", "vibration"])
+def test_at_one_speed_a_ripple_cannot_be_told_from_a_vibration(truth):
+    time = np.arange(16_000) / RATE
+    position = 0.01 * time
+    angle = 2 * np.pi * (position / PITCH if truth == "ripple" else 8.0 * time)
+    force = 2.0 * np.sin(angle) + 0.3 * np.random.default_rng(1).standard_normal(len(time))
+    told = [one for one in located(force, position) if "told from" in one.says]
+    assert len(told) == 1
+    assert "at one speed (10 mm/s)" in told[0].says
+    assert "locked" not in told[0].says
+
+
+def test_periods_are_told_per_turn_where_the_lead_is_known():
+    time = np.arange(16_000) / RATE
+    position = 0.02 * np.sin(3.0 * time) + 0.003 * np.sin(11.0 * time)
+    force = 2.0 * np.sin(2 * np.pi * position / PITCH) + np.random.default_rng(1).standard_normal(len(time))
+    known, unknown = (located(force, position, **more)[0] for more in ({"lead": 5e-3}, {}))
+    assert known.region == unknown.region == "period of 1.25 mm"
+    assert "locked to position" in known.says
+    assert "(4 to a turn of the screw)" in known.says
+    assert "turn" not in unknown.says
+
+
+def coloured(seed, count):
+    """White innovations, lasting as the missing force does."""
+    fade = np.exp(-1.0 / (LASTING * RATE))
+    return scipy.signal.lfilter([1.0], [1.0, -fade], np.random.default_rng(seed).standard_normal(count))
+
+
+def test_in_noise_hardly_any_region_is_significant():
+    time = np.arange(10_000) / RATE
+    position = 0.02 * np.sin(3.0 * time) + 0.003 * np.sin(11.0 * time)
+    noise = np.stack([coloured(100 + k, len(time)) for k in range(2)], axis=1)[None]
+    alarms = 0
+    for seed in range(16):
+        force = coloured(seed, len(time))
+        white = np.random.default_rng(seed).standard_normal((1, len(time))) ** 2
+        flat, ones = np.zeros((1, len(time))), np.ones((1, len(time)))
+        gap = ForceGap(force[None], Course(position[None], np.gradient(position)[None] * RATE, flat, flat), white, ones)
+        lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
+        alarms += any(one.p_value < SIGNIFICANT for one in localise(gap, lanes, (0,), RATE, noise=noise))
+    assert alarms <= 2
+
+
+def test_a_band_is_held_against_what_the_noise_makes_of_it():
+    time = np.arange(10_000) / RATE
+    position = 0.02 * np.sin(3.0 * time)
+    noise, hum = np.random.default_rng(5).standard_normal((2, 10_000))
+    b, a = scipy.signal.butter(2, [12.0, 25.0], "bandpass", fs=RATE)
+    force = noise + 3.0 * scipy.signal.lfilter(b, a, hum)
+    alone = np.random.default_rng(6).standard_normal((1, 10_000, 2))
+    found = {one.region: one for one in located(force, position, noise=alone) if one.dimension == "frequency"}
+    assert found["10 to 30 Hz"].p_value < 1e-6
+    assert found["30 to 100 Hz"].p_value > 0.05
+    found = {one.region: one for one in located(force, position) if one.dimension == "frequency"}
+    assert found["10 to 30 Hz"].p_value == 1.0
+
+
+def region(share, expected, p_value):
+    return Region("phase", f"{share}", share, expected, p_value, "")
+
+
+def test_regions_are_paid_for_and_the_significant_ones_come_first():
+    many = [region(0.9, 0.1, 0.04), *[region(0.3, 0.3, 0.5)] * 20, region(0.4, 0.3, 1e-5), region(0.6, 0.1, 1e-4)]
+    found = ranked(many)
+    assert [one.share for one in found[:3]] == [0.6, 0.4, 0.9]
+    assert found[0].p_value == pytest.approx(1e-4 * 23 / 2)
+    assert found[2].p_value > SIGNIFICANT
+    assert ranked(many[-1:], unlisted=9)[0].p_value == pytest.approx(1e-3)
+    assert ranked([]) == []
+
+
+def test_regions_from_elsewhere_are_ranked_among_the_others():
+    time = np.arange(6_000) / RATE
+    force = np.random.default_rng(0).standard_normal(len(time))
+    others = [Region("subsystem", "sensor", 0.8, 0.0, 1e-9, ""), Region("signal", "position", 0.9, 0.5, 1.0, "")]
+    found = located(force, 0.02 * np.sin(3.0 * time), others=others)
+    assert found[0].region == "sensor"
+    assert found[0].p_value > 1e-9
+    assert next(one for one in found if one.dimension == "signal").p_value == 1.0
+
+
+def test_times_are_those_of_the_log_where_it_has_a_gap():
+    time = np.arange(4_000) / RATE
+    force = np.random.default_rng(0).standard_normal((2, len(time)))
+    position = np.stack([0.02 * np.sin(3.0 * time)] * 2)
+    flat, ones = np.zeros(force.shape), np.ones(force.shape)
+    gap = ForceGap(force, Course(position, np.gradient(position, axis=1) * RATE, flat, flat), force**2, ones)
+    lanes = Lanes(*(jnp.asarray(one) for one in (position, flat, flat, flat, ones)), velocity=jnp.zeros(2))
+    times = [one.region for one in localise(gap, lanes, (0, 0), RATE, starts=[0.0, 7.0]) if one.dimension == "time"]
+    assert any(one.endswith("9 s") for one in times)
+
+    burst = np.sin(2 * np.pi * 60.0 * time) * np.stack([np.abs(time - 1.0) < 0.05, np.abs(time - 1.0) < 0.5])
+    logged = SimpleNamespace(
+        logs=1, owner=(0, 0), starts=jnp.asarray([0.0, 7.0]), sampling=SimpleNamespace(rate=RATE), lanes=lanes
+    )
+    track = SimpleNamespace(pull=(flat, flat), innovation=flat, lacking=burst)
+    drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
+    candidate = next(one for one in candidates(SETTING) if one.name == "process_force")
+    point = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)[0]
+    assert point["frequency"][0] == pytest.approx(60.0, abs=0.5)
+    assert (point["start"][0], point["end"][0]) == (pytest.approx(7.5, abs=0.2), pytest.approx(8.5, abs=0.2))
+
+
+def saturated(command, limit):
+    """Whether a log with such a command (N) counts as saturated, on a drive with this limit (N)."""
+    drive = dataclasses.replace(DRIVE.drive, actuator=dataclasses.replace(DRIVE.drive.actuator, force_limit=limit))
+    time = np.arange(len(command)) / RATE
+    position = 0.02 * np.sin(3.0 * time)
+    log = Log("log", time=time, position=position, command=command, reference=position, load=np.zeros(len(time)))
+    logged = logged_of(drive, [log])
+    found = shortcomings(logged, setting(logged.drive, logged.lanes, 1.0 / RATE))
+    return any("limit" in one.why for one in found)
+
+
+def test_a_command_at_the_limit_is_saturated_however_large_or_noisy_it_is():
+    time = np.arange(8_000) / RATE
+    room = np.random.default_rng(2)
+    asked = 2_000.0 * np.cos(3.0 * time) + 50.0 * room.standard_normal(len(time))
+    measured = 300.0 * np.sign(np.cos(3.0 * time)) * (1.0 + 0.005 * room.standard_normal(len(time)))
+    assert saturated(asked, 300.0)
+    assert saturated(measured, 300.0)
+    assert saturated(measured, None)
+    assert not saturated(asked, 5_000.0)
+    assert not saturated(asked, None)
+    assert not saturated(measured, 400.0)  # a force that is the same throughout, but within the limit
