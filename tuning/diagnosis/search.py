@@ -31,6 +31,7 @@ PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
+SLIGHTER = 0.12  # the same beside a coupled effect, whose details differ from machine to machine
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
 MOST_EFFECTS = 2
@@ -285,7 +286,8 @@ def explain(
         ended = whole(best)
         found = look(fitter, best, [one for one in catalogue if one.relieves or not ended], progress, whole)
         relieved = bool(found.fits) and strain(best) >= STRAINED > strain(found.fits[0])
-        enough = WORTH if relieved else max(WORTH, SLIGHT * (base.evidence - best.evidence))
+        share = SLIGHTER if best.model.coupled else SLIGHT
+        enough = WORTH if relieved else max(WORTH, share * (base.evidence - best.evidence))
         if ended and not relieved:
             enough = np.inf
         rounds.append(found._replace(enough=enough))
