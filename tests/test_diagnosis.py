@@ -20,7 +20,6 @@ from experiments.diagnose import _write_reference, augmented_drive, diagnose_log
 from experiments.report import Report
 from experiments.withheld.score import score
 from tuning.diagnosis.calibration import NAMES, calibrated
-from tuning.diagnosis.candidates import setting
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import _upheld, diagnose, logged_of, parameters
 from tuning.diagnosis.following import Course
@@ -28,6 +27,7 @@ from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.search import Explanation
+from tuning.diagnosis.setting import setting
 from tuning.diagnosis.where import localise
 from tuning.next_motion import candidates
 

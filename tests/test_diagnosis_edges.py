@@ -12,13 +12,14 @@ from diffdrive.effects.friction import ViscousDrift
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.parameters import Directional, as_arrays
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of, loop_gap
 from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
 from tuning.diagnosis.screening import begin, joined, screen
 from tuning.diagnosis.search import recalibrated, standing
+from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import _probabilities
 
 

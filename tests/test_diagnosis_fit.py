@@ -14,12 +14,13 @@ from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
-from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import LACKING, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import begin, joined, screen
 from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, fit_from, look, recalibrated, standing
+from tuning.diagnosis.setting import setting
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file

@@ -22,12 +22,13 @@ from experiments.diagnose_figures import _ladder
 from experiments.diagnose_page import parameter
 from experiments.report import Report
 from tuning.diagnosis.calibration import NAMES, calibrated
-from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.next_experiment import Experiment
+from tuning.diagnosis.setting import setting
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 UNASKED = Experiment("", [], 0.0, "not asked")

@@ -18,7 +18,7 @@ from diffdrive.plant import PlantState, advance, advance_along
 from experiments.withheld.machine import Faults, Kind, Told, run
 from experiments.withheld.score import read_key
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.candidates import candidates, setting
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of, parameters
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of
@@ -28,6 +28,7 @@ from tuning.diagnosis.registration import registered
 from tuning.diagnosis.screening import joined
 from tuning.diagnosis.search import standing
 from tuning.diagnosis.segments import begin_velocity, segments
+from tuning.diagnosis.setting import setting
 
 PUSHES = Cogging(0.0012, 5.0, 3.0)
 

@@ -15,13 +15,13 @@ from experiments.scenario import parse_motion
 from tuning.diagnosis import next_experiment as module
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates as hypotheses
-from tuning.diagnosis.candidates import setting
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.next_experiment import next_experiment, reference
 from tuning.diagnosis.screening import joined
 from tuning.diagnosis.search import recalibrated
+from tuning.diagnosis.setting import setting
 from tuning.diagnosis.where import Region
 from tuning.next_motion import candidates
 

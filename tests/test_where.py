@@ -10,12 +10,13 @@ import scipy.signal
 from sound_log import DRIVE, RATE
 
 from diffdrive.logs import Log
-from tuning.diagnosis.candidates import Setting, candidates, setting
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.following import LASTING, Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time, looked_for, told_apart
+from tuning.diagnosis.setting import Setting, setting
 from tuning.diagnosis.where import FAINT, SIGNIFICANT, Region, localise, ranked
 from tuning.prediction import Lanes
 

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.candidates import Setting
 from tuning.diagnosis.model import Logged
+from tuning.diagnosis.setting import Setting
 from tuning.diagnosis.where import SLOWEST
 
 SHORTEST = 1.0  # s of motion

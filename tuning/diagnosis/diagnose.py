@@ -20,7 +20,7 @@ from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.candidates import candidates, given, setting
+from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
@@ -29,6 +29,7 @@ from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
+from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.fit import SHORTEST, lanes_of, noise_floor, sampling_of

@@ -21,10 +21,10 @@ from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
-from tuning.diagnosis.candidates import setting
 from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
 from tuning.diagnosis.model import Logged, Model, Vector, counted_in
+from tuning.diagnosis.setting import setting
 from tuning.replay import Given, begun, given
 
 TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
