@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Float
 
 from diffdrive.friction import Decay, bristle_at, decay
 from diffdrive.parameters import Drive, Scalar
@@ -63,15 +64,40 @@ def _substep(
     return lax.optimization_barrier((ahead, 2.0 * ahead.velocity - mean))
 
 
-def advance(drive: Drive, state: PlantState, force: Scalar, load: Scalar, period: float, substeps: int) -> PlantState:
-    """The state one `period` (s) later under a constant `force` (N) and applied `load` (N)."""
+def advance(
+    drive: Drive,
+    state: PlantState,
+    force: Scalar,
+    load: Scalar,
+    period: float,
+    substeps: int,
+    ripple: Float[Array, " substeps"] | None = None,
+) -> PlantState:
+    """The state one `period` (s) later under a constant `force` (N) and applied `load` (N).
+
+    `ripple` (N) is by how much the force of each substep differs from `force`.
+    """
     step = period / substeps
 
-    def body(carry: tuple[PlantState, Scalar], _: None) -> tuple[tuple[PlantState, Scalar], None]:
-        return _substep(drive, *carry, force, load, step), None
+    def body(carry: tuple[PlantState, Scalar], pushed: Any) -> tuple[tuple[PlantState, Scalar], None]:
+        state, slip = carry
+        return _substep(drive, state, *_rippled(drive, slip, force, pushed, step), load, step), None
 
     begin = (state, _first_slip(drive, state, force, load, step))
-    return lax.scan(body, begin, None, length=substeps)[0][0]
+    return lax.scan(body, begin, _course(ripple), length=substeps)[0][0]
+
+
+def _course(ripple: Float[Array, " substeps"] | None) -> Any:
+    """The ripple of each substep, and by how much it differs from that of the one before."""
+    return None if ripple is None else (ripple, jnp.diff(ripple, prepend=0.0))
+
+
+def _rippled(drive: Drive, slip: Scalar, force: Scalar, pushed: Any, step: float) -> tuple[Scalar, Scalar]:
+    """Slip and force of a substep: the slip was extrapolated under the force of the substep before."""
+    if pushed is None:
+        return slip, force
+    ripple, jump = pushed
+    return slip + jump * step / (2.0 * drive.plant.mass), force + ripple
 
 
 def advance_along(
@@ -82,6 +108,7 @@ def advance_along(
     period: float,
     substeps: int,
     directions: Sequence[tuple[PlantState, Scalar]],
+    ripple: Float[Array, " substeps"] | None = None,
 ) -> tuple[PlantState, list[PlantState]]:
     """`advance`, and its derivatives along each of some directions of state and force.
 
@@ -93,14 +120,15 @@ def advance_along(
         value, slope = jax.linearize(function, *at)
         return value, tuple(slope(*one) for one in tangents)
 
-    def body(carry: Any, _: None) -> tuple[Any, None]:
-        at, tangents = carry
+    def body(carry: Any, pushed: Any) -> tuple[Any, None]:
+        (state, slip), tangents = carry
+        at = (state, *_rippled(drive, slip, force, pushed, step))
         ahead = [(*tangent, push) for tangent, (_, push) in zip(tangents, directions, strict=True)]
-        return along(lambda *now: _substep(drive, *now, load, step), (*at, force), ahead), None
+        return along(lambda *now: _substep(drive, *now, load, step), at, ahead), None
 
     slip, slips = along(lambda *now: _first_slip(drive, *now, load, step), (state, force), directions)
     tangents = tuple((tangent, one) for (tangent, _), one in zip(directions, slips, strict=True))
-    ((state, _), tangents), _ = lax.scan(body, ((state, slip), tangents), None, length=substeps)
+    ((state, _), tangents), _ = lax.scan(body, ((state, slip), tangents), _course(ripple), length=substeps)
     return state, [tangent for tangent, _ in tangents]
 
 

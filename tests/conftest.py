@@ -1,9 +1,32 @@
+import os
+import shutil
+import tempfile
+
 import pytest
 from hypothesis import settings
 
 from experiments.runtime import configure
 
 configure()
+
+COMPILED = "JAX_COMPILATION_CACHE_DIR"
+
+
+def pytest_configure(config):
+    """What one process of the tests has compiled, the others need not: most of the tests' time is compilation."""
+    import jax
+
+    if COMPILED not in os.environ:
+        os.environ[COMPILED] = config.compiled = tempfile.mkdtemp(prefix="diffdrive-tests-")
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
+    jax.config.update("jax_compilation_cache_dir", os.environ[COMPILED])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def pytest_unconfigure(config):
+    if hasattr(config, "compiled"):
+        shutil.rmtree(config.compiled, ignore_errors=True)
+
 
 # the first example of a test pays for compilation: no deadline
 settings.register_profile("compiled", deadline=None)

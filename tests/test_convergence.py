@@ -119,19 +119,26 @@ def test_steady_covariance_is_where_the_filter_settles(drive, tuning, speed):
     np.testing.assert_allclose(found / np.outer(size, size), riccati, atol=1e-6)
 
 
-@pytest.mark.parametrize("speed", [0.001, -0.010, 0.040])
-def test_derivative_of_the_gain_by_the_filter_tuning(drive, speed):
-    @jax.jit
-    def gain(log_tuning):
+@pytest.fixture(scope="module")
+def gains(drive):
+    """The gain at a speed as a function of the filter's tuning, and its reverse and forward derivatives."""
+
+    def gain(log_tuning, speed):
         return convergence_gain(observer_of(drive, Tuning(*jnp.exp(log_tuning))), speed, PERIOD)
 
+    return jax.jit(gain), jax.jit(jax.grad(gain)), jax.jit(jax.jacfwd(gain))
+
+
+@pytest.mark.parametrize("speed", [0.001, -0.010, 0.040])
+def test_derivative_of_the_gain_by_the_filter_tuning(gains, speed):
+    gain, reverse, forwards = gains
     at = jnp.log(jnp.array([1e-15, 1e-10, 1e-12, 8.3e-16]))
-    slope = jax.jit(jax.grad(gain))(at)
-    forward = jax.jit(jax.jacfwd(gain))(at)
-    central = [
-        (8 * (gain(at + step) - gain(at - step)) - (gain(at + 2 * step) - gain(at - 2 * step))) / (12 * 1e-2)
-        for step in 1e-2 * np.eye(4)
-    ]
+    slope, forward = reverse(at, speed), forwards(at, speed)
+
+    def change(step):
+        return gain(at + step, speed) - gain(at - step, speed)
+
+    central = [(8 * change(step) - change(2 * step)) / (12 * 1e-2) for step in 1e-2 * np.eye(4)]
     np.testing.assert_allclose(slope, central, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
     np.testing.assert_allclose(slope, forward, rtol=1e-9, atol=1e-12)
 

@@ -23,10 +23,11 @@ from tuning.diagnosis.diagnose import logged_of, parameters
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.inverse import force_error
-from tuning.diagnosis.model import Model
+from tuning.diagnosis.leftover import complete
+from tuning.diagnosis.model import Model, effect_in_lanes, exposed
 from tuning.diagnosis.registration import registered
 from tuning.diagnosis.screening import joined
-from tuning.diagnosis.search import standing
+from tuning.diagnosis.search import recalibrated, standing
 from tuning.diagnosis.segments import begin_velocity, segments
 from tuning.diagnosis.setting import setting
 
@@ -52,6 +53,78 @@ def test_tangents_side_by_side_are_the_derivatives(velocity, force):
     for direction, tangent in zip(directions, tangents, strict=True):
         expected = jax.jvp(one_period, (state, jnp.asarray(force)), direction)[1]
         np.testing.assert_allclose(np.array(tangent), np.array(expected), rtol=1e-10, atol=1e-18)
+
+
+def rippled(velocity, seed=0):
+    """A state, a force, how it ripples in each of five control periods, and what follows under each in turn."""
+    drive = as_arrays(DRIVE.drive)
+    state = PlantState(*(jnp.asarray(one) for one in (0.01, velocity, 1e-7 * np.sign(velocity))))
+    ripple = 15.0 * np.random.default_rng(seed).standard_normal(5)
+    ripple = jnp.asarray(ripple - ripple.mean())
+    exact = state
+    for more in ripple:
+        exact = advance(drive, exact, 20.0 + more, 0.0, 1e-4, 400)
+    return drive, state, ripple, np.array(exact)
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-5, -1e-3, 0.02])
+def test_a_force_that_ripples_is_one_force_after_the_other(velocity):
+    """Of second order in the substep, at rest, in presliding and in sliding; the mean force alone is far from it."""
+    drive, state, ripple, exact = rippled(velocity)
+
+    def off(substeps):
+        found = advance(drive, state, 20.0, 0.0, 5e-4, substeps, jnp.repeat(ripple, substeps // 5))
+        return np.abs(np.array(found) - exact)
+
+    level = np.abs(np.array(advance(drive, state, 20.0, 0.0, 5e-4, 160)) - exact)
+    assert off(10)[1] < 0.15 * level[1]
+    assert np.all(off(160)[:2] < 1e-3 * level[:2])
+    assert np.all(off(80) < 0.3 * off(40) + 1e-17)
+
+
+@pytest.mark.parametrize("velocity", [0.0, 0.02])
+def test_tangents_under_a_ripple_are_the_derivatives(velocity):
+    drive, state, ripple, _ = rippled(velocity)
+    ripple = jnp.repeat(ripple, 2)
+    way = (PlantState(*jnp.asarray([1e-6, 1e-3, 1e-7])), jnp.asarray(1.0))
+
+    def one_period(state, force):
+        return advance(drive, state, force, 0.0, 5e-4, 10, ripple)
+
+    ahead, (tangent,) = advance_along(drive, state, jnp.asarray(20.0), jnp.asarray(0.0), 5e-4, 10, [way], ripple)
+    value, expected = jax.jvp(one_period, (state, jnp.asarray(20.0)), way)
+    np.testing.assert_allclose(np.array(ahead), np.array(value), rtol=1e-14)
+    np.testing.assert_allclose(np.array(tangent), np.array(expected), rtol=1e-10, atol=1e-18)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 1.3, 7.6])
+def test_a_thinned_command_is_held_back_by_control_periods(delay):
+    """What acts over each sample is the mean of what acts over its control periods, each held back by itself."""
+    fast = described(rate=10_000.0)
+    log = logged(fast, two_sines(0.3, 10_000.0))
+    logs = logged_of(fast.drive, [log])
+    effect = effect_in_lanes(LoopDelay, {"delay": np.array([delay / 5])}, logs.owner)
+    acts = exposed(logs, logs.drive, (effect,), standing(logs))
+    time = np.arange(len(log.time))
+    late = np.interp(time - delay, time, log.command).reshape(-1, 5)
+    count = len(late)
+    np.testing.assert_allclose(np.asarray(acts.force)[0, :count], late.mean(axis=1), atol=1e-9)
+    np.testing.assert_allclose(np.asarray(acts.ripple)[0, :count], late - late.mean(axis=1, keepdims=True), atol=1e-9)
+
+
+def test_noise_in_a_fast_loop_does_not_pass_for_a_missing_force():
+    """The command's noise shakes the table and lets its bristle creep, most of all at rest: thinned, it still does."""
+    stiff = described(kp=7.98e6, kd=15_960.0, noise=4e-8, rate=10_000.0)
+    time = np.arange(24_000) / 10_000.0
+    share = np.clip(time - 0.2, 0.0, 1.0) - np.clip(time - 1.4, 0.0, 1.0)  # rest, there, rest, back
+    there_and_back = from_array(time, 0.02 * (share - np.sin(2 * np.pi * share) / (2 * np.pi)))
+    logs = logged_of(stiff.drive, [logged(stiff, there_and_back)])
+    fitter = Fitter(logs)
+    base = recalibrated(fitter, TOLERANCE)
+    assert complete(fitter, base)
+    even = logs._replace(lanes=logs.lanes._replace(asked=None))
+    blind = recalibrated(Fitter(even), TOLERANCE)
+    assert not complete(Fitter(even), blind)
 
 
 @given(st.integers(20, 30_000), st.sampled_from([500.0, 1e3, 2e3, 1e4]))

@@ -36,6 +36,7 @@ class Lanes(NamedTuple):
     load: Float[Array, "lanes n"]  # N
     counts: Float[Array, "lanes n"]
     velocity: Float[Array, " lanes"]  # m/s, at the first sample
+    asked: Float[Array, "lanes n k"] | None = None  # N, the command of each control period where a sample has several
 
     @property
     def lanes(self) -> int:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import chi2
@@ -18,7 +19,7 @@ from diffdrive.effects.catalogue import EFFECTS, PLACES
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, as_arrays
+from diffdrive.parameters import Drive, Sampling, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
@@ -72,12 +73,12 @@ def _rounded(count: int) -> int:
 def _padded(lanes: Lanes) -> Lanes:
     """The lanes with samples that do not count at their ends."""
     more = _rounded(lanes.position.shape[1]) - lanes.position.shape[1]
-    longer = {
-        name: jnp.pad(getattr(lanes, name), ((0, 0), (0, more)), mode="constant" if name == "counts" else "edge")
-        for name in Lanes._fields
-        if name != "velocity"
-    }
-    return Lanes(**longer, velocity=lanes.velocity)
+
+    def longer(signal: Any, mode: str = "edge") -> Any:
+        return jnp.pad(signal, ((0, 0), (0, more), *((0, 0),) * (signal.ndim - 2)), mode=mode)
+
+    padded = jax.tree.map(longer, lanes._replace(velocity=None, counts=None))
+    return padded._replace(velocity=lanes.velocity, counts=longer(lanes.counts, "constant"))
 
 
 def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
@@ -92,7 +93,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     actuator = drive.actuator
     delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0)) / thinning
     noise = jnp.asarray(noise_floor(drive, lanes))
-    sampling = sampling_of(float(round(logs[0].rate / thinning, 6)), SUBSTEP)
+    rate = float(round(logs[0].rate / thinning, 6))
+    sampling = Sampling(rate, thinning * sampling_of(logs[0].rate, SUBSTEP).plant_steps)
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
     return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, starts, thinning)
 

@@ -70,11 +70,10 @@ def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stret
         values = np.asarray(signal)
         return jnp.asarray(np.stack([values[lane, first : first + length] for lane, first in begins]))
 
-    signals = {name: piece(getattr(logged.lanes, name)) for name in Lanes._fields if name != "velocity"}
+    lanes = jax.tree.map(piece, logged.lanes._replace(velocity=None))
     settled = jnp.asarray((np.arange(length) >= lead).astype(float))
-    signals["counts"] = signals["counts"] * settled
-    lanes = Lanes(**signals, velocity=begin_velocity(signals["position"], rate))
-    return Stretches(lanes, Exposure(*map(piece, under)), tuple(logged.owner[lane] for lane, _ in begins))
+    lanes = lanes._replace(counts=lanes.counts * settled, velocity=begin_velocity(lanes.position, rate))
+    return Stretches(lanes, jax.tree.map(piece, under), tuple(logged.owner[lane] for lane, _ in begins))
 
 
 @eqx.filter_jit

@@ -46,6 +46,9 @@ class Exposure(NamedTuple):
     viscous: Float[Array, "lanes n"]  # N s/m
     shift: Float[Array, "lanes n"]  # m, that the force's course within the period adds to the motion
     scale: Float[Array, "lanes n"]  # m
+    ripple: Float[Array, "lanes n k"] | None = (
+        None  # N, in each control period of a sample, of the force about its mean
+    )
 
 
 class Process(NamedTuple):
@@ -115,24 +118,54 @@ def exposure(
     period = sampling.period
 
     def one(lane: Lanes, course: Course, effects: tuple[Effect, ...], start: Scalar) -> Exposure:
-        early = [jnp.minimum(effect.delay, 0.0) for effect in effects if isinstance(effect, LoopDelay)]
-        asked = delayed(limited(drive.actuator, lane.command), jnp.maximum(delay + sum(early), 0.0))
+        effects, asked = _asked(drive, effects, delay, lane)
+        parts = asked.shape[1]
 
-        def step(states: Any, at: tuple[Scalar, ...]) -> tuple[Any, Exposure]:
-            count, position, velocity, bristle, friction, force, pushed, load = at
-            states, (force, tilt) = acting.through(effects, states, force, period)
+        def step(states: Any, at: tuple[Any, ...]) -> tuple[Any, Exposure]:
+            count, position, velocity, bristle, friction, forces, pushed, load = at
+            pushes = []
+            for k in range(parts):
+                states, push = acting.through(effects, states, forces[k], period / parts)
+                pushes.append(push)
+            force = sum(push.mean for push in pushes) / parts
+            ripple = jnp.stack([push.mean - force for push in pushes]) if parts > 1 else None
             seen = Seen(start + count * period, position, velocity, bristle, force + pushed, friction, load)
             states, acts = acting.upon(effects, states, seen, machine, period)
             scale = acting.scale_error(effects, position)
-            shift = acting.displaced(machine, tilt, period)
+            shift = sum(acting.displaced(machine, push.tilt, period / parts) for push in pushes)
             one = (force + pushed + acts.force, acts.coulomb, acts.gap, acts.viscous, shift, scale)
-            return states, Exposure(*(value + 0.0 * force for value in one))
+            return states, Exposure(*(value + 0.0 * force for value in one), ripple)
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
         signals = (count, *course, asked, lane.disturbance, lane.load)
-        return lax.scan(step, acting.at_rest(effects, asked[0]), signals)[1]
+        return lax.scan(step, acting.at_rest(effects, asked[0, 0]), signals)[1]
 
     return lax.map(lambda each: one(*each), (lanes, course, effects, starts))
+
+
+def _asked(
+    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes
+) -> tuple[tuple[Effect, ...], Float[Array, "n k"]]:
+    """The force asked of the actuator in each control period of each sample, and the effects that it has yet to meet.
+
+    Where a sample has several control periods its delays, which are counted in samples, hold the command back here.
+    """
+    late = [effect for effect in effects if isinstance(effect, LoopDelay)]
+    if lane.asked is None:
+        early = sum(jnp.minimum(effect.delay, 0.0) for effect in late)
+        return effects, delayed(limited(drive.actuator, lane.command), jnp.maximum(delay + early, 0.0))[:, None]
+    count, parts = lane.asked.shape
+    whole = jnp.maximum(delay + sum(effect.delay for effect in late), 0.0) * parts
+    force = _held_back(limited(drive.actuator, lane.asked.reshape(-1)), whole)
+    return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
+
+
+def _held_back(force: Float[Array, " n"], periods: Scalar) -> Float[Array, " n"]:
+    """The force that many periods later, linear between samples."""
+    whole = lax.stop_gradient(jnp.floor(periods))
+    before = jnp.arange(len(force)) - whole.astype(int)
+    later, sooner = (force[jnp.clip(one, 0, len(force) - 1)] for one in (before, before - 1))
+    return later + (periods - whole) * (sooner - later)
 
 
 def _begun(
@@ -215,7 +248,8 @@ def follow(
             seen = Seen(time, position, velocity, deflection, acts.force, resisting, load)
             effects, more = acting.upon(coupled, effects, seen, machine, sampling.period)
             effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
-            acts = Exposure(*(a + b for a, b in zip(acts, (*more, 0.0, 0.0), strict=True)))
+            both = (a + b for a, b in zip(acts, more, strict=False))
+            acts = Exposure(*both, acts.shift, acts.scale, acts.ripple)
             machine = acting.bent(drive, acts)
 
         one, nil = jnp.ones_like(velocity), jnp.zeros_like(velocity)
@@ -223,7 +257,7 @@ def follow(
         ways.append((plant.PlantState(nil, nil, nil), one))
         table, force = plant.PlantState(nil, velocity, deflection), acts.force + lacking
         step = (sampling.period, sampling.plant_steps)
-        moved, columns = plant.advance_along(machine, table, force, load, *step, ways)
+        moved, columns = plant.advance_along(machine, table, force, load, *step, ways, acts.ripple)
         rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
@@ -239,7 +273,8 @@ def follow(
         def step(carry: Any, at: Any) -> Any:
             return body(carry, (*at, coupled))
 
-        return lax.scan(step, (begin, diagonal(spread), effects), (lane.position, lane.load, acts, time))[1]
+        along = (lane.position, lane.load, acts._replace(ripple=_in_substeps(acts, sampling)), time)
+        return lax.scan(step, (begin, diagonal(spread), effects), along)[1]
 
     def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
         begins = pieces.samples[:, 0]
@@ -248,11 +283,10 @@ def follow(
             states = jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
         else:
             states = _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
-        cut = {name: pieces.cut(getattr(lane, name)) for name in Lanes._fields if name != "velocity"}
-        velocity = begin_velocity(cut["position"], sampling.rate).at[0].set(lane.velocity)
-        found = jax.vmap(segment, (0, 0, 0, 0, None))(
-            Lanes(**cut, velocity=velocity), Exposure(*map(pieces.cut, acts)), time, states, coupled
-        )
+        cut = jax.tree.map(pieces.cut, lane._replace(velocity=None))
+        velocity = begin_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
+        beside = (cut._replace(velocity=velocity), jax.tree.map(pieces.cut, acts), time, states)
+        found = jax.vmap(segment, (0, 0, 0, 0, None))(*beside, coupled)
         return jax.tree.map(pieces.joined, found)
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, course))
@@ -260,6 +294,13 @@ def follow(
     deviance, size = deviance_of(innovation, scatter, lanes.counts)
     course = Course(position, velocity, bristle, friction)
     return Track(course, lacking, doubt, innovation, scatter, pull, deviance, size)
+
+
+def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:
+    """The ripple of each substep of each sample."""
+    if acts.ripple is None:
+        return None
+    return jnp.repeat(acts.ripple, sampling.plant_steps // acts.ripple.shape[-1], axis=-1)
 
 
 def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Scalar, Scalar]:
@@ -272,26 +313,27 @@ def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Scala
 def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: Sampling) -> Slopes:
     """Derivatives of every period, at the track, with respect to the state, the machine, and the exposure."""
 
-    def period(args: Any, load: Scalar) -> Any:
+    def period(args: Any, load: Scalar, ripple: Any) -> Any:
         v, z, machine, force, coulomb, gap, viscous = args
         acts = Exposure(force, coulomb, gap, viscous, jnp.zeros(()), jnp.zeros(()))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
         bent = acting.bent(with_numbers(drive, machine), acts)
-        return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps))
+        return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))
 
     def at(sample: Any) -> Any:
-        v, z, force, coulomb, gap, viscous, load = sample
+        v, z, force, coulomb, gap, viscous, load, ripple = sample
         args = (v, z, numbers(drive), force, coulomb, gap, viscous)
         flat, again = ravel_pytree(args)
-        jac = jax.vmap(lambda d: jax.jvp(lambda a: period(again(a), load), (flat,), (d,))[1], out_axes=1)(
+        jac = jax.vmap(lambda d: jax.jvp(lambda a: period(again(a), load, ripple), (flat,), (d,))[1], out_axes=1)(
             jnp.eye(len(flat))
         )
         return jac
 
     force = under.force + track.lacking
-    samples = (track.course.velocity, track.course.bristle, force, under.coulomb, under.gap, under.viscous, lanes.load)
+    course, ripple = track.course, _in_substeps(under, sampling)
+    samples = (course.velocity, course.bristle, force, under.coulomb, under.gap, under.viscous, lanes.load, ripple)
     shape = track.lacking.shape
-    flat = tuple(one.reshape(-1) for one in samples)
+    flat = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), samples)
     jac = lax.map(at, flat, batch_size=BATCH)
     jac = jac.reshape(*shape, 3, -1)
     return Slopes(jac[..., :2], jac[..., 2:-4], jac[..., -4:])

@@ -49,7 +49,10 @@ class Logged(NamedTuple):
 
 
 def thinned(lanes: Lanes, thinning: int) -> Lanes:
-    """One sample of so many, and the mean of what acted from each to the next."""
+    """One sample of so many, and the mean of what acted from each to the next.
+
+    The command itself is kept beside its mean: noise in the loop shakes the table, and its bristle creeps.
+    """
     if thinning == 1:
         return lanes
     count = lanes.position.shape[1] // thinning
@@ -59,7 +62,8 @@ def thinned(lanes: Lanes, thinning: int) -> Lanes:
 
     forces = {name: blocks(getattr(lanes, name)).mean(axis=2) for name in ("command", "disturbance", "load")}
     counts = blocks(lanes.counts).min(axis=2)
-    return lanes._replace(position=blocks(lanes.position)[:, :, 0], counts=counts, **forces)
+    position, asked = blocks(lanes.position)[:, :, 0], blocks(lanes.command)
+    return lanes._replace(position=position, counts=counts, asked=asked, **forces)
 
 
 def counted_in(effect: Effect, periods: float) -> Effect:
@@ -195,7 +199,7 @@ def exposure_by_machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Ef
     def at(b: Float[Array, " b"]) -> Exposure:
         return _acts(logged, calibrated(logged.drive, b), effects, course)
 
-    return jax.vmap(lambda way: jax.jvp(at, (b,), (way,))[1], out_axes=-1)(jnp.eye(len(b)))
+    return jax.vmap(lambda way: _even(jax.jvp(at, (b,), (way,))[1]), out_axes=-1)(jnp.eye(len(b)))
 
 
 @eqx.filter_jit
@@ -207,7 +211,12 @@ def exposure_slopes(
     def at(effects: tuple[Effect, ...]) -> Exposure:
         return _acts(logged, own, effects, course)
 
-    return jax.vmap(lambda way: jax.jvp(at, (effects,), (way,))[1], out_axes=-1)(tangents)
+    return jax.vmap(lambda way: _even(jax.jvp(at, (effects,), (way,))[1]), out_axes=-1)(tangents)
+
+
+def _even(acts: Exposure) -> Exposure:
+    """Without its ripple: that of a small change moves nothing."""
+    return acts._replace(ripple=None)
 
 
 @eqx.filter_jit

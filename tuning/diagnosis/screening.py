@@ -42,6 +42,7 @@ class Screened(NamedTuple):
     gain: float  # fall of the cost
     evidence: float  # and of -2 log evidence
     values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
+    rest: Vector  # u of all that was free before, moved along
     processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
 
 
@@ -105,7 +106,8 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
         found, labels = _directions(fitted, candidate, values)
         d = np.where(fitted.residual[:, None] != 0.0, found.reshape(samples, -1), 0.0)  # not where the filter was lost
         cross = fitted.jacobian.T @ d
-        schur = d.T @ d - cross.T @ np.linalg.solve(fitted.hessian, cross)
+        making_way = np.linalg.solve(fitted.hessian, cross)
+        schur = d.T @ d - cross.T @ making_way
         slope = d.T @ fitted.residual - cross.T @ left
         prior = np.eye(len(schur)) if labels[0] is not None else np.zeros((1, 1)) + 1e-9
         schur = schur + prior
@@ -120,7 +122,8 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
             for (one, log), value in zip([x for x in labels if x is not None], amount, strict=False):
                 row = values.setdefault(one.name, np.zeros(logged.logs))
                 row[slice(None) if log is None else log] = value * one.spread
-            best = Screened(candidate, gain, evidence, values, fitted.process * TRIED)
+            rest = fitted.u - left - making_way @ amount
+            best = Screened(candidate, gain, evidence, values, rest, fitted.process * TRIED)
     assert best is not None
     return best
 
@@ -146,8 +149,8 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     found.sort(key=lambda one: one[0].cost)
     likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
     there, values = min(likely, key=lambda one: one[0].cost)
-    gain = fitted.cost - there.cost
-    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, processes)
+    gain, rest = fitted.cost - there.cost, there.u[: fitted.u.size]
+    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, processes)
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:

@@ -100,7 +100,7 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
 
 def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
-    """From where screening points, about the parameters of before or about the nominal ones.
+    """From where screening points: the parameters of before moved along, as they were, or as the drive file has them.
 
     A coupled effect is no small change: alone first, everything else held, which costs little.
     """
@@ -108,8 +108,8 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
     own = begin(model, found.values)
     nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
     starts = []
-    for u in (np.r_[before.u, own], np.r_[nominal, own]):
-        there = fitter.at(model, u, before.process, before.track.course)
+    for rest in {tuple(one): one for one in (found.rest, before.u, nominal)}.values():
+        there = fitter.at(model, np.r_[rest, own], before.process, before.track.course)
         there = fitter.with_process(there, model, found.processes)
         if found.candidate.coupled:
             alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
