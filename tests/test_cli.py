@@ -87,14 +87,6 @@ def test_sweep_writes_one_line_per_machine(drive_file, tmp_path):
     assert numbers(out)["machines"] == {"total": 4, "diverged": 0}
 
 
-def test_tune_writes_a_drive_file_that_reads_back(drive_file, tmp_path):
-    out = tmp_path / "out"
-    assert run("tune", drive_file, "--loads", 2, "--starts", 1, "--out", out).exit_code == 0
-    tuned = read_drive(out / "tuned.toml")
-    rows = {row[0]: row for row in numbers(out)["tables"]["gains"]["rows"]}
-    assert float(tuned.controller.tracking.gains.kp) == pytest.approx(rows["kp"][2])
-
-
 def test_an_expected_error_is_one_line_and_code_2(drive_file):
     drive_file.write_text(drive_file.read_text().replace("mass = 100.0", 'mass = "100 mm"'))
     command = [sys.executable, "-c", "from experiments.cli import main; main()", "simulate", str(drive_file)]

@@ -55,12 +55,14 @@ def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
             )
 
 
+ON_THE_LOAD = LIMITS._replace(load_error=np.array([100.0, 100.0]))
+
+
 def test_a_limited_rms_is_foretold_as_the_curve_it_is():
     """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
     every = default_space(controller(), friction=True)
     space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
-    limits = LIMITS._replace(load_error=np.array([100.0, 100.0]))
-    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(limits))
+    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
     gains = Gains(space.free, Objective())
     at, d = linearised(gains, jnp.zeros(2), problem), np.array([0.3, -0.2])
     truth = np.asarray(worth(gains, jnp.asarray(d), problem).kept["load error"])
@@ -75,17 +77,23 @@ def test_a_step_keeps_a_limited_rms_that_its_line_would_break():
     """The program's step stays within the foretold curve, which is convex: every cut lies below it."""
     every = default_space(controller(), friction=True)
     space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
-    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(LIMITS))
+    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
     at = linearised(Gains(space.free, Objective()), jnp.zeros(2), problem)
     values = np.asarray(at.point.kept["command noise"])
     one = np.zeros((len(values), 3, 3))
     one[:] = np.diag([(1.0 + values[0]) ** 2, 4.0, 4.0])  # flat here, and steep a step away
     one[:, 0, 0] = (1.0 + values) ** 2
+    errors = np.asarray(at.point.kept["load error"])
+    level = jnp.asarray((1.0 + errors)[:, None, None] ** 2 * np.diag([1.0, 0.0, 0.0]))  # nothing changes it
     bowl = at._replace(
         slope=jnp.asarray([-10.0, 5.0]),
         curvature=jnp.eye(2),
-        kept_slopes={**at.kept_slopes, "command noise": jnp.zeros((len(values), 2))},
-        products={**at.products, "command noise": jnp.asarray(one)},
+        kept_slopes={
+            **at.kept_slopes,
+            "command noise": jnp.zeros((len(values), 2)),
+            "load error": jnp.zeros((len(errors), 2)),
+        },
+        products={**at.products, "command noise": jnp.asarray(one), "load error": level},
     )
     d, prices = _program(bowl, 1.0)
     assert np.linalg.norm(d) > 0.05

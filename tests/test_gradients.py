@@ -51,6 +51,7 @@ CONTROLLERS = {
     ),
     "cascade": Cascade(100.0, 2e4, 1e6, 0.9, Feedforward.of(MODEL.plant), 2),
 }
+PARTS = ("PD", "PD+FC")  # of others in the list
 SAMPLES = 1801
 DURATION = (SAMPLES - 1) * 1e-4
 
@@ -131,7 +132,7 @@ def by_differences(name):
     return slopes[steadiest + 1, np.arange(len(values))]
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in PARTS)) for one in CONTROLLERS])
 def test_derivatives_by_every_parameter(name):
     _, values = smooth_loop(name)
     assert np.all(values > 0)
@@ -166,7 +167,7 @@ def test_derivatives_in_stick_are_finite_and_agree(name):
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
 
 
-@pytest.mark.parametrize("name", [LIMITED_PD, "PD+FC+LE", "PD+FC+LS"])
+@pytest.mark.parametrize("name", [LIMITED_PD, "PD+FC+LE", pytest.param("PD+FC+LS", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("inputs", [reversing(), reversing(0.2), resting()], ids=["10 mm/s", "200 mm/s", "rest"])
 def test_derivatives_of_the_exact_machine_are_finite(name, inputs):
     """Quantised, noisy, delayed, its hard force limit reached, its estimator switched on and off."""

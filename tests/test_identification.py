@@ -180,6 +180,7 @@ def by_name(found):
     return {one.name: one for one in found.estimates}
 
 
+@pytest.mark.slow
 def test_what_one_direction_under_one_load_does_not_show_stays_as_believed_and_is_named(one_way):
     rows = by_name(one_way)
     lost = {name for name, one in rows.items() if one.status == "not determined"}
@@ -193,6 +194,7 @@ def test_what_one_direction_under_one_load_does_not_show_stays_as_believed_and_i
     assert any("one load" in note for note in one_way.notes)
 
 
+@pytest.mark.slow
 def test_what_one_direction_shows_is_right(one_way):
     """With what was held: against a constant force that is free, friction one way is hardly told apart."""
     rows, truth = by_name(one_way), true_values(MACHINE, BELIEVED)
@@ -211,6 +213,7 @@ def proposed(one_way):
     return {one.parameter: one for one in proposals(one_way, PD(Tracking(GAINS)), Sampling(RATE))}
 
 
+@pytest.mark.slow
 def test_every_open_parameter_gets_a_motion_that_determines_it(one_way, proposed):
     assert set(proposed) == one_way.undetermined
     for path, one in proposed.items():
@@ -227,6 +230,7 @@ def test_every_open_parameter_gets_a_motion_that_determines_it(one_way, proposed
         assert one.motion.split(":")[0] in ("sine", "triangular")
 
 
+@pytest.mark.slow
 def test_a_motion_beyond_the_axis_is_not_proposed(one_way):
     tight = Limits(stroke=(-0.002, 0.002), speed=0.05, acceleration=1.0)
     sine, triangles = [], []
