@@ -98,9 +98,11 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         return Verdict("unknown", beliefs, 1.0, says)
     if known < 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
-        says = f"{named} come closest, but leave {100 * share:.0f} % of the gap unexplained"
+        comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
+        says = f"{named} {comes} closest, but {leaves} {100 * share:.0f} % of the gap unexplained"
         return Verdict("unknown", beliefs, share, says)
     named = " and ".join(one.effect for one in beliefs if one.found)
+    explains = "explain" if effects > 1 else "explains"
     others = sorted({name for one in beliefs if one.found for name in one.alternatives})
-    says = f"{named} explains the gap" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
+    says = f"{named} {explains} the gap" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
     return Verdict("effect", beliefs, share, says)
