@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from diffdrive.controllers import UnknownController
-from diffdrive.drive_file import DriveDescription, read_drive, write_drive
+from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
@@ -318,11 +318,15 @@ def _write_reference(report: Report, motion: Motion | None) -> None:
 
 
 def _write(report: Report, description: DriveDescription, found: Diagnosis) -> str | None:
-    """augmented.toml, which `simulate`, `tune` and `sweep` take."""
+    """augmented.toml, which `simulate`, `tune` and `sweep` take.
+
+    The same gains; observers and feed-forwards, whose model is the file's own, get the recalibrated one.
+    """
     assert report.out is not None
     path = report.out / "augmented.toml"
     try:
-        write_drive(path, dataclasses.replace(description, drive=augmented_drive(found)))
+        augmented = dataclasses.replace(description, drive=augmented_drive(found))
+        write_drive(path, parse_drive(drive_tables(augmented), str(path)))
     except DiffdriveError as problem:
         report.say(f"augmented.toml is not written, since no drive file can say this: {problem}")
         return None

@@ -34,7 +34,7 @@ def payoff(
     The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what
     `tune` raises: `ParameterError` for a drive or a controller that cannot be tuned.
     """
-    gains: list[Controller] = [augmented.controller]
+    gains: list[Controller] = [nominal.controller]
     accepted = [True]
     for name, description in (("nominal", nominal), ("augmented", augmented)):
         quiet = Report(f"tuned on the {name} drive", _below(report, f"tuned-{name}"), Console(quiet=True))

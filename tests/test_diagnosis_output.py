@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from sound_log import DRIVE, logged, moved, two_sines
+from sound_log import DRIVE, described, logged, moved, two_sines
 from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive, write_drive
@@ -46,6 +46,20 @@ def log():
 @pytest.fixture(scope="module")
 def tilted(log):
     return diagnose(DRIVE.drive, DRIVE.controller, [log])
+
+
+def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tmp_path):
+    given = described("pd+fc+ls")
+    heavier = dataclasses.replace(given.drive.plant, mass=123.0)
+    found = dataclasses.replace(given.drive, plant=heavier, effects=(ConstantForce(6.0),))
+    monkeypatch.setattr(command, "augmented_drive", lambda _: found)
+    with Report("augmented", tmp_path, Console(quiet=True)) as report:
+        assert command._write(report, given, None) == "augmented.toml"
+    written = read_drive(tmp_path / "augmented.toml")
+    assert float(written.drive.effects[0].force) == 6.0
+    assert float(written.controller.observer.plant.mass) == 123.0
+    assert float(written.controller.tracking.feedforward.mass) == 123.0
+    assert written.controller.tracking.gains == given.controller.tracking.gains
 
 
 @pytest.fixture
