@@ -156,6 +156,23 @@ def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     assert there.cost - fitter.with_process(there, model, more).cost < LACKING
 
 
+def test_what_made_up_for_an_effect_makes_way_for_it():
+    """A workpiece of 25 kg, taken for a mass far off: the step that screening points to moves both."""
+    fitter = fitter_of(PayloadMass(25.0))
+    base, mass = recalibrated(fitter, TOLERANCE), NAMES.index("mass")
+    payload = next(one for one in catalogue(fitter, base) if one.name == "payload_mass")
+    found = screen(base, payload)
+    assert base.u[mass] > 10.0
+    assert abs(found.rest[mass]) < 2.0
+    assert found.values["mass"][0] == pytest.approx(25.0, abs=5.0)
+    others = np.arange(len(NAMES)) != mass
+    np.testing.assert_allclose(found.rest[others], base.u[others], atol=0.3)
+    fit = fit_from(fitter, base, found)
+    assert strain(fit) < 2.0
+    assert float(fit.model.values(fit.u)[0]["mass"][0]) == pytest.approx(25.0, abs=3.0)  # as the mass is known
+    assert base.evidence - fit.evidence > 100.0  # of the prior alone: one explains the log as well as the other
+
+
 @pytest.mark.slow
 def test_a_backlash_is_found_where_no_gradient_leads():
     truth = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
