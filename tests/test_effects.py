@@ -258,6 +258,31 @@ def test_a_screw_moves_the_table_as_two_masses_would(screw):
     assert np.sqrt(np.mean((ours - truth) ** 2)) < 0.05 * np.sqrt(np.mean((rigid - truth) ** 2))
 
 
+def test_a_ripple_of_the_force_moves_the_motor_within_its_gap():
+    """Free between the sides of a wide gap: twice integrated, period by period; a constant ripple is more force."""
+    friction = DRIVE.friction
+    nearly_none = {
+        name: jax.tree.map(lambda value: 1e-9 * value, getattr(friction, name))
+        for name in ("coulomb_screw", "load_coefficient", "breakaway_gap", "viscous")
+    }
+    bare = as_arrays(dataclasses.replace(DRIVE, friction=dataclasses.replace(friction, **nearly_none)))
+    effect, period = as_arrays(Backlash(1e-3, 400.0, 0.1, 0.3, 0.6)), 5e-4
+    ripple = jnp.asarray([9.0, -4.0, 6.0, -8.0, -3.0])
+
+    def deflected(force, ripple):
+        seen = acting.seen_by(bare, 0.0, 0.0, 0.0, 0.0, force, 0.0)._replace(ripple=ripple)
+        return effect.step(effect.init(), seen, bare, period)[0].against
+
+    level, rippled = deflected(5.0, None), deflected(5.0, ripple)
+    part = period / len(ripple)
+    left = part * (len(ripple) - 0.5 - np.arange(len(ripple)))  # s, from the middle of each part to the end
+    moved = float(np.sum(ripple * part * left)) / (0.3 * float(bare.plant.mass))
+    assert float(rippled.deflection - level.deflection) == pytest.approx(moved, rel=5e-3)  # friction is small, not none
+    assert float(rippled.rate) == pytest.approx(float(level.rate), rel=1e-4)
+    more = deflected(5.0, jnp.full(5, 2.0))
+    assert float(more.deflection) == pytest.approx(float(deflected(7.0, None).deflection), rel=1e-9)
+
+
 def test_a_vibrating_frame_is_two_bodies():
     """Table and base written out, without friction."""
     friction = DRIVE.friction

@@ -25,6 +25,7 @@ class Seen(NamedTuple):
     force: Scalar  # N, that the actuator applies over the coming period, known disturbances included
     friction: Scalar  # N, all that resists the table, viscous damping included
     load: Scalar  # N, on the guides
+    ripple: Any = None  # N, by how much the force differs in each equal part of the period; None: not at all
 
 
 class Push(NamedTuple):
@@ -70,9 +71,14 @@ class ActuatorEffect(Effect):
 
 
 class TableEffect(Effect):
-    """On the table and its friction; `remembers` where its state outlasts a tenth of a second."""
+    """On the table and its friction.
+
+    It `remembers` where its state outlasts a tenth of a second, and stands `between` motor and table where the motor's
+    force reaches the table only through it.
+    """
 
     remembers: ClassVar[bool] = False
+    between: ClassVar[bool] = False
 
     @abc.abstractmethod
     def init(self) -> Any:

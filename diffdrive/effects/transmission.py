@@ -48,15 +48,17 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
     angular, half, reduced = 2.0 * jnp.pi * screw.frequency, 0.5 * screw.gap, s * (1.0 - s) * mass
-    count = max(1, round(period / LONGEST_SUBSTEP))
+    parts = 1 if seen.ripple is None else len(seen.ripple)
+    count = parts * max(1, round(period / (parts * LONGEST_SUBSTEP)))
     h = period / count
 
-    def substep(carry: Any, _: None) -> tuple[Any, None]:
+    def substep(carry: Any, ripple: Any) -> tuple[Any, None]:
         (q, bristle), velocity, rising, deflection, pulled, resisted = carry
         middle = velocity + 0.5 * h * rising
         table, deflection = resisting_midway(drive, middle, deflection, seen.load, h)
         own, bristle = resisting_midway(drive, middle + q.rate, bristle, seen.load, h)
-        push = (seen.force - (1.0 - r) * own) / (s * mass) + r * table / ((1.0 - s) * mass)
+        force = seen.force if ripple is None else seen.force + ripple
+        push = (force - (1.0 - r) * own) / (s * mass) + r * table / ((1.0 - s) * mass)
         inside = jnp.clip(q.deflection, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest
         there = swing(Oscillator(q.deflection - inside, q.rate), push, angular, screw.damping, h)
@@ -73,7 +75,8 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     zero = jnp.zeros_like(seen.velocity)
     rising = (seen.force - seen.friction) / mass
     begin = (motor, seen.velocity, rising, seen.bristle, zero, zero)
-    (motor, *_, pulled, resisted), _ = lax.scan(substep, begin, None, length=count)
+    ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
+    (motor, *_, pulled, resisted), _ = lax.scan(substep, begin, ripple, length=count)
     return motor, Acts(force=(pulled - r * resisted) / (1.0 - s) - seen.force + resisted)
 
 
@@ -81,6 +84,7 @@ class Compliance(TableEffect):
     """An elastic screw: motor and table swing against one another. Neutral: an infinite frequency."""
 
     name: ClassVar[str] = "compliance"
+    between: ClassVar[bool] = True
     frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio", at_least=0.0, default=0.03)
     motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, default=0.4)
@@ -100,6 +104,7 @@ class Backlash(TableEffect):
     """A dead zone between motor and table, behind an elastic screw."""
 
     name: ClassVar[str] = "backlash"
+    between: ClassVar[bool] = True
     gap: Scalar = quantity("m", "full width of the dead zone", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)

@@ -226,6 +226,8 @@ def follow(
     spread = (measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)
     again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
 
+    shielded = any(isinstance(effect, TableEffect) and effect.between for effect in coupled)
+
     def body(carry: Any, at: Any) -> Any:
         state, covariance, effects = carry
         measured, load, acts, time, coupled = at
@@ -245,11 +247,11 @@ def follow(
         machine = acting.bent(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
         if coupled:
-            seen = Seen(time, position, velocity, deflection, acts.force, resisting, load)
+            seen = Seen(time, position, velocity, deflection, acts.force, resisting, load, acts.ripple)
             effects, more = acting.upon(coupled, effects, seen, machine, sampling.period)
             effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
-            acts = Exposure(*both, acts.shift, acts.scale, acts.ripple)
+            acts = Exposure(*both, acts.shift, acts.scale, None if shielded else acts.ripple)
             machine = acting.bent(drive, acts)
 
         one, nil = jnp.ones_like(velocity), jnp.zeros_like(velocity)
