@@ -278,7 +278,7 @@ def test_a_ripple_of_the_force_moves_the_motor_within_its_gap():
     left = part * (len(ripple) - 0.5 - np.arange(len(ripple)))  # s, from the middle of each part to the end
     moved = float(np.sum(ripple * part * left)) / (0.3 * float(bare.plant.mass))
     assert float(rippled.deflection - level.deflection) == pytest.approx(moved, rel=5e-3)  # friction is small, not none
-    assert float(rippled.rate) == pytest.approx(float(level.rate), rel=1e-4)
+    assert float(rippled.rate) == pytest.approx(float(level.rate), rel=2e-3)
     more = deflected(5.0, jnp.full(5, 2.0))
     assert float(more.deflection) == pytest.approx(float(deflected(7.0, None).deflection), rel=1e-9)
 
