@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sound_log import DRIVE, RATE, described, logged, two_sines
 
-from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.motion import from_array
 from diffdrive.parameters import as_arrays
@@ -26,7 +26,7 @@ from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.leftover import complete
 from tuning.diagnosis.model import Model, effect_in_lanes, exposed
 from tuning.diagnosis.registration import registered
-from tuning.diagnosis.screening import joined
+from tuning.diagnosis.screening import begin, joined
 from tuning.diagnosis.search import recalibrated, standing
 from tuning.diagnosis.segments import begin_velocity, segments
 from tuning.diagnosis.setting import setting
@@ -197,9 +197,26 @@ def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
     model = joined(Model(logs, (), TOLERANCE), candidate)
     fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), 0.3], None, standing(logs))
     value, (low, high) = parameters(fit, 0)["delay"]
-    assert value == pytest.approx(3.0, abs=0.1)
-    assert low < value < high < 3.5
+    assert value == pytest.approx(3.0, abs=0.02)
+    assert low < value < high < 3.1
+    assert complete(fitter, fit)
     assert float(drive_of(fit, 0).effects[0].delay) == pytest.approx(value)
+
+
+def test_a_lag_shorter_than_a_thinned_sample_is_measured():
+    fast = described(kp=4e6, kd=12_000.0, noise=4e-8, rate=10_000.0)
+    slow = dataclasses.replace(fast, drive=dataclasses.replace(fast.drive, effects=(ActuatorLag(3e-4),)))
+    logs = logged_of(fast.drive, [logged(slow, two_sines(2.0, 10_000.0))])
+    fitter = Fitter(logs)
+    at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
+    candidate = next(one for one in candidates(at) if one.name == "actuator_lag")
+    model = joined(Model(logs, (), TOLERANCE), candidate)
+    values = {"time_constant": np.array([5e-4])}
+    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, standing(logs))
+    value, (low, high) = parameters(fit, 0)["time_constant"]
+    assert low < value < high
+    assert value == pytest.approx(3e-4, rel=0.03)
+    assert complete(fitter, fit)
 
 
 def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
