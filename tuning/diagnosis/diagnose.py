@@ -24,6 +24,7 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.following import in_parts
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
@@ -95,6 +96,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     noise = jnp.asarray(noise_floor(drive, lanes))
     rate = float(round(logs[0].rate / thinning, 6))
     sampling = Sampling(rate, thinning * sampling_of(logs[0].rate, SUBSTEP).plant_steps)
+    if lanes.asked is None and float(delay) % 1.0:
+        lanes = lanes._replace(asked=in_parts(lanes.command, sampling.plant_steps))
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
     return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, starts, thinning)
 

@@ -303,7 +303,11 @@ class Fitter:
                     break
                 point, idle = other, 0
             steps += 1
-            trusting = point if boldness == 1.0 else self.at(model, point.u, point.process / boldness, point.onward)
+            trusting = (
+                point
+                if boldness == 1.0
+                else self.at(model, point.u, np.maximum(point.process / boldness, LEAST), point.onward)
+            )
             jacobian = self.jacobian(model, trusting, free=free) if carried is None else carried
             ahead, damping = self._step(model, trusting, damping, free, jacobian)
             stale, carried = carried is not None, None

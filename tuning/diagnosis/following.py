@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.effects import acting
-from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.base import Effect, Seen, TableEffect
 from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
@@ -118,7 +118,7 @@ def exposure(
     period = sampling.period
 
     def one(lane: Lanes, course: Course, effects: tuple[Effect, ...], start: Scalar) -> Exposure:
-        effects, asked = _asked(drive, effects, delay, lane)
+        effects, asked = _asked(drive, effects, delay, lane, sampling)
         parts = asked.shape[1]
 
         def step(states: Any, at: tuple[Any, ...]) -> tuple[Any, Exposure]:
@@ -144,20 +144,27 @@ def exposure(
 
 
 def _asked(
-    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes
+    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes, sampling: Sampling
 ) -> tuple[tuple[Effect, ...], Float[Array, "n k"]]:
-    """The force asked of the actuator in each control period of each sample, and the effects that it has yet to meet.
+    """The force asked of the actuator in each part of each sample, and the effects that it has yet to meet.
 
-    Where a sample has several control periods its delays, which are counted in samples, hold the command back here.
+    A part is a control period, or a substep of the plant where the force changes within one: late or lagging, it does.
+    Delays, which are counted in samples, hold the command back here.
     """
-    late = [effect for effect in effects if isinstance(effect, LoopDelay)]
-    if lane.asked is None:
-        early = sum(jnp.minimum(effect.delay, 0.0) for effect in late)
-        return effects, delayed(limited(drive.actuator, lane.command), jnp.maximum(delay + early, 0.0))[:, None]
-    count, parts = lane.asked.shape
-    whole = jnp.maximum(delay + sum(effect.delay for effect in late), 0.0) * parts
-    force = _held_back(limited(drive.actuator, lane.asked.reshape(-1)), whole)
+    asked = lane.asked
+    if asked is None and any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects):
+        asked = in_parts(lane.command, sampling.plant_steps)
+    if asked is None:
+        return effects, delayed(limited(drive.actuator, lane.command), delay)[:, None]
+    count, parts = asked.shape
+    late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
+    force = _held_back(limited(drive.actuator, asked.reshape(-1)), jnp.maximum(late, 0.0) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
+
+
+def in_parts(command: Float[Array, "*lanes n"], parts: int) -> Float[Array, "*lanes n k"]:
+    """A command that is held over each sample, part by part."""
+    return jnp.repeat(command[..., None], parts, axis=-1)
 
 
 def _held_back(force: Float[Array, " n"], periods: Scalar) -> Float[Array, " n"]:
