@@ -12,7 +12,7 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.search import Explanation
@@ -95,9 +95,9 @@ def climb(
     drawn = [gap.drawn(rate) for gap in gaps]
     rungs = []
     for (name, one), gap, squares in zip(fits, gaps, drawn, strict=True):
-        foreseen = test.with_process(
-            test.at(one.model, one.u, one.process, one.track.course), one.model, one.process * NEAR
-        )
+        # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
+        there = test.at(one.model, one.u, one.process, one.track.course)
+        foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST]))
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         loop = None
