@@ -19,7 +19,7 @@ from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import LACKING, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import begin, joined, screen
-from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, fit_from, look, recalibrated, standing
+from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, _further, fit_from, look, recalibrated, standing
 from tuning.diagnosis.setting import setting
 from tuning.fit import lanes_of, noise_floor
 
@@ -154,6 +154,23 @@ def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     for _ in range(12):
         there = fitter.at(model, u, little, there.onward)
     assert there.cost - fitter.with_process(there, model, more).cost < LACKING
+
+
+def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(sound, tilted):
+    fitter, base = sound
+    cogging = next(one for one in catalogue(fitter, base) if one.name == "cogging")
+    model = joined(base.model, cogging)
+    richer = fitter.fit(model, np.r_[base.u, np.zeros(model.size - base.u.size)], base.process, base.track.course, 3)
+    stopped = fitter.fit(base.model, base.u + 0.2, None, standing(fitter.logged), 0)
+    assert stopped.evidence - richer.evidence > WORTH
+    further = _further(fitter, stopped, [richer])
+    assert further.evidence == pytest.approx(base.evidence, abs=2.0)
+    assert _further(fitter, base, [richer]) is None
+    # nor does a fit go on where it is the effect that explains
+    fitter, base = tilted
+    tilt = next(one for one in catalogue(fitter, base) if one.name == "constant_force")
+    assert _further(fitter, base, [fit_from(fitter, base, screen(base, tilt))]) is None
+    assert _further(fitter, base, []) is None
 
 
 def test_what_made_up_for_an_effect_makes_way_for_it():

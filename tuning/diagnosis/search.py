@@ -15,7 +15,7 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
+from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.leftover import COARSE, LEFT, complete, strain, unexplained
 from tuning.diagnosis.model import Logged, Member, Model
@@ -270,6 +270,21 @@ def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) ->
     return list(found.values())
 
 
+def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
+    """`before` from where the best fit with one effect more ended, if that effect was not what made it better.
+
+    A fit that stopped on its way leaves something to explain to any effect that sets it going again.
+    """
+    if not fits:
+        return None
+    best = fits[0]
+    there = fitter.at(before.model, best.u[: before.u.size], best.process, best.track.course)
+    there = fitter.with_process(there, before.model, np.vstack([best.process * NEAR, before.process * NEAR]))
+    if before.cost - there.cost < WORTH:
+        return None
+    return fitter.fit(before.model, there.u, there.process, there.track.course)
+
+
 def explain(
     fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
 ) -> Explanation:
@@ -277,7 +292,7 @@ def explain(
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
     """
-    best, rounds = base, []
+    best, rounds, again = base, [], False
 
     def whole(one: Fitted) -> bool:
         return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
@@ -285,6 +300,17 @@ def explain(
     while len(rounds) < most:
         ended = whole(best)
         found = look(fitter, best, [one for one in catalogue if one.relieves or not ended], progress, whole)
+        further = None if again else _further(fitter, best, found.fits)
+        if further is not None:
+            best, again = further, True
+            if not rounds:
+                base = further
+                continue
+            rounds[-1] = rounds[-1]._replace(fits=[further, *rounds[-1].fits[1:]])
+            if whole(best) and strain(best) < STRAINED:
+                break
+            continue
+        again = False
         relieved = bool(found.fits) and strain(best) >= STRAINED > strain(found.fits[0])
         share = SLIGHTER if best.model.coupled else SLIGHT
         enough = WORTH if relieved else max(WORTH, share * (base.evidence - best.evidence))
