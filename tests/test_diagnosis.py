@@ -24,7 +24,7 @@ from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import _upheld, diagnose, logged_of
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
-from tuning.diagnosis.lines import lines_in_position, lines_in_time
+from tuning.diagnosis.lines import _window, lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.search import Explanation
 from tuning.diagnosis.setting import setting
@@ -235,6 +235,17 @@ def test_lines_in_time_and_in_position_are_told_apart():
     line = lines_in_time(in_time[None], 2000.0)[0]
     assert line.value == pytest.approx(61.0, abs=0.1)
     assert line.p_value < 1e-3
+
+
+@pytest.mark.parametrize("blow", [0.0, 40.0])
+def test_when_a_vibration_was_on_is_found_beside_a_blow(blow):
+    rate, time = 1000.0, np.arange(10_000) / 1000.0
+    force = 2.0 * np.sin(2 * np.pi * 41.0 * time) * ((time > 1.7) & (time < 4.75))
+    force += np.random.default_rng(0).standard_normal(len(time))
+    force[6600:6640] += blow
+    start, end = _window(force, 41.0, rate)
+    assert start == pytest.approx(1.7, abs=0.06)
+    assert end == pytest.approx(4.75, abs=0.06)
 
 
 def told_of(verdict, *found, confidence=0.9, others=()):

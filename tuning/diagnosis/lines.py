@@ -206,13 +206,19 @@ def _surely(
 
 
 def _window(signal: Float[np.ndarray, " n"], frequency: float, rate: float) -> tuple[float, float]:
-    """When (s) a line at `frequency` is on: where its envelope is above half of its highest."""
+    """When (s) a line at `frequency` is on: the stretch in which its envelope is most above half of its highest.
+
+    The stretch of the largest sum (Kadane): a blow long after it does not draw its end along.
+    """
     n = len(signal)
     slow = signal * np.exp(-2j * np.pi * frequency * np.arange(n) / rate)
     width = max(3, int(0.2 * rate))
     envelope = np.abs(np.convolve(slow, np.hanning(width) / np.hanning(width).sum(), mode="same"))
-    on = np.flatnonzero(envelope > 0.5 * np.percentile(envelope, 95))
-    return float(on[0] / rate), float(on[-1] / rate)
+    level = np.percentile(envelope, 95)
+    total = np.cumsum(np.r_[0.0, np.minimum(envelope, level) - 0.5 * level])
+    end = int(np.argmax(total[1:] - np.minimum.accumulate(total[:-1])))
+    start = int(np.argmin(total[: end + 1]))
+    return start / rate, end / rate
 
 
 def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarray]]:

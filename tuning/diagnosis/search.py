@@ -31,6 +31,7 @@ PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
+RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 SLIGHTER = 0.12  # the same beside a coupled effect, whose details differ from machine to machine
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
@@ -297,8 +298,11 @@ def explain(
     def whole(one: Fitted) -> bool:
         return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
 
+    def over(one: Fitted) -> bool:
+        return whole(one) if one.model.coupled else complete(fitter, one)
+
     while len(rounds) < most:
-        ended = whole(best)
+        ended = over(best)
         found = look(fitter, best, [one for one in catalogue if one.relieves or not ended], progress, whole)
         further = None if again else _further(fitter, best, found.fits)
         if further is not None:
@@ -307,19 +311,24 @@ def explain(
                 base = further
                 continue
             rounds[-1] = rounds[-1]._replace(fits=[further, *rounds[-1].fits[1:]])
-            if whole(best) and strain(best) < STRAINED:
+            if over(best) and strain(best) < STRAINED:
                 break
             continue
         again = False
         relieved = bool(found.fits) and strain(best) >= STRAINED > strain(found.fits[0])
         share = SLIGHTER if best.model.coupled else SLIGHT
-        enough = WORTH if relieved else max(WORTH, share * (base.evidence - best.evidence))
+        resolved = bool(found.fits) and not best.model.coupled and complete(fitter, found.fits[0])
+        enough = max(WORTH, share * (base.evidence - best.evidence))
+        if resolved:
+            enough = min(enough, RESOLVING)
+        if relieved:
+            enough = WORTH
         if ended and not relieved:
             enough = np.inf
         rounds.append(found._replace(enough=enough))
         if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
         best = found.fits[0]
-        if whole(best) and strain(best) < STRAINED:
+        if over(best) and strain(best) < STRAINED:
             break
     return Explanation(base, rounds, best)
