@@ -21,7 +21,6 @@ from experiments.tune import tune_drive
 from experiments.tuning_cases import reversal
 
 PAPER_DRIVE = Path(__file__).parent / "drives" / "paper.toml"
-QUICK_TUNING = {"starts": 1, "max_steps": 10}
 
 
 def sensitivities(description: DriveDescription) -> list[tuple[str, float]]:
@@ -65,7 +64,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         _simulate(report, description)
         _differentiate(report, description)
         report.say("Tuning Kp, Kd, Q and R over loads from 0 to 12.6 kN, within stability margins.")
-        tune_drive(description, report, **QUICK_TUNING if quick else {})
+        tune_drive(description, report)
         folder = emps_folder or emps.find_folder()
         if folder is None:
             report.say(
