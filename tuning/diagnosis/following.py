@@ -28,7 +28,7 @@ from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis.segments import begin_velocity, segments
-from tuning.prediction import Lanes, delayed, moving
+from tuning.prediction import Lanes, moving
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 LASTING = 0.02  # s, that a missing force lasts
@@ -152,10 +152,9 @@ def _asked(
     Delays, which are counted in samples, hold the command back here.
     """
     asked = lane.asked
-    if asked is None and any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects):
-        asked = in_parts(lane.command, sampling.plant_steps)
     if asked is None:
-        return effects, delayed(limited(drive.actuator, lane.command), delay)[:, None]
+        late = any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects)
+        asked = in_parts(lane.command, sampling.plant_steps if late else 1)
     count, parts = asked.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
     force = _held_back(limited(drive.actuator, asked.reshape(-1)), jnp.maximum(late, 0.0) * parts)
