@@ -195,7 +195,7 @@ def test_padding_changes_neither_innovations_nor_likelihood():
     drive = as_arrays(DELAYED)
     ours = innovations(drive, alone, pulling(300.0, alone))[0]
     np.testing.assert_allclose(innovations(drive, beside, pulling(300.0, beside))[0, :500], ours, atol=1e-18)
-        padded = jax.tree.map(lambda one: one[:1], beside)
+    padded = jax.tree.map(lambda one: one[:1], beside)
     values = [float(track(drive, 1.3, 0.01, NOISE, each, SAMPLING).deviance) for each in (alone, padded)]
     assert values[0] == pytest.approx(values[1], rel=1e-9)
 
