@@ -108,6 +108,7 @@ def test_a_delay_is_put_into_a_drive(delay, whole, fraction):
     assert (actuator.delay_samples, actuator.delay_fraction) == (whole, fraction)
 
 
+@pytest.mark.slow
 def test_the_study_writes_what_it_compares(tmp_path):
     case = synthetic_case(speeds=(5e-3, 0.02, 0.1), travel=4e-3)
     with Report("evolution", tmp_path) as report:

@@ -254,6 +254,7 @@ def test_the_drive_file_reference_in_the_docs_is_current():
     assert markdown() in (Path(__file__).parent.parent / "docs" / "drive-file.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
 def test_the_main_job_writes_all_that_it_promises(tmp_path):
     from experiments.demo import demo

@@ -58,13 +58,19 @@ def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
 ON_THE_LOAD = LIMITS._replace(load_error=np.array([100.0, 100.0]))
 
 
-def test_a_limited_rms_is_foretold_as_the_curve_it_is():
-    """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
+@pytest.fixture(scope="module")
+def friction_of_an_observer():
+    """The friction that it believes, as gains, with the problem, and where it believes the true one."""
     every = default_space(controller(), friction=True)
     space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
     problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
     gains = Gains(space.free, Objective())
-    at, d = linearised(gains, jnp.zeros(2), problem), np.array([0.3, -0.2])
+    return gains, problem, linearised(gains, jnp.zeros(2), problem)
+
+
+def test_a_limited_rms_is_foretold_as_the_curve_it_is(friction_of_an_observer):
+    """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
+    (gains, problem, at), d = friction_of_an_observer, np.array([0.3, -0.2])
     truth = np.asarray(worth(gains, jnp.asarray(d), problem).kept["load error"])
     straight = np.asarray(at.point.kept["load error"]) + np.asarray(at.kept_slopes["load error"]) @ d
     curve, slope = _bent(at, "load error", d)
@@ -73,12 +79,9 @@ def test_a_limited_rms_is_foretold_as_the_curve_it_is():
     np.testing.assert_allclose(slope[:, 0], (ahead - behind) / 2e-6, rtol=1e-6)
 
 
-def test_a_step_keeps_a_limited_rms_that_its_line_would_break():
+def test_a_step_keeps_a_limited_rms_that_its_line_would_break(friction_of_an_observer):
     """The program's step stays within the foretold curve, which is convex: every cut lies below it."""
-    every = default_space(controller(), friction=True)
-    space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
-    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
-    at = linearised(Gains(space.free, Objective()), jnp.zeros(2), problem)
+    at = friction_of_an_observer[2]
     values = np.asarray(at.point.kept["command noise"])
     one = np.zeros((len(values), 3, 3))
     one[:] = np.diag([(1.0 + values[0]) ** 2, 4.0, 4.0])  # flat here, and steep a step away
@@ -150,7 +153,7 @@ def test_what_cannot_be_kept_is_said_with_by_how_much():
     assert "infeasible" in found.status or "stopped" in found.status
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.3])
+@pytest.mark.parametrize("factor", [0.1, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_an_unstable_start_is_led_to_stable_gains(factor, usual):
     gains = controller().tracking.gains
     far = eqx.tree_at(

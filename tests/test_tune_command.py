@@ -125,13 +125,8 @@ def test_what_cannot_be_kept_ends_with_3_and_writes_no_drive(drive_file, tmp_pat
     assert numbers(tmp_path)["verdict"] == {"accepted": False}
 
 
-@pytest.mark.parametrize(
-    "extra",
-    [
-        pytest.param(("--aggregation", "worst"), marks=pytest.mark.slow),
-        ("--aggregation", "cvar", "--peak", "0.5"),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", [("--aggregation", "worst"), ("--aggregation", "cvar", "--peak", "0.5")])
 def test_other_objectives(drive_file, tmp_path, extra):
     assert tune(drive_file, *QUICK, *extra, "--starts", 1, "--out", tmp_path).exit_code == 0
     assert numbers(tmp_path)["tuning"]["objective"] < numbers(tmp_path)["tuning"]["objective_before"]

@@ -286,6 +286,18 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
     return fitter.fit(before.model, there.u, there.process, there.track.course)
 
 
+def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
+    """The evidence that one more effect must bring beside the `best`, which `gained` some; endless where none can."""
+    if fits and strain(best) >= STRAINED > strain(fits[0]):
+        return WORTH
+    if ended:
+        return np.inf
+    enough = max(WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
+    if fits and not best.model.coupled and complete(fitter, fits[0]):
+        return min(enough, RESOLVING)
+    return enough
+
+
 def explain(
     fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
 ) -> Explanation:
@@ -293,7 +305,8 @@ def explain(
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
     """
-    best, rounds, again = base, [], False
+    best: Fitted = base
+    rounds: list[Round] = []
 
     def whole(one: Fitted) -> bool:
         return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
@@ -301,34 +314,23 @@ def explain(
     def over(one: Fitted) -> bool:
         return whole(one) if one.model.coupled else complete(fitter, one)
 
-    while len(rounds) < most:
-        ended = over(best)
-        found = look(fitter, best, [one for one in catalogue if one.relieves or not ended], progress, whole)
-        further = None if again else _further(fitter, best, found.fits)
+    def looked(before: Fitted) -> Round:
+        relevant = [one for one in catalogue if one.relieves] if over(before) else catalogue
+        return look(fitter, before, relevant, progress, whole)
+
+    while len(rounds) < most and not (rounds and over(best) and strain(best) < STRAINED):
+        found = looked(best)
+        further = _further(fitter, best, found.fits)
         if further is not None:
-            best, again = further, True
-            if not rounds:
-                base = further
-                continue
-            rounds[-1] = rounds[-1]._replace(fits=[further, *rounds[-1].fits[1:]])
-            if over(best) and strain(best) < STRAINED:
-                break
-            continue
-        again = False
-        relieved = bool(found.fits) and strain(best) >= STRAINED > strain(found.fits[0])
-        share = SLIGHTER if best.model.coupled else SLIGHT
-        resolved = bool(found.fits) and not best.model.coupled and complete(fitter, found.fits[0])
-        enough = max(WORTH, share * (base.evidence - best.evidence))
-        if resolved:
-            enough = min(enough, RESOLVING)
-        if relieved:
-            enough = WORTH
-        if ended and not relieved:
-            enough = np.inf
+            found = looked(further)
+            best = further
+            if rounds:
+                rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])
+            else:
+                base = best
+        enough = _enough(fitter, best, base.evidence - best.evidence, over(best), found.fits)
         rounds.append(found._replace(enough=enough))
         if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
             break
         best = found.fits[0]
-        if over(best) and strain(best) < STRAINED:
-            break
     return Explanation(base, rounds, best)
