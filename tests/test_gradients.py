@@ -167,7 +167,9 @@ def test_derivatives_in_stick_are_finite_and_agree(name):
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
 
 
-@pytest.mark.parametrize("name", [LIMITED_PD, "PD+FC+LE", pytest.param("PD+FC+LS", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", [LIMITED_PD, *(pytest.param(one, marks=pytest.mark.slow) for one in ("PD+FC+LE", "PD+FC+LS"))]
+)
 @pytest.mark.parametrize("inputs", [reversing(), reversing(0.2), resting()], ids=["10 mm/s", "200 mm/s", "rest"])
 def test_derivatives_of_the_exact_machine_are_finite(name, inputs):
     """Quantised, noisy, delayed, its hard force limit reached, its estimator switched on and off."""

@@ -261,6 +261,7 @@ def told():
     return identify([short_log()], BELIEVED, **TOLD)
 
 
+@pytest.mark.slow
 def test_what_is_fixed_stays_and_what_is_bounded_stays_inside(told):
     rows = by_name(told)
     for side, gap in (("positive", 30.0), ("negative", 22.98)):
@@ -351,6 +352,7 @@ class Stops:
 SEARCHES = {"the starts": COARSE_STEPS, "the first search": ROUGH_STEPS, "a search under the filter": MOST_STEPS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", SEARCHES.values(), ids=SEARCHES.keys())
 def test_an_interrupted_identification_returns_the_best_so_far_and_says_so(told, most):
     stops = Stops(most)
