@@ -78,7 +78,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
         )
         asked = actuator.step(drive.actuator, state.actuator, command.force)
         carried, applied = acting.through(drive.effects, state.effects, asked.applied, sampling.period)
-        table, carried = move(drive, sampling, state._replace(effects=carried), Push(force), at.load)
+        table, carried = move(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
         return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied.mean
 
     force = _steady_force(drive, at)
@@ -129,7 +129,7 @@ def _carried(
 
     def body(carried: Any, k: Scalar) -> tuple[Any, None]:
         position = at.velocity * sampling.period * k
-        seen = acting.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, at.load)
+        seen = acting.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, at.load)
         return acting.upon(drive.effects, carried, seen, drive, sampling.period)[0], None
 
     return lax.scan(body, begin, jnp.arange(1.0, count + 1.0))[0]

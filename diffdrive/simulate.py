@@ -74,14 +74,17 @@ def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
 
 
 def move(
-    drive: Drive, sampling: Sampling, state: LoopState, push: Push, load: Scalar
+    drive: Drive, sampling: Sampling, state: LoopState, push: Push, disturbance: Scalar, load: Scalar
 ) -> tuple[plant.PlantState, tuple[Any, ...]]:
-    """The table and the effects one period later, `push` acting on the table; `drive` has been altered."""
-    table, effects, force = state.plant, drive.effects, push.mean
+    """The table and the effects one period later, the actuator's `push` and a disturbance acting on the table.
+
+    `drive` has been altered.
+    """
+    table, effects, force = state.plant, drive.effects, push.mean + disturbance
     if not effects:
         return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), ()
     time = sampling.period * state.count
-    seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, force, load)
+    seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
     carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
     carried, acts = lax.optimization_barrier((carried, acts))
     machine = acting.bent(drive, acts)
@@ -103,8 +106,7 @@ def step(
     controller_state, command = lax.optimization_barrier((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
     carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
-    push = applied._replace(mean=applied.mean + inputs.disturbance)
-    moved, carried = move(drive, sampling, state._replace(effects=carried), push, inputs.load)
+    moved, carried = move(drive, sampling, state._replace(effects=carried), applied, inputs.disturbance, inputs.load)
     bristle = bristle_at(drive.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,

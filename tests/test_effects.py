@@ -270,7 +270,7 @@ def test_a_ripple_of_the_force_moves_the_motor_within_its_gap():
     ripple = jnp.asarray([9.0, -4.0, 6.0, -8.0, -3.0])
 
     def deflected(force, ripple):
-        seen = acting.seen_by(bare, 0.0, 0.0, 0.0, 0.0, force, 0.0)._replace(ripple=ripple)
+        seen = acting.seen_by(bare, 0.0, 0.0, 0.0, 0.0, force, 0.0, 0.0)._replace(ripple=ripple)
         return effect.step(effect.init(), seen, bare, period)[0].against
 
     level, rippled = deflected(5.0, None), deflected(5.0, ripple)
@@ -306,7 +306,7 @@ def test_a_vibrating_frame_is_two_bodies():
 
     def body(carry, k):
         table, states = carry
-        seen = acting.seen_by(machine, k * period, *table, force, 0.0)
+        seen = acting.seen_by(machine, k * period, *table, force, 0.0, 0.0)
         states, acts = acting.upon(machine.effects, states, seen, machine, period)
         return (advance(machine, table, force + acts.force, 0.0, period, 40), states), None
 

@@ -19,8 +19,11 @@ from tuning.prediction import Lanes
 PERIOD = 1.0 / RATE
 
 
-def sliding(speed=0.02, seconds=1.0):
-    """Lanes, course and exposure of a table that slides steadily, pushed by just its friction."""
+def sliding(speed=0.02, seconds=1.0, beside=0.0):
+    """Lanes, course and exposure of a table that slides steadily, pushed by just its friction.
+
+    A force `beside` (N) the motor's takes part in that.
+    """
     drive, n = as_arrays(DRIVE.drive), round(seconds * RATE)
     position = speed * PERIOD * np.arange(n)
     at = logged_of(DRIVE.drive, [logged(DRIVE, two_sines())])
@@ -30,7 +33,7 @@ def sliding(speed=0.02, seconds=1.0):
     bristle = level / float(drive.friction.bristle_stiffness.positive)
     course = Course(jnp.asarray(position)[None], speed * one, bristle * one, friction * one)
     lanes = Lanes(course.position, friction * one, 0 * one, 0 * one, one, speed * jnp.ones(1))
-    acts = Exposure(friction * one, 0 * one, 0 * one, 0 * one, 0 * one, 0 * one)
+    acts = Exposure(friction * one, *(0 * one for _ in range(5)), beside * one)
     return drive, acts, lanes, course, at.sampling, friction
 
 
@@ -45,6 +48,16 @@ def test_a_screw_winds_up_by_what_it_carries_over_its_stiffness():
     found = foreseen([in_lane(screw)], drive, acts, lanes, course, sampling)[0, -1]
     stiffness = 0.4 * 0.6 * float(drive.plant.mass) * (2.0 * np.pi * 200.0) ** 2
     assert found == pytest.approx(0.6 * friction / stiffness, rel=0.02)
+
+
+@pytest.mark.parametrize("beside", [-40.0, 40.0, 120.0])
+def test_a_screw_does_not_carry_what_something_else_pushes(beside):
+    """On an inclined axis: beyond the table's share of the friction, the screw holds it back."""
+    drive, acts, lanes, course, sampling, friction = sliding(beside=beside)
+    screw = Compliance(frequency=200.0, damping=0.3, motor_share=0.4, table_friction=0.6)
+    found = foreseen([in_lane(screw)], drive, acts, lanes, course, sampling)[0, -1]
+    stiffness = 0.4 * 0.6 * float(drive.plant.mass) * (2.0 * np.pi * 200.0) ** 2
+    assert found == pytest.approx((0.6 * friction - beside) / stiffness, rel=0.03)
 
 
 def test_an_error_of_the_scale_is_seen_the_other_way_round():

@@ -50,13 +50,21 @@ def displaced(drive: Drive, tilt: Scalar, period: float) -> Scalar:
 def upon(
     effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
 ) -> tuple[tuple[Any, ...], Acts]:
-    """What acts on the table and its friction over the coming period."""
-    ahead, total = [], Acts()
-    for effect, state in zip(effects, states, strict=True):
-        if isinstance(effect, TableEffect):
-            state, acts = effect.step(state, seen, drive, period)
-            total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
-        ahead.append(state)
+    """What acts on the table and its friction over the coming period.
+
+    What stands between motor and table comes last: it carries what the others push, and the friction as they bend it.
+    """
+    ahead, total = list(states), Acts()
+
+    def act(between: bool, seen: Seen, drive: Drive, total: Acts) -> Acts:
+        for k, effect in enumerate(effects):
+            if isinstance(effect, TableEffect) and effect.between == between:
+                ahead[k], acts = effect.step(states[k], seen, drive, period)
+                total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
+        return total
+
+    total = act(False, seen, drive, total)
+    total = act(True, seen._replace(push=seen.push + total.force), bent(drive, total), total)
     return tuple(ahead), total
 
 
@@ -100,7 +108,15 @@ def resistance(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar) ->
 
 
 def seen_by(
-    drive: Drive, time: Scalar, position: Scalar, velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar
+    drive: Drive,
+    time: Scalar,
+    position: Scalar,
+    velocity: Scalar,
+    bristle: Scalar,
+    force: Scalar,
+    push: Scalar,
+    load: Scalar,
 ) -> Seen:
     """The table as effects see it."""
-    return Seen(time, position, velocity, bristle, force, resistance(drive, velocity, bristle, load), jnp.asarray(load))
+    resisting = resistance(drive, velocity, bristle, load)
+    return Seen(time, position, velocity, bristle, force, resisting, jnp.asarray(load), push)

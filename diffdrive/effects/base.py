@@ -22,10 +22,15 @@ class Seen(NamedTuple):
     position: Scalar  # m
     velocity: Scalar  # m/s
     bristle: Scalar  # m
-    force: Scalar  # N, that the actuator applies over the coming period, known disturbances included
+    force: Scalar  # N, that the actuator applies over the coming period
     friction: Scalar  # N, all that resists the table, viscous damping included
     load: Scalar  # N, on the guides
+    push: Scalar = 0.0  # N, what else acts on the table: disturbances, other effects; without the plant's constant force
     ripple: Any = None  # N, by how much the force differs in each equal part of the period; None: not at all
+
+    def pushes(self, drive: Drive) -> Scalar:
+        """All that acts on the table beside the actuator and friction (N)."""
+        return self.push + drive.plant.constant_force
 
 
 class Push(NamedTuple):

@@ -19,7 +19,7 @@ def middle(seen: Seen, period: float) -> Scalar:
 
 def ending(seen: Seen, drive: Drive, period: float) -> Scalar:
     """The table's velocity at the end of the coming period (m/s), were its friction constant."""
-    return seen.velocity + period * (seen.force - seen.friction) / drive.plant.mass
+    return seen.velocity + period * (seen.force + seen.pushes(drive) - seen.friction) / drive.plant.mass
 
 
 def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE) -> Scalar:
@@ -128,7 +128,8 @@ class FrameVibration(TableEffect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The force of inertia seen from the base."""
         # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
-        halfway = seen.velocity + 0.5 * period * (1.0 + self.ratio) * (seen.force - seen.friction) / drive.plant.mass
+        rising = (1.0 + self.ratio) * (seen.force - seen.friction) + seen.pushes(drive)
+        halfway = seen.velocity + 0.5 * period * rising / drive.plant.mass
         resisting = resisting_midway(drive, halfway, seen.bristle, seen.load, period)[0]
         push = -self.ratio * (seen.force - resisting) / drive.plant.mass
         ahead = swing(state, push, 2.0 * jnp.pi * self.frequency, self.damping, period)

@@ -1,13 +1,13 @@
 """The motor behind an elastic screw, seen from the table.
 
 With a share s of the moving mass M on the motor's side, and a share r of the friction F on the table's, the screw's
-force S moves the table by
+force S and what else pushes the table (p) move it by
 
-    (1 - s) M a = S - r F ,   so that the rigid drive M a = u - F + f needs  f = (S - r F) / (1 - s) - u + F
+    (1 - s) M a = S - r F + p ,   so that the rigid drive M a = u + p - F + f needs  f = (S - r F + p) / (1 - s) - u - p + F
 
-beside the force u. S follows from the motor's deflection q against the table,
+beside the motor's force u. S follows from the motor's deflection q against the table,
 
-    q'' = (u - (1 - r) F_m) / (s M) + r F / ((1 - s) M) - S / (s (1 - s) M) ,
+    q'' = (u - (1 - r) F_m) / (s M) + (r F - p) / ((1 - s) M) - S / (s (1 - s) M) ,
 
 where the motor's friction F_m is LuGre friction of its own, at the motor's velocity. Over a control period both masses
 are followed in short steps, the table from where the drive has it.
@@ -51,6 +51,7 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     parts = 1 if seen.ripple is None else len(seen.ripple)
     count = parts * max(1, round(period / (parts * LONGEST_SUBSTEP)))
     h = period / count
+    pushed = seen.pushes(drive)
 
     def substep(carry: Any, ripple: Any) -> tuple[Any, None]:
         (q, bristle), velocity, rising, deflection, pulled, resisted = carry
@@ -58,7 +59,7 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
         table, deflection = resisting_midway(drive, middle, deflection, seen.load, h)
         own, bristle = resisting_midway(drive, middle + q.rate, bristle, seen.load, h)
         force = seen.force if ripple is None else seen.force + ripple
-        push = (force - (1.0 - r) * own) / (s * mass) + r * table / ((1.0 - s) * mass)
+        push = (force - (1.0 - r) * own) / (s * mass) + (r * table - pushed) / ((1.0 - s) * mass)
         inside = jnp.clip(q.deflection, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest
         there = swing(Oscillator(q.deflection - inside, q.rate), push, angular, screw.damping, h)
@@ -67,17 +68,17 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
         deflected = jnp.where(touching, there.deflection + inside, free.deflection)
         ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
         pull = reduced * (push - (ahead.rate - q.rate) / h)
-        rising = (pull - r * table) / ((1.0 - s) * mass)
+        rising = (pull - r * table + pushed) / ((1.0 - s) * mass)
         velocity = velocity + h * rising
         carry = (Motor(ahead, bristle), velocity, rising, deflection, pulled + pull / count, resisted + table / count)
         return lax.optimization_barrier(carry), None
 
     zero = jnp.zeros_like(seen.velocity)
-    rising = (seen.force - seen.friction) / mass
+    rising = (seen.force + pushed - seen.friction) / mass
     begin = (motor, seen.velocity, rising, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
     (motor, *_, pulled, resisted), _ = lax.scan(substep, begin, ripple, length=count)
-    return motor, Acts(force=(pulled - r * resisted) / (1.0 - s) - seen.force + resisted)
+    return motor, Acts(force=(pulled - r * resisted + pushed) / (1.0 - s) - seen.force - pushed + resisted)
 
 
 class Compliance(TableEffect):

@@ -81,7 +81,8 @@ def _deviances(
     drive: Drive, stretches: Stretches, coupled: Effects, push: Float[Array, " s"], process: Any, logged: Logged
 ) -> Float[Array, " s"]:
     def one(coupled: Effects, push: Float[Array, ""], process: Float[Array, " 2"]) -> Float[Array, ""]:
-        pushed = stretches.under._replace(force=stretches.under.force + push)
+        under = stretches.under
+        pushed = under._replace(force=under.force + push, beside=under.beside + push)
 
         def each(*stretch: Any) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
             lanes, under, coupled = jax.tree.map(lambda leaf: leaf[None], stretch)

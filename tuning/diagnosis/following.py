@@ -46,9 +46,17 @@ class Exposure(NamedTuple):
     viscous: Float[Array, "lanes n"]  # N s/m
     shift: Float[Array, "lanes n"]  # m, that the force's course within the period adds to the motion
     scale: Float[Array, "lanes n"]  # m
+    beside: Float[Array, "lanes n"]  # N, share of `force` that does not come from the motor
     ripple: Float[Array, "lanes n k"] | None = (
         None  # N, in each control period of a sample, of the force about its mean
     )
+
+    def seen(
+        self, time: Any, position: Scalar, velocity: Scalar, bristle: Scalar, friction: Scalar, load: Scalar
+    ) -> Seen:
+        """One sample of it as coupled effects see it."""
+        force = self.force - self.beside
+        return Seen(time, position, velocity, bristle, force, friction, load, self.beside)
 
 
 class Process(NamedTuple):
@@ -129,11 +137,12 @@ def exposure(
                 pushes.append(push)
             force = sum(push.mean for push in pushes) / parts
             ripple = jnp.stack([push.mean - force for push in pushes]) if parts > 1 else None
-            seen = Seen(start + count * period, position, velocity, bristle, force + pushed, friction, load)
+            seen = Seen(start + count * period, position, velocity, bristle, force, friction, load, pushed)
             states, acts = acting.upon(effects, states, seen, machine, period)
             scale = acting.scale_error(effects, position)
             shift = sum(acting.displaced(machine, push.tilt, period / parts) for push in pushes)
-            one = (force + pushed + acts.force, acts.coulomb, acts.gap, acts.viscous, shift, scale)
+            beside = pushed + acts.force
+            one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
             return states, Exposure(*(value + 0.0 * force for value in one), ripple)
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
@@ -191,7 +200,7 @@ def _begun(
 
     def step(states: Any, at: Any) -> tuple[Any, Any]:
         count, acts, load, position, velocity, bristle, friction = at
-        seen = Seen(count * period, position, velocity, bristle, acts.force, friction, load)
+        seen = acts.seen(count * period, position, velocity, bristle, friction, load)
         return acting.upon(lasting, states, seen, acting.bent(drive, acts), period)[0], states
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.remembers)
@@ -253,11 +262,11 @@ def follow(
         machine = acting.bent(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
         if coupled:
-            seen = Seen(time, position, velocity, deflection, acts.force, resisting, load, acts.ripple)
+            seen = acts.seen(time, position, velocity, deflection, resisting, load)._replace(ripple=acts.ripple)
             effects, more = acting.upon(coupled, effects, seen, machine, sampling.period)
             effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
-            acts = Exposure(*both, acts.shift, acts.scale, None if shielded else acts.ripple)
+            acts = Exposure(*both, acts.shift, acts.scale, acts.beside, None if shielded else acts.ripple)
             machine = acting.bent(drive, acts)
 
         one, nil = jnp.ones_like(velocity), jnp.zeros_like(velocity)
@@ -323,7 +332,7 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
 
     def period(args: Any, load: Scalar, ripple: Any) -> Any:
         v, z, machine, force, coulomb, gap, viscous = args
-        acts = Exposure(force, coulomb, gap, viscous, jnp.zeros(()), jnp.zeros(()))
+        acts = Exposure(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
         bent = acting.bent(with_numbers(drive, machine), acts)
         return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.effects import acting
-from diffdrive.effects.base import Effect, ScaleEffect, Seen
+from diffdrive.effects.base import Effect, ScaleEffect
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling
@@ -64,7 +64,7 @@ def _deflection(
     def one(effect: Any, under: Exposure, lane: Lanes, course: Course) -> Float[Array, " n"]:
         def step(state: Any, at: Any) -> tuple[Any, Array]:
             count, acts, load, position, velocity, bristle, friction = at
-            seen = Seen(count * sampling.period, position, velocity, bristle, acts.force, friction, load)
+            seen = acts.seen(count * sampling.period, position, velocity, bristle, friction, load)
             return effect.step(state, seen, acting.bent(drive, acts), sampling.period)[0], state.against.deflection
 
         count = jnp.arange(len(lane.load), dtype=lane.load.dtype)
