@@ -69,15 +69,17 @@ def _points(axis: Any, values: np.ndarray, floor: float, spread: np.ndarray | No
 def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
     """The force that is missing over time and over position, recalibrated and with what was found."""
     figure, axes = new_figure(2, 1, width=11.0, height=2.8, share_x=False)
-    lane = found.logged.owner.index(found.split.logs[-1])
-    rate = found.logged.sampling.rate
+    lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == found.split.logs[-1]]
+    rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
     for rung, label, color in _first_and_last(found.rungs):
-        counts = rung.force.counts[lane] > 0
-        every = max(1, counts.size // MOST_POINTS)
-        force = np.where(counts, rung.force.force[lane], np.nan)[::every]
-        position = 1e3 * np.asarray(rung.force.course.position[lane])[::every]
-        axes[0].plot(np.arange(counts.size)[::every] / rate, force, color=color, linewidth=0.8, label=label)
-        axes[1].plot(position, force, ".", color=color, markersize=1.5)
+        for lane in lanes:
+            counts = rung.force.counts[lane] > 0
+            every = max(1, counts.size // MOST_POINTS)
+            force = np.where(counts, rung.force.force[lane], np.nan)[::every]
+            position = 1e3 * np.asarray(rung.force.course.position[lane])[::every]
+            time = starts[lane] + np.arange(counts.size)[::every] / rate
+            axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
+            axes[1].plot(position, force, ".", color=color, markersize=1.5)
     axes[0].set_xlabel("time, s")
     axes[1].set_xlabel("position, mm")
     for axis in axes:

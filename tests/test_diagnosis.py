@@ -20,14 +20,15 @@ from experiments.diagnose import _write_reference, augmented_drive, diagnose_log
 from experiments.report import Report
 from experiments.withheld.score import score
 from tuning.diagnosis.calibration import NAMES, calibrated
-from tuning.diagnosis.coverage import shortcomings
-from tuning.diagnosis.diagnose import _upheld, diagnose, logged_of
+from tuning.diagnosis.coverage import Shortcoming, shortcomings
+from tuning.diagnosis.diagnose import _confirmed, _upheld, _within, diagnose, logged_of
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import _window, lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
-from tuning.diagnosis.search import Explanation
+from tuning.diagnosis.search import Explanation, Round
 from tuning.diagnosis.setting import setting
+from tuning.diagnosis.verdict import Belief, Verdict
 from tuning.diagnosis.where import localise
 from tuning.next_motion import candidates
 
@@ -181,21 +182,42 @@ def test_a_poor_log_gets_no_cause_but_the_motion_that_is_needed(name, position, 
     log = dataclasses.replace(
         log_of(), name=name, time=np.arange(4000) / RATE, position=position, command=command, reference=position
     )
-    found = diagnose(DRIVE.drive, DRIVE.controller, [log])
+    limited = dataclasses.replace(DRIVE.drive.actuator, force_limit=300.0)
+    found = diagnose(dataclasses.replace(DRIVE.drive, actuator=limited), DRIVE.controller, [log])
     assert found.verdict.verdict == "unknown"
     assert needed in found.verdict.says
-    assert all(one.confidence <= 0.5 for one in found.verdict.beliefs)
+    assert found.verdict.beliefs == []
     assert next_experiment(found, DRIVE).says.startswith("log ")
+
+
+def test_a_log_that_cannot_tell_makes_every_cause_unsure():
+    beliefs = [Belief("cogging", 0.9, True, 0, 50.0, None, []), Belief("backlash", 0.1, False, 0, 40.0, None, [])]
+    verdict = Verdict("effect", beliefs, 0.0, "cogging explains the gap")
+    assert _within(verdict, []) is verdict
+    doubted = _within(verdict, [Shortcoming("friction and mass", "it is short", "a longer motion")])
+    assert doubted.verdict == "unknown"
+    assert [one.confidence for one in doubted.beliefs] == [0.5, 0.1]
+    assert "log a longer motion" in doubted.says
+
+
+@pytest.mark.parametrize(("held_out", "confidence"), [(-500.0, 0.9), (50.0, 0.5)])
+def test_a_cause_that_foresees_held_out_logs_worse_is_not_believed(held_out, confidence):
+    verdict = Verdict("effect", [Belief("cogging", 0.9, True, 0, 500.0, None, [])], 0.0, "cogging explains the gap")
+    rungs = [SimpleNamespace(deviance=one) for one in (100.0, 0.0, held_out)]
+    judged = _confirmed(verdict, rungs)
+    assert judged.verdict == ("effect" if held_out < 0.0 else "unknown")
+    assert judged.beliefs[0].confidence == confidence
 
 
 @pytest.mark.parametrize(("held_out", "stays"), [((0.0, -500.0, -900.0), 2), ((0.0, -500.0, -400.0), 1)])
 def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out, stays):
     fits = [SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(added=k)) for k in range(len(held_out))]
-    rounds = [SimpleNamespace(before=fits[k], fits=[fits[k + 1]]) for k in range(2)]
+    rounds = [Round(fits[k], [], [fits[k + 1]], 1, 0.0) for k in range(2)]
     rungs = [SimpleNamespace(deviance=one) for one in (100.0, *held_out)]
     found, left = _upheld(Explanation(fits[0], rounds, fits[2]), rungs)
     assert found.best is fits[stays]
     assert len(left) == stays + 2
+    assert [one.enough == np.inf for one in found.rounds] == [False, stays < 2]  # and is not believed any more
 
 
 def gap_with(force, surprise, velocity, position):

@@ -3,6 +3,10 @@
 import dataclasses
 import json
 import math
+import os
+import subprocess
+import sys
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -175,8 +179,18 @@ def test_an_answer_that_fails_is_an_error_and_whole(tmp_path, monkeypatch):
     path = tmp_path / "answers" / "1" / "diagnosis.json"
     assert answer._answer(machine(tmp_path / "1"), path, ()) == "1 error []"
     told = json.loads(path.read_text())
+    assert told.pop("question") == answer.question(tmp_path / "1", ())
     assert told == {"verdict": "error", "says": "ValueError: no such thing", "causes": []}
     assert list(path.parent.iterdir()) == [path]
+
+
+def answered(place, out, without=()):
+    """An answer that is there."""
+    path = out / place.name / "diagnosis.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    told = {"verdict": "none", "causes": [], "question": answer.question(place, without)}
+    path.write_text(json.dumps(told))
+    return told
 
 
 def test_answers_that_are_there_are_left_alone_and_half_of_one_is_none(tmp_path):
@@ -184,12 +198,57 @@ def test_answers_that_are_there_are_left_alone_and_half_of_one_is_none(tmp_path)
     for name in "123":
         machine(cases / name)
         (out / name).mkdir(parents=True)
-    (out / "1" / "diagnosis.json").write_text("{}")
+    told = answered(cases / "1", out)
     (out / "2" / "diagnosis.part").write_text('{"verdict": ')
     assert [one.name for one in answer.unanswered(cases, out)] == ["2", "3"]
     assert [one.name for one in answer.unanswered(cases, out, {"1": [], "3": []})] == ["3"]
-    answer.main(cases, out, 1, {"1": ["cogging"]})  # nothing is asked
-    assert (out / "1" / "diagnosis.json").read_text() == "{}"
+    answer.main(cases, out, 1, {"1": []})  # nothing is asked
+    assert json.loads((out / "1" / "diagnosis.json").read_text()) == told
+
+
+def test_an_answer_to_another_question_is_none(tmp_path):
+    cases, out = tmp_path / "cases", tmp_path / "answers"
+    answered(machine(cases / "1"), out, ("cogging", "backlash"))
+    assert answer.unanswered(cases, out, {"1": ["backlash", "cogging"]}) == []
+    assert answer.unanswered(cases, out, {"1": ["backlash"]})
+    (cases / "1" / "log-a.parquet").write_text("another machine")
+    assert answer.unanswered(cases, out, {"1": ["backlash", "cogging"]})
+
+
+def test_a_case_that_kills_its_process_is_an_error_and_the_others_are_answered(tmp_path, monkeypatch):
+    cases, out = tmp_path / "cases", tmp_path / "answers"
+    for name in "123":
+        machine(cases / name)
+
+    def ask(questions, workers):
+        for place, _, without in questions:
+            if place.name == "2":
+                raise BrokenProcessPool("was terminated abruptly")
+            answered(place, out, without)
+
+    monkeypatch.setattr(answer, "_ask", ask)
+    answer.main(cases, out, 2)
+    verdicts = {name: json.loads((out / name / "diagnosis.json").read_text())["verdict"] for name in "123"}
+    assert verdicts == {"1": "none", "2": "error", "3": "none"}
+    assert answer.unanswered(cases, out) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="processes are listed in /proc on Linux only")
+def test_whoever_asks_no_more_leaves_no_process_behind(tmp_path):
+    """The answering process is told to end while it has cases left: so do the processes that it began."""
+    for k in range(6):
+        machine(tmp_path / "cases" / str(k))
+    command = [sys.executable, "-m", "experiments.withheld.answer", "cases", "answers", "2"]
+    environment = os.environ | {"PYTHONPATH": str(study.CODE)}
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True)
+    process.stdout.readline()  # the first is answered
+    began = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    process.terminate()
+    process.communicate(timeout=60)
+    assert began
+    assert [
+        one for one in began if Path(f"/proc/{one}/cmdline").exists() and Path(f"/proc/{one}/cmdline").read_text()
+    ] == []
 
 
 SPY = """
@@ -225,9 +284,7 @@ def test_the_answering_process_is_given_machines_and_no_key(spied):
     for name in "12":
         machine(bench / name)
     (bench / "key.json").write_text('{"1": {"kind": "none", "effects": []}, "2": {"kind": "none", "effects": []}}')
-    done = out / "answers" / "2" / "diagnosis.json"
-    done.parent.mkdir(parents=True)
-    done.write_text('{"verdict": "none", "causes": []}')
+    done = answered(bench / "2", out / "answers")
     card = study.examined(out, bench, bench / "key.json")
     assert (card["cases"], card["false_alarms"]) == (2, 0.0)
     told = json.loads((out / "answers" / "1" / "diagnosis.json").read_text())
@@ -236,7 +293,34 @@ def test_the_answering_process_is_given_machines_and_no_key(spied):
     assert (told["links"], told["without"]) == ([], None)
     above = [Path(told["cwd"]), *Path(told["cwd"]).parents]
     assert not {out, bench, spied} & set(above)
-    assert json.loads(done.read_text()) == {"verdict": "none", "causes": []}
+    assert json.loads((out / "answers" / "2" / "diagnosis.json").read_text()) == done
+
+
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        (None, "not there"),
+        ("{", "no key"),
+        ('["1"]', "no key"),
+        ('{"1": {"effects": [{}]}}', "no key"),
+        ('{"1": {"effects": []}, "3": {"effects": []}}', "they differ in 2, 3"),
+        ('{"1": {"effects": [{"name": "a"}, {"name": "b"}, {"name": "c"}]}}', "case 1 has more than 2"),
+    ],
+)
+def test_a_key_that_does_not_fit_is_refused_before_hours_are_spent(tmp_path, key, says):
+    for name in "12":
+        machine(tmp_path / "bench" / name)
+    if key is not None:
+        (tmp_path / "bench" / "key.json").write_text(key)
+    with pytest.raises(ParameterError, match=says):
+        study.examined(tmp_path / "out", tmp_path / "bench", tmp_path / "bench" / "key.json")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_without_machines_is_refused(tmp_path):
+    (tmp_path / "key.json").write_text("{}")
+    with pytest.raises(ParameterError, match="no machine in it"):
+        study.examined(tmp_path / "out", tmp_path, tmp_path / "key.json")
 
 
 def test_answers_of_a_process_that_ends_early_are_kept(spied):

@@ -1,7 +1,7 @@
 """The machine of the withheld-effect check: without a fault it is the simulator's, with one it is the catalogue's.
 
-Two programs, two integrators, and no equation of an effect in common: what each fault changes in position and command is
-held against what the effect of that name changes in the simulator.
+Two programs, two integrators, and no equation of an effect in common: what each fault changes in position and command
+is held against what the effect of that name changes in the simulator.
 """
 
 import dataclasses

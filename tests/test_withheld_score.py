@@ -43,12 +43,55 @@ def test_a_failed_answer_is_wrong_in_the_class_of_its_key():
         (ERROR, truth("cogging", "backlash")),
     )
     assert (card["errors"], card["clear_single"], card["faint_single"]) == (5, 1, 1)
-    for name in ("named_clear", "top1_clear", "declared_clear", "top2_clear", "effect_verdict_clear", "named_faint",
+    for name in ("named_clear", "top1_clear", "declared_clear", "top2_clear", "exact_clear", "named_faint",
                  "top1_faint", "top2_faint", "unknown_recall", "both_found"):  # fmt: skip
         assert card[name] == 0.0
     assert card["false_alarms"] == card["confidently_wrong"] == card["confidently_wrong_faint"] == 1.0
     assert card["confusion"]["cogging"] == {"error": 2}
     assert card["rows"][0]["visibility"] is None
+
+
+def test_a_case_without_an_answer_is_one_that_failed():
+    card = score({}, {"1": truth("cogging", size=2.0), "2": truth()})
+    assert (card["cases"], card["errors"], card["named_clear"], card["said_none"]) == (2, 2, 0.0, 0.0)
+    assert card["median_shrink_held_out"] == 0.0
+
+
+def test_what_is_said_beside_the_truth_counts_in_the_exact_rates():
+    both = [cause("cogging"), cause("backlash")]
+    card = card_of(
+        (told("effect", *both), truth("cogging")),
+        (told("effect", *both), truth("cogging", "backlash")),
+        (told("unknown", *both), truth("cogging", "backlash")),
+        (told("unknown"), truth()),
+        (told("none"), truth()),
+    )
+    assert (card["named_clear"], card["exact_clear"]) == (1.0, 0.0)
+    assert (card["both_found"], card["both_named"]) == (1.0, 0.5)
+    assert (card["false_alarms"], card["said_none"]) == (0.0, 0.5)
+
+
+def test_what_recalibration_swallowed_counts_by_the_size_that_was_drawn():
+    swallowed = told("none", gap=1.0)
+    card = card_of(
+        (swallowed, truth("cogging", size=2.0)),
+        (swallowed, truth("compliance", size=2.0, pitfall=True)),
+        (told("effect", cause("cogging")), truth("cogging", size=1.0)),
+        (swallowed, truth("cogging", size=0.9)),
+    )
+    assert (card["clear_single"], card["named_clear"]) == (1, 1.0)
+    assert (card["drawn_clear"], card["named_drawn_clear"]) == (3, pytest.approx(1 / 3, abs=1e-3))
+
+
+def test_shares_have_intervals():
+    """Wilson's for 9 of 10, from his formula."""
+    right, wrong = told("effect", cause("cogging")), told("effect", cause("backlash"))
+    card = card_of(*[(right, truth("cogging"))] * 9, (wrong, truth("cogging")))
+    n, p, z = 10, 0.9, 1.959964
+    half = z * (p * (1 - p) / n + z**2 / (4 * n**2)) ** 0.5
+    expected = [(p + z**2 / (2 * n) + way * half) / (1 + z**2 / n) for way in (-1, 1)]
+    assert card["intervals"]["named_clear"] == pytest.approx(expected, abs=1e-3)
+    assert card["intervals"]["both_found"] is None
 
 
 def test_clear_is_the_keys_word_then_the_gap_then_the_size():
@@ -67,7 +110,7 @@ def test_named_is_found_first_with_the_verdict_that_there_is_an_effect():
         (told("unknown", cause("cogging"), gap=2.0), truth("cogging")),
         (told("effect", cause("backlash"), cause("cogging", found=False), gap=2.0), truth("cogging")),
     )
-    assert (card["named_clear"], card["top1_clear"], card["effect_verdict_clear"]) == (0.5, 1.0, 0.5)
+    assert (card["named_clear"], card["top1_clear"], card["exact_clear"]) == (0.5, 1.0, 0.5)
     assert (card["named_faint"], card["top1_faint"], card["top2_faint"]) == (0.0, 0.5, 1.0)
 
 
@@ -82,7 +125,7 @@ def test_pitfalls_are_counted_apart():
 
 def test_everything_that_is_shown_is_there():
     assert set(SHOWN) <= set(card_of())
-    assert {"named_clear", "effect_verdict_clear", "top2_faint", "errors", "pitfall_named"} <= set(SHOWN)
+    assert {"named_clear", "exact_clear", "top2_faint", "errors", "pitfall_named"} <= set(SHOWN)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ class Seen(NamedTuple):
     force: Scalar  # N, that the actuator applies over the coming period
     friction: Scalar  # N, all that resists the table, viscous damping included
     load: Scalar  # N, on the guides
-    push: Scalar = 0.0  # N, what else acts on the table: disturbances, other effects; without the plant's constant force
+    push: Scalar = 0.0  # N, of what else acts on the table, but for the plant's constant force
     ripple: Any = None  # N, by how much the force differs in each equal part of the period; None: not at all
 
     def pushes(self, drive: Drive) -> Scalar:

@@ -3,7 +3,9 @@
 With a share s of the moving mass M on the motor's side, and a share r of the friction F on the table's, the screw's
 force S and what else pushes the table (p) move it by
 
-    (1 - s) M a = S - r F + p ,   so that the rigid drive M a = u + p - F + f needs  f = (S - r F + p) / (1 - s) - u - p + F
+    (1 - s) M a = S - r F + p ,   so that the rigid drive M a = u + p - F + f needs
+
+    f = (S - r F + p) / (1 - s) - u - p + F
 
 beside the motor's force u. S follows from the motor's deflection q against the table,
 

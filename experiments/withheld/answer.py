@@ -2,15 +2,19 @@
 
     python -m experiments.withheld.answer FOLDER OUT WORKERS [WITHOUT.json]
 
-Cases that have an answer are left alone, so that an interrupted run goes on. The optional file names the cases that are
-wanted, and for each the effects that are not to be considered.
+Cases that have an answer to just this question are left alone, so that an interrupted run goes on. The optional file
+names the cases that are wanted, and for each the effects that are not to be considered.
 """
 
+import hashlib
 import json
 import multiprocessing
+import signal
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +46,16 @@ def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:
         told = answer(place, without)
     except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
         told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
+    _keep(place, path, without, told)
+    return f"{place.name} {told['verdict']} {[one['effect'] for one in told['causes'] if one['found']]}"
+
+
+def _keep(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part")
-    part.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    text = json.dumps(told | {"question": question(place, without)}, indent=1)
+    part.write_text(text + "\n", encoding="utf-8")
     part.replace(path)  # whole or not at all
-    return f"{place.name} {told['verdict']} {[one['effect'] for one in told['causes'] if one['found']]}"
 
 
 def _begin() -> None:
@@ -54,10 +63,34 @@ def _begin() -> None:
     keep_compiled()
 
 
+def machines(folder: Path) -> list[Path]:
+    """The cases of `folder`."""
+    return sorted(one.parent for one in folder.glob("*/drive.toml"))
+
+
+def question(place: Path, without: Sequence[str]) -> str:
+    """What tells the question from any other: the drive file, the logs, and the effects that are left out."""
+    text = hashlib.sha256(json.dumps(sorted(without)).encode())
+    for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
+        text.update(path.name.encode() + path.read_bytes())
+    return text.hexdigest()
+
+
+def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:
+    if not path.exists():
+        return False
+    answered: str | None = json.loads(path.read_text(encoding="utf-8")).get("question")
+    return answered == question(place, without)
+
+
 def unanswered(folder: Path, out: Path, without: dict[str, list[str]] | None = None) -> list[Path]:
-    """The cases of `folder`, or those of them that `without` names, that have no answer in `out` yet."""
-    places = sorted(one.parent for one in folder.glob("*/drive.toml"))
-    return [one for one in places if (without is None or one.name in without) and not _path(out, one).exists()]
+    """The cases of `folder`, or those of them that `without` names, whose question has no answer in `out` yet."""
+    return [
+        one
+        for one in machines(folder)
+        if without is None or one.name in without
+        if not _answered(one, _path(out, one), (without or {}).get(one.name, ()))
+    ]
 
 
 def _path(out: Path, place: Path) -> Path:
@@ -65,19 +98,42 @@ def _path(out: Path, place: Path) -> Path:
 
 
 def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]] | None = None) -> None:
-    """Answer every case of `folder`, or those that `without` names, that has no answer in `out` yet."""
-    # spawned, not forked: a forked JAX hangs
+    """Answer every case of `folder`, or those that `without` names, whose question has no answer in `out` yet.
+
+    Where a process is killed, for want of memory perhaps, the cases that are left are asked one by one, and one that
+    kills its process is an error.
+    """
+
+    def leaving(place: Path) -> tuple[str, ...]:
+        return tuple((without or {}).get(place.name, ()))
+
+    try:
+        _ask([(place, _path(out, place), leaving(place)) for place in unanswered(folder, out, without)], workers)
+    except BrokenProcessPool:
+        for place in unanswered(folder, out, without):
+            path = _path(out, place)
+            try:
+                _ask([(place, path, leaving(place))], 1)
+            except BrokenProcessPool as problem:
+                _keep(place, path, leaving(place), {"verdict": "error", "says": str(problem), "causes": []})
+
+
+def _ask(questions: Sequence[tuple[Path, Path, tuple[str, ...]]], workers: int) -> None:
+    """Ask each; the processes are spawned, since a forked JAX hangs."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, initializer=_begin, max_tasks_per_child=TASKS) as pool:
-        asked = [
-            pool.submit(_answer, place, _path(out, place), tuple((without or {}).get(place.name, ())))
-            for place in unanswered(folder, out, without)
-        ]
-        for one in as_completed(asked):
-            print(one.result(), flush=True)
+        try:
+            for one in as_completed([pool.submit(_answer, *each) for each in questions]):
+                print(one.result(), flush=True)
+        except BaseException:  # whoever asked is gone, or wants no more: leave no process behind
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     folder, out, workers, *more = sys.argv[1:]
     named = json.loads(Path(more[0]).read_text(encoding="utf-8")) if more else None
     main(Path(folder), Path(out), int(workers), named)

@@ -6,11 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
+
+from diffdrive.errors import ParameterError
 
 CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
 MEANT = 1.0  # the size from which an effect was drawn to be clear
 BINS = 10  # of confidence
+MOST = 2  # effects of a case
 NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a share
+MISSING: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
 
 
 def visibility(told: dict[str, Any]) -> float | None:
@@ -26,7 +31,8 @@ def visibility(told: dict[str, Any]) -> float | None:
 def is_clear(told: dict[str, Any], key: dict[str, Any]) -> bool:
     """Whether a case is one of clear visibility: the key's word; where it has none, the gap over its floor.
 
-    The gap was measured before any effect was looked for. Where the answer has none, as it failed, the sizes drawn.
+    It is the answer's own gap that counts, after recalibration: what recalibration swallows is faint here, and counts
+    in the rates by the size that was drawn. Where the answer has none, as it failed, the sizes drawn.
     """
     if key.get("visibility") in ("clear", "faint"):
         return bool(key["visibility"] == "clear")
@@ -44,9 +50,10 @@ def score(
     """Every figure of the check; `answers` and `key` by case.
 
     `oracle` are answers with nothing but the true effects to choose from, for the cases where these were not found;
-    without it nothing is said of an oracle. An answer that failed is wrong in whatever a case of its kind counts for.
+    without it nothing is said of an oracle. An answer that failed or is missing is wrong in whatever a case of its kind
+    counts for, and closes nothing of the gap. `intervals` are Wilson's, of 95 %.
     """
-    rows = [_row(name, answers[name], key[name]) for name in sorted(answers)]
+    rows = [_row(name, answers.get(name, MISSING), key[name]) for name in sorted(key)]
     best = {row["case"]: _best(row, oracle) for row in rows}
     single = [row for row in rows if row["kind"] == "single"]
     clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
@@ -54,34 +61,46 @@ def score(
     outside = [row for row in rows if row["kind"] == "unknown"]
     two = [row for row in rows if row["kind"] == "compound"]
     pitfalls = [row for row in rows if row["kind"] == "pitfall"]
+    drawn = [row for row in single + pitfalls if row["size"][0] >= MEANT]
+    shrinks = [_ratio(row["shrink"], best[row["case"]]) for row in clear]
+    shares = {
+        "named_clear": (clear, "named"),
+        "exact_clear": (clear, "exact"),
+        "top1_clear": (clear, "top1"),
+        "declared_clear": (clear, "declared"),
+        "top2_clear": (clear, "top2"),
+        "named_drawn_clear": (drawn, "named"),
+        "named_faint": (faint, "named"),
+        "top1_faint": (faint, "top1"),
+        "top2_faint": (faint, "top2"),
+        "confidently_wrong_faint": (faint, "confidently_wrong"),
+        "confidently_wrong": (rows, "confidently_wrong"),
+        "said_none": (sound, "said_none"),
+        "false_alarms": (sound, "alarm"),
+        "unknown_recall": (outside, "said_unknown"),
+        "both_found": (two, "both"),
+        "both_named": (two, "exact"),
+        "pitfall_named": (pitfalls, "named"),
+    }
     return {
         "cases": len(rows),
         "errors": sum(row["failed"] for row in rows),
         "clear_single": len(clear),
-        "named_clear": _share(clear, "named"),
-        "top1_clear": _share(clear, "top1"),
-        "declared_clear": _share(clear, "declared"),
-        "top2_clear": _share(clear, "top2"),
-        "effect_verdict_clear": _share(clear, "said_effect"),
+        "drawn_clear": len(drawn),
         "faint_single": len(faint),
-        "named_faint": _share(faint, "named"),
-        "top1_faint": _share(faint, "top1"),
-        "top2_faint": _share(faint, "top2"),
-        "confidently_wrong_faint": _share(faint, "confidently_wrong"),
-        "confidently_wrong": _share(rows, "confidently_wrong"),
         "none": len(sound),
-        "false_alarms": _share(sound, "alarm"),
         "outside": len(outside),
-        "unknown_recall": _share(outside, "said_unknown"),
         "compounds": len(two),
-        "both_found": _share(two, "both"),
         "pitfalls": len(pitfalls),
-        "pitfall_named": _share(pitfalls, "named"),
+        **{name: _share(*which) for name, which in shares.items()},
+        "intervals": {name: _interval(*which) for name, which in shares.items()},
         "calibration_error": _calibration(rows),
         "reliability": _reliability(rows),
-        "median_parameter_error": _median([row["parameter_error"] for row in clear if row["top1"]]),
-        "median_shrink_held_out": _median([row["shrink"] for row in clear]),
-        "median_shrink_of_oracle": _median([_ratio(row["shrink"], best[row["case"]]) for row in clear]),
+        "median_parameter_error": _quantile([row["parameter_error"] for row in clear if row["top1"]], 0.5),
+        "median_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.5),
+        "quarter_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.25),
+        "median_shrink_of_oracle": _quantile(shrinks, 0.5),
+        "quarter_shrink_of_oracle": _quantile(shrinks, 0.25),
         "confusion": _confusion(rows),
         "rows": rows,
     }
@@ -115,7 +134,8 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "top2": bool(true) and true[0] in ranked[:2],
         "declared": bool(true) and true[0] in declared,
         "both": set(true) <= set(found),
-        "said_effect": said_effect,
+        "exact": said_effect and set(found) == set(true),
+        "said_none": told["verdict"] == "none",
         "alarm": said_effect or failed,
         "said_unknown": told["verdict"] == "unknown",
         "confidently_wrong": failed or (said_effect and any(one["effect"] not in true for one in sure)),
@@ -140,8 +160,10 @@ def _best(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | None) -> floa
 def _shrink(told: dict[str, Any]) -> float | None:
     """How far the whole answer closes the gap to the floor on what was held out, as a share of what recalibration left.
 
-    None where recalibration leaves nothing.
+    None where recalibration leaves nothing; nothing of it by an answer that failed.
     """
+    if told["verdict"] == "error":
+        return 0.0
     ladder, floor = told.get("ladder", []), told.get("gap", {}).get("noise_floor_force_N")
     if len(ladder) < 2 or not floor:
         return None
@@ -173,9 +195,16 @@ def _share(rows: list[dict[str, Any]], what: str) -> float | None:
     return round(float(np.mean([row[what] for row in rows])), 3) if rows else None
 
 
-def _median(values: list[float | None]) -> float | None:
+def _interval(rows: list[dict[str, Any]], what: str) -> list[float] | None:
+    if not rows:
+        return None
+    interval = binomtest(sum(row[what] for row in rows), len(rows)).proportion_ci(method="wilson")
+    return [round(float(interval.low), 3), round(float(interval.high), 3)]
+
+
+def _quantile(values: list[float | None], share: float) -> float | None:
     there = [one for one in values if one is not None]
-    return round(float(np.median(there)), 4) if there else None
+    return round(float(np.quantile(there, share)), 4) if there else None
 
 
 def _calibration(rows: list[dict[str, Any]]) -> float | None:
@@ -205,7 +234,7 @@ def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     """What was answered for each effect that was there alone, for none, and for what lies outside."""
     table: dict[str, Counter[str]] = {}
     for row in rows:
-        if row["kind"] == "compound":
+        if row["kind"] in ("compound", "pitfall"):
             continue
         said = row["found"][0] if row["verdict"] == "effect" and row["found"] else row["verdict"]
         table.setdefault(row["true"][0] if row["true"] else "none", Counter())[said] += 1
@@ -221,10 +250,24 @@ def read_answers(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def read_key(path: Path) -> dict[str, dict[str, Any]]:
-    """A key file; where the sizes of the effects are not said, whether they are clear."""
-    opened: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
-    for case in opened.values():
-        for one in case["effects"]:
-            one.setdefault("outside", case.get("kind") == "unknown")
-            one.setdefault("size", CLEAR if case.get("visibility") == "clear" else 0.0)
+    """A key file; where the sizes of the effects are not said, whether they are clear.
+
+    Raises `ParameterError` for a file that is not there or not a key.
+    """
+    try:
+        opened: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+        for name, case in opened.items():
+            for one in case["effects"]:
+                one["name"]
+                one.setdefault("outside", case.get("kind") == "unknown")
+                one.setdefault("size", CLEAR if case.get("visibility") == "clear" else 0.0)
+            if len(case["effects"]) > MOST:
+                raise ParameterError(f"{path}: case {name} has more than {MOST} effects, which cannot be scored")
+    except FileNotFoundError:
+        raise ParameterError(f"{path}: not there; a folder of machines to examine holds the key to them") from None
+    except (ValueError, TypeError, KeyError, AttributeError) as problem:
+        raise ParameterError(
+            f"{path}: no key ({problem!r}); it must be an object of cases, each with its `effects`, a list of objects "
+            "with a `name`"
+        ) from None
     return opened

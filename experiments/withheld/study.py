@@ -9,17 +9,19 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from diffdrive.errors import ParameterError
 from experiments.report import Report
 from experiments.withheld import again
-from experiments.withheld.answer import unanswered
+from experiments.withheld.answer import machines, unanswered
 from experiments.withheld.generate import generate, write_key
 from experiments.withheld.score import read_answers, read_key, score
 
 SHOWN = (
-    "cases", "errors", "clear_single", "named_clear", "top1_clear", "declared_clear", "top2_clear",
-    "effect_verdict_clear", "faint_single", "named_faint", "top1_faint", "top2_faint", "confidently_wrong_faint",
-    "confidently_wrong", "none", "false_alarms", "outside", "unknown_recall", "compounds", "both_found", "pitfalls",
-    "pitfall_named", "calibration_error", "median_parameter_error", "median_shrink_held_out", "median_shrink_of_oracle",
+    "cases", "errors", "clear_single", "named_clear", "exact_clear", "top1_clear", "declared_clear", "top2_clear",
+    "drawn_clear", "named_drawn_clear", "faint_single", "named_faint", "top1_faint", "top2_faint",
+    "confidently_wrong_faint", "confidently_wrong", "none", "said_none", "false_alarms", "outside", "unknown_recall",
+    "compounds", "both_found", "both_named", "pitfalls", "pitfall_named", "calibration_error", "median_parameter_error",
+    "median_shrink_held_out", "quarter_shrink_held_out", "median_shrink_of_oracle", "quarter_shrink_of_oracle",
 )  # fmt: skip
 ANSWERING = ("-m", "experiments.withheld.answer")
 CODE = Path(__file__).resolve().parents[2]
@@ -42,9 +44,22 @@ def withheld(out: Path, count: int, seed: int, workers: int = 1, twice: bool = F
 
 def examined(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
     """The same on machines that are there, such as a bench's: a folder for each, and the key to all."""
+    told = _checked_key(cases, key)
     with Report(f"withheld-effect check: {cases.name}", out) as report:
         _ask(report, cases, out / "answers", workers)
-        return _tell(report, cases, read_key(key), workers, twice)
+        return _tell(report, cases, told, workers, twice)
+
+
+def _checked_key(cases: Path, path: Path) -> dict[str, dict[str, Any]]:
+    """The key of machines that are there; hours later would be late to learn that it does not fit."""
+    key = read_key(path)
+    there = {place.name for place in machines(cases)}
+    if not there:
+        raise ParameterError(f"{cases}: no machine in it; each is a folder with a drive.toml and log-*.parquet")
+    if there != key.keys():
+        odd = ", ".join(sorted(there ^ key.keys()))
+        raise ParameterError(f"{path}: names other machines than there are in {cases}; they differ in {odd}")
+    return key
 
 
 def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict[str, list[str]] | None = None) -> None:
@@ -69,6 +84,9 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
                 for line in process.stdout:
                     print(line, end="", flush=True)
                     _bring(room / "answers", answers)  # one by one: an interrupted run goes on from there
+            except BaseException:
+                process.terminate()
+                raise
             finally:
                 _bring(room / "answers", answers)
         if process.returncode:
@@ -76,13 +94,14 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
 
 
 def _bring(there: Path, here: Path) -> None:
-    """Bring the answers that are `there` over."""
+    """Bring the answers that are `there` over, those that are not `here` yet."""
     for path in there.glob("*/diagnosis.json"):
-        place = here / path.parent.name / path.name
+        place, text = here / path.parent.name / path.name, path.read_bytes()
+        if place.exists() and place.read_bytes() == text:
+            continue
         place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, place.with_suffix(".part"))
+        place.with_suffix(".part").write_bytes(text)
         place.with_suffix(".part").replace(place)  # whole or not at all
-        path.unlink()
 
 
 def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> again.Answers:
@@ -126,5 +145,6 @@ def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: 
         "Answers",
     )
     report.table("reliability", ("confidence", "causes", "right"), card["reliability"], "What the confidences meant")
-    report.data["confusion"] = card["confusion"]
+    for name in ("confusion", "intervals", "rows"):
+        report.data[name] = card[name]
     return card

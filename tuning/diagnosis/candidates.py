@@ -117,6 +117,11 @@ def _applied_load(at: Setting) -> Candidate:
     )
 
 
+def _constant_load(at: Setting) -> Candidate:
+    """A load throughout, without the price of a step that is not there."""
+    return Candidate(friction.AppliedLoad, (_amplitude("load", 0.2 * at.friction / at.load_coefficient),))
+
+
 def _position_friction(at: Setting) -> Candidate:
     stroke = max(at.high - at.low, 1e-4)
     return Candidate(
@@ -308,6 +313,7 @@ def _interpolation_error(at: Setting) -> Candidate:
 
 
 CATALOGUE: tuple[Callable[[Setting], Candidate], ...] = (
+    _constant_load,
     _applied_load,
     _friction_shape,
     _friction_asymmetry,

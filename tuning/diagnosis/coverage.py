@@ -81,7 +81,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
                 "anything in the forces",
                 "the command is at its limit for most of the time",
                 "a gentler motion, within the drive's force",
-                hopeless=True,
+                hopeless=known is not None,  # where no limit is known, it may be friction at one speed
             )
         )
     return found

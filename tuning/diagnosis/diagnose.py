@@ -41,6 +41,7 @@ from tuning.replay import long_pieces
 SUBSTEP = 50e-6  # s
 ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
+SAME_RATE = 1e-3  # relative
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
 
 
@@ -87,6 +88,11 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     for log in logs:
         if not long_pieces(log):
             raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap: leave this log out")
+        if abs(log.rate / logs[0].rate - 1.0) > SAME_RATE:
+            raise LogError(
+                f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: diagnose logs of "
+                "one rate together"
+            )
     drive = dataclasses.replace(drive, effects=())
     thinning = max(1, int(logs[0].rate / ENOUGH))
     lanes = thinned(lanes_of(list(logs)), thinning)
@@ -136,8 +142,14 @@ def diagnose(
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
     progress("judging on held-out data", 0, 1)
     rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
-    found, rungs = _upheld(found, rungs)
+    upheld, rungs = _upheld(found, rungs)
+    withdrawn = found.best.model.added - upheld.best.model.added
+    found = upheld
     verdict = _confirmed(_within(judge(fitter, found), lacks), rungs)
+    if withdrawn:
+        last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
+        says = f"{verdict.says}; {last} was withdrawn, since with it the held-out logs are foreseen worse"
+        verdict = verdict._replace(says=says)
     gap = force_gap(fitter, base, base.model, base.u)
     where = localise(
         gap,
@@ -169,7 +181,9 @@ def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Ru
         fewer, more = rungs[number + 1], rungs[number + 2]
         gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
         if more.deviance - fewer.deviance > max(WORTH, DENIED * gained):
-            return found._replace(best=found.rounds[number].before), rungs[: number + 2]
+            believed, withdrawn = found.rounds[:number], found.rounds[number:]
+            rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
+            return found._replace(rounds=rounds, best=found.rounds[number].before), rungs[: number + 2]
     return found, rungs
 
 
@@ -210,7 +224,10 @@ def _signals(rungs: list[Rung]) -> list[Region]:
     loop = rungs[1].loop
     if loop is None or loop.says:
         return []
-    over = np.array([loop.position_rms / loop.position_floor, loop.command_rms / loop.command_floor])
+    floors = np.array([loop.position_floor, loop.command_floor])
+    if not np.all(floors > 0.0):
+        return []
+    over = np.array([loop.position_rms, loop.command_rms]) / floors
     excess = np.maximum(over**2 - 1.0, 0.0)
     shares = excess / max(excess.sum(), 1e-9)
     return [

@@ -97,9 +97,10 @@ def _deviances(
 
 
 @eqx.filter_jit
-def _answers(
+def answered(
     track: Track, linear: Slopes, machine: Any, exposure: Any, counts: Any, period: float
 ) -> Float[Array, "lanes n k"]:
+    """Answers of the innovations, over their scatter, to the machine's numbers ([p, k]) and to exposures."""
     forcing = jnp.einsum("lnrp,pk->lnrk", linear.machine, machine)
     off = jnp.zeros((*forcing.shape[:2], forcing.shape[-1]))
     if exposure is not None:
@@ -201,7 +202,7 @@ class Fitter:
             first = exposure_by_machine(logged, b, effects, point.course)
             then = exposure_slopes(logged, point.own, effects, tangents, point.course)
             bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
-        found = _answers(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
+        found = answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
         return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
 
     def _differences(self, model: Model, point: _Point, wanted: Int[np.ndarray, " w"]) -> Float[np.ndarray, "m k"]:

@@ -80,7 +80,6 @@ class Track(NamedTuple):
 
     course: Course
     lacking: Float[Array, "lanes n"]  # N, force that the model lacks
-    doubt: Float[Array, "lanes n"]  # N, standard deviation of it
     innovation: Float[Array, "lanes n"]  # m
     scatter: Float[Array, "lanes n"]  # m, standard deviation expected of it
     pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
@@ -257,7 +256,6 @@ def follow(
         state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
         covariance = update_covariance(covariance, pull, measured_variance)
         state, covariance = lax.optimization_barrier((state, covariance))
-        doubt = covariance[3][3]
         position, velocity, deflection, lacking = state
         machine = acting.bent(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
@@ -278,7 +276,7 @@ def follow(
         rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
-        return (ahead, covariance, effects), (*state, resisting, jnp.sqrt(doubt), innovation, scatter, pull)
+        return (ahead, covariance, effects), (*state, resisting, innovation, scatter, pull)
 
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
@@ -307,10 +305,10 @@ def follow(
         return jax.tree.map(pieces.joined, found)
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, course))
-    position, velocity, bristle, lacking, friction, doubt, innovation, scatter, pull = found
+    position, velocity, bristle, lacking, friction, innovation, scatter, pull = found
     deviance, size = deviance_of(innovation, scatter, lanes.counts)
     course = Course(position, velocity, bristle, friction)
-    return Track(course, lacking, doubt, innovation, scatter, pull, deviance, size)
+    return Track(course, lacking, innovation, scatter, pull, deviance, size)
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:

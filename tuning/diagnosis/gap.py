@@ -35,6 +35,7 @@ BLOCK = 0.25  # s, of the bootstrap
 DRAWS = 400
 NOISES = 2  # draws of the measuring noise
 SEEDS = 3  # simulations with noise
+DITHER = 0.3  # of the noise that quantisation makes: without any, simulations would not differ, and have no floor
 APART = 10.0  # of the log's travel, that a simulation may be off before it counts as diverged
 
 
@@ -55,6 +56,10 @@ class ForceGap(NamedTuple):
         """95 % interval of `rms`, from whole blocks of the logs drawn anew."""
         low, high = np.sqrt(np.percentile(self.drawn(rate, seed), [2.5, 97.5]))
         return float(low), float(high)
+
+    def where(self, counts: Float[np.ndarray, "lanes n"]) -> "ForceGap":
+        """The same, judged by these samples."""
+        return self._replace(force=self.force * counts, counts=counts)
 
     def drawn(self, rate: float, seed: int = 0) -> Float[np.ndarray, " draws"]:
         """Mean squares (N^2) of logs made of blocks drawn anew; the same blocks for every model of the same logs."""
@@ -155,7 +160,7 @@ def loop_gap(
     keys = jax.random.split(jax.random.key(seed), SEEDS)
     for drive, log, judged in zip(drives, logs, counts, strict=True):
         quantised = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution) / np.sqrt(12)
-        white = float(np.sqrt(max(noise**2 - quantised**2, 0.0)))
+        white = float(np.sqrt(max(noise**2 - quantised**2, (DITHER * quantised) ** 2)))
         noisy = dataclasses.replace(drive, sensor=dataclasses.replace(drive.sensor, noise=white))
         pieces = given([log])
         position, command = _simulated(*as_arrays((noisy, controller)), pieces, sampling, keys)

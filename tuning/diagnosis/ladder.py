@@ -92,6 +92,8 @@ def climb(
         fits.append((name, test.fit(model, trained.u, one.process, one.track.course, register, session)))
     rate = fitter.logged.sampling.rate
     gaps = [force_gap(test, one, one.model, one.u) for _, one in fits]
+    common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
+    gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
     rungs = []
     for (name, one), gap, squares in zip(fits, gaps, drawn, strict=True):

@@ -39,7 +39,7 @@ def missing(fitter: Fitter, fitted: Fitted) -> float:
 
 def complete(fitter: Fitter, fitted: Fitted) -> bool:
     """Whether a fit explains the logs to the noise."""
-    return missing(fitter, fitted) <= LACKING + BLOWS * FEW_LOST
+    return lost_samples(fitted) <= FEW_LOST and lacking(fitter, fitted) <= LACKING
 
 
 def power_left(base: Fitted, fitted: Fitted) -> float:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy import fft
 
 from diffdrive.effects.forces import Cogging, ProcessForce
+from diffdrive.effects.scale import InterpolationError, LeadError
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import Fitted
 
@@ -23,6 +24,7 @@ BLOCK = 0.25  # s, over which two explanations are compared
 SURE = 2.0  # standard deviations of that
 NEIGHBOURS = 40  # bins, whose median a line must stand out from
 APART = 3  # bins between two lines
+SCALES = {LeadError: ("lead", 1e-3, 0.05), InterpolationError: ("period", 1e-6, 5e-4)}  # m, between which to look
 
 
 def missing_force(fitted: Fitted) -> Float[np.ndarray, "lanes n"]:
@@ -235,6 +237,13 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
         lines = lines_in_position(missing_force(fitted), position, counts, min(known), max(known))
         found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
         return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
+    if candidate.effect in SCALES:
+        # a scale's error passes for a force that shakes the table at each place alike
+        name, shortest, longest = SCALES[candidate.effect]
+        position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
+        lines = lines_in_position(missing_force(fitted), position, counts, shortest, longest)
+        known = [one[name] for one in candidate.grid]
+        return [{name: everywhere(value)} for value in (*known, *(one.value for one in lines))]
     if candidate.effect is ProcessForce:
         force = missing_force(fitted)
         grid = []

@@ -6,6 +6,7 @@ and Fedorov 1975). Where no effect explains the gap, there are no two models to 
 dwells where the gap lies.
 """
 
+import dataclasses
 import re
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import MotionError
 from diffdrive.motion import Motion, require_within
-from diffdrive.parameters import as_arrays
+from diffdrive.parameters import Sensor, as_arrays
 from diffdrive.simulate import Inputs, inputs_of, rollout
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
@@ -65,14 +66,14 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
         return Experiment("", [], 0.0, "nothing is left to decide")
     if verdict.verdict == "unknown" and not causes and verdict.unexplained == 0.0:
         return Experiment("", [], 0.0, f"measure that parameter by itself, no motion is proposed: {verdict.says}")
-    if verdict.verdict == "unknown":
-        return _exciting(found, description)
     pairs = [
         (cause, one)
         for cause in causes
         for one in verdict.beliefs
         if one.round == cause.round and one.effect in cause.alternatives
     ]
+    if not pairs and verdict.verdict == "unknown":
+        return _exciting(found, description)
     if not pairs:
         says = "these logs leave no rival: no further motion is needed"
         return Experiment("", [one.effect for one in causes], 0.0, says)
@@ -207,10 +208,10 @@ def _strokes(at: _Axis, speed: float, distance: float, dwell: float = 0.1) -> st
 
 def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: Inputs, steps: int) -> float:
     """By how much a log of this motion would speak for the truth and against the rival."""
-    logged = truth.model.logged
-    frame = _rollout(*as_arrays((drive_of(truth, 0), description.controller)), inputs, logged.control)
-    noise = float(logged.noise) * np.random.default_rng(0).standard_normal(len(frame.position))
-    position = frame.position + jnp.asarray(noise)
+    logged, drive = truth.model.logged, drive_of(truth, 0)
+    drive = dataclasses.replace(drive, sensor=Sensor(None, float(logged.noise)))  # quantisation is a part of that noise
+    frame = _rollout(*as_arrays((drive, description.controller)), inputs, logged.control, jax.random.key(0))
+    position = frame.measured
     flat = jnp.zeros_like(position)
     signals = (position, frame.command, flat, flat, jnp.ones_like(position))
     lanes = thinned(Lanes(*(one[None] for one in signals), velocity=jnp.zeros(1)), logged.thinning)
@@ -222,7 +223,7 @@ def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: I
         course = jax.tree.map(lambda _: flat[None], one.track.course)._replace(position=lanes.position)
         start = fitter.at(model, u, truth.process, course)
         costs.append(fitter.fit(model, u, truth.process, start.track.course, steps).cost)
-    return costs[1] - costs[0]
+    return costs[1] - costs[0] if np.all(np.isfinite(costs)) else 0.0
 
 
 def _alone(fitted: Fitted, logged: Logged) -> tuple[Model, np.ndarray]:

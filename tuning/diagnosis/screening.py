@@ -5,27 +5,25 @@ along these, once the parameters that are free already have taken their part, is
 projection for each point of its grid, no fit (Rao's score test).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidates import Candidate, Parameter
 from tuning.diagnosis.evolving import evolved
-from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.following import answers
+from tuning.diagnosis.fitting import Fitted, Fitter, answered
 from tuning.diagnosis.lines import looked_for
 from tuning.diagnosis.model import (
     Member,
     Model,
     Vector,
     effect_in_lanes,
-    exposed,
     exposure_slopes,
     machine_slopes,
 )
@@ -46,27 +44,10 @@ class Screened(NamedTuple):
     processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
 
 
-@eqx.filter_jit
-def _responses(fitted_track: Any, linear: Any, forcing: Any, off: Any, counts: Any, period: float) -> Any:
-    return answers(fitted_track, linear, forcing, off, period) * counts[..., None]
-
-
-def respond(fitted: Fitted, bend: Any, columns: Float[Array, "p m"] | None) -> Float[np.ndarray, "lanes n m"]:
-    """Answers of the residuals to changed exposures ([lanes, n, m]) and numbers of the machine ([p, m])."""
-    acts = jnp.stack([bend.force, bend.coulomb, bend.gap, bend.viscous], axis=-2)
-    forcing = jnp.einsum("lnrc,lncm->lnrm", fitted.linear.exposure, acts)
-    forcing = forcing.at[:, :, 0].add(bend.shift)
-    if columns is not None:
-        forcing = forcing + jnp.einsum("lnrp,pm->lnrm", fitted.linear.machine, columns)
-    logged = fitted.model.logged
-    counts, period = logged.lanes.counts, logged.sampling.period
-    return np.asarray(_responses(fitted.track, fitted.linear, forcing, bend.scale, counts, period)) / np.sqrt(
-        float(fitted.track.size)
-    )
-
-
-def _directions(fitted: Fitted, candidate: Candidate, point: dict[str, Vector]) -> tuple[np.ndarray, list[Any]]:
-    """Answers to each amplitude of the candidate at a point of its grid ([m, lanes, n]), and what each is of.
+def _directions(
+    fitted: Fitted, candidate: Candidate, point: dict[str, Vector]
+) -> tuple[np.ndarray, list[tuple[Parameter, int | None]]]:
+    """Answers to each amplitude of the candidate at a point of its grid ([lanes, n, m]), and what each is of.
 
     What the candidate does alone: to first order that is what it does beside the effects that are there.
     """
@@ -74,10 +55,6 @@ def _directions(fitted: Fitted, candidate: Candidate, point: dict[str, Vector]) 
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
     amplitudes = [one for one in candidate.parameters if one.amplitude]
     course = fitted.track.course
-    if not amplitudes:
-        with_it, without = (exposed(logged, fitted.drive, which, course) for which in ((effect,), ()))
-        bend = jax.tree.map(lambda a, b: (a - b)[..., None], with_it, without)
-        return respond(fitted, bend, None), [None]
     labels = [(one, log) for one in amplitudes for log in (range(logged.logs) if one.session else [None])]
     rows = []
     for one, log in labels:
@@ -86,17 +63,19 @@ def _directions(fitted: Fitted, candidate: Candidate, point: dict[str, Vector]) 
         rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree, n), zero, jnp.asarray(here)))
     tangents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
     bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
-    columns = None
+    columns = jnp.zeros((fitted.linear.machine.shape[-1], len(rows)))
     if issubclass(candidate.effect, MachineEffect):
         b = jnp.asarray(fitted.model.tolerance * fitted.u[: len(NAMES)])
         others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
         still = jax.tree.map(lambda leaf: jnp.zeros((len(rows), *leaf.shape)), others)
         columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
-    return respond(fitted, bend, columns), labels
+    counts, period = logged.lanes.counts, logged.sampling.period
+    found = answered(fitted.track, fitted.linear, columns, bend, counts, period)
+    return np.asarray(found) / np.sqrt(float(fitted.track.size)), labels
 
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best point of the candidate's grid."""
+    """The best point of the grid of a candidate with amplitudes."""
     logged = fitted.model.logged
     samples = fitted.residual.size
     left = np.linalg.solve(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
@@ -109,17 +88,13 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
         making_way = np.linalg.solve(fitted.hessian, cross)
         schur = d.T @ d - cross.T @ making_way
         slope = d.T @ fitted.residual - cross.T @ left
-        prior = np.eye(len(schur)) if labels[0] is not None else np.zeros((1, 1)) + 1e-9
-        schur = schur + prior
+        schur = schur + np.eye(len(schur))
         amount = -np.linalg.solve(schur, slope)
         gain = float(-slope @ amount)
-        if labels[0] is None:  # an effect of this size and no other
-            amount = np.clip(amount, 0.0, 1.5)
-            gain = float(-2.0 * slope @ amount - amount @ schur @ amount)
-        evidence = gain - float(np.linalg.slogdet(schur)[1]) if labels[0] is not None else gain
+        evidence = gain - float(np.linalg.slogdet(schur)[1])
         evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing
         if best is None or evidence > best.evidence:
-            for (one, log), value in zip([x for x in labels if x is not None], amount, strict=False):
+            for (one, log), value in zip(labels, amount, strict=True):
                 row = values.setdefault(one.name, np.zeros(logged.logs))
                 row[slice(None) if log is None else log] = value * one.spread
             rest = fitted.u - left - making_way @ amount

@@ -31,6 +31,7 @@ PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
+RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 SLIGHTER = 0.12  # the same beside a coupled effect, whose details differ from machine to machine
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
@@ -287,11 +288,11 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
 
 
 def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
-    """The evidence that one more effect must bring beside the `best`, which `gained` some; endless where none can."""
+    """The evidence that one more effect must bring beside the `best`, which `gained` some."""
     if fits and strain(best) >= STRAINED > strain(fits[0]):
         return WORTH
     if ended:
-        return np.inf
+        return RELIEF
     enough = max(WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
     if fits and not best.model.coupled and complete(fitter, fits[0]):
         return min(enough, RESOLVING)

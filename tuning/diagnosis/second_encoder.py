@@ -87,7 +87,12 @@ def foreseen(
 
 
 def unlikelihood(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: float) -> float:
-    """-2 log likelihood of the twist against that of none at all; below zero where the expected one is there."""
+    """-2 log likelihood of the twist against that of none at all; below zero where the expected one is there.
+
+    Zero where it was not measured, as in a log without a second encoder among others that have one.
+    """
+    if not twist.counts.any():
+        return 0.0
 
     def squares(rest: Float[np.ndarray, "lanes n"]) -> float:
         each = np.maximum(twist.counts.sum(axis=1, keepdims=True), 1.0)
