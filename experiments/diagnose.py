@@ -33,6 +33,7 @@ from tuning.diagnosis.search import MOST_EFFECTS
 from tuning.diagnosis.verdict import Belief
 
 HIDDEN = 1.05  # times the floor
+NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
 FINDING = ("log", "severity", "channel", "found", "mend")
 ABOUT_THE_COMMAND = {"loop_delay", "force_gain"}  # effects that are what a fatal finding on the command is about
 
@@ -70,10 +71,13 @@ def diagnose_logs(
                 description.drive, description.controller, logs,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        found = _doubted(found, findings)
+        sure, found = found, _doubted(found, findings)
+        beside = {"logs": [log.name for log in logs], "findings": findings}
+        if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
+            _save(report, as_json(found, NOT_YET) | beside, None)
         with report.working("looking for the motion that would decide"):
-            offer = next_experiment(found, description)
-        told = as_json(found, offer) | {"logs": [log.name for log in logs], "findings": findings}
+            offer = next_experiment(found, description) if found is sure else _mended_first(findings)
+        told = as_json(found, offer) | beside
         tell(report, told)
         if report.out is not None:
             augmented = _write(report, description, found)
@@ -126,6 +130,12 @@ def _doubted(found: Diagnosis, findings: Sequence[dict[str, str]]) -> Diagnosis:
     return dataclasses.replace(found, verdict=verdict)
 
 
+def _mended_first(findings: Sequence[dict[str, str]]) -> Experiment:
+    """No motion tells anything while what logs it is wrong."""
+    fatal = next(one for one in findings if one["severity"] == "fatal")
+    return Experiment("", [], 0.0, f"before any motion, mend {fatal['log']}: {fatal['mend']}")
+
+
 def _save(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     """diagnosis.json and report.html."""
     assert report.out is not None
@@ -149,6 +159,8 @@ def _pay(
         plan = Plan(max_load=max_load, loads=Plan.loads if max_load > 0 else 1)
         gains = payoff(report, description, read_drive(report.out / augmented), plan)
         says = in_words(gains)
+        if told["verdict"] != "effect":
+            says = f"The verdict is {told['verdict']}, and what was found may not act. If it does: {says}"
     report.say(says)
     return {"says": says, "gains": gains}
 
@@ -327,6 +339,9 @@ def _write(report: Report, description: DriveDescription, found: Diagnosis) -> s
     try:
         augmented = dataclasses.replace(description, drive=augmented_drive(found))
         write_drive(path, parse_drive(drive_tables(augmented), str(path)))
+        says = " ".join(found.verdict.says.split())  # in one line
+        verdict = f"# the verdict of the diagnosis was {found.verdict.verdict}: {says}\n"
+        path.write_text(verdict + path.read_text(encoding="utf-8"), encoding="utf-8")
     except DiffdriveError as problem:
         report.say(f"augmented.toml is not written, since no drive file can say this: {problem}")
         return None

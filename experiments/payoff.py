@@ -56,10 +56,14 @@ def payoff(
 def in_words(found: dict[str, dict[str, Any]]) -> str:
     """What `payoff` found, in a sentence."""
     was, now = (found[name]["mean_rms_um"] for name in NAMES[1:])
-    return (
-        f"Tuning on the augmented drive leaves {now:.3g} um of tracking error where tuning on the nominal one leaves "
-        f"{was:.3g} um ({100 * (now / was - 1):+.0f} %)."
+    failed = [name for name in NAMES[1:] if not found[name]["runs_ok"]]
+    unkept = [name for name in NAMES[1:] if not found[name]["requirements_kept_where_tuned"]]
+    says = (
+        f"On the augmented drive, tuning on it leaves {now:.3g} um of tracking error where tuning on the nominal one "
+        f"leaves {was:.3g} um ({100 * (now / was - 1):+.0f} %)."
     )
+    says += f" Simulations fail with the gains {' and '.join(failed)}." if failed else ""
+    return says + (f" Requirements could not be kept by the gains {' and '.join(unkept)}." if unkept else "")
 
 
 def _below(report: Report, name: str) -> Path | None:

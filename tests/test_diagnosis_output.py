@@ -29,6 +29,7 @@ from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.setting import setting
+from tuning.diagnosis.verdict import Belief
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 UNASKED = Experiment("", [], 0.0, "not asked")
@@ -54,7 +55,13 @@ def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tm
     found = dataclasses.replace(given.drive, plant=heavier, effects=(ConstantForce(6.0),))
     monkeypatch.setattr(command, "augmented_drive", lambda _: found)
     with Report("augmented", tmp_path, Console(quiet=True)) as report:
-        assert command._write(report, given, None) == "augmented.toml"
+        doubted = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", says="much\nis left"))
+        assert command._write(report, given, doubted) == "augmented.toml"
+    assert (
+        (tmp_path / "augmented.toml")
+        .read_text()
+        .startswith("# the verdict of the diagnosis was unknown: much is left\n")
+    )
     written = read_drive(tmp_path / "augmented.toml")
     assert float(written.drive.effects[0].force) == 6.0
     assert float(written.controller.observer.plant.mass) == 123.0
@@ -166,6 +173,36 @@ def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(tilted, told_of
     assert "<td>tuned on augmented</td><td>1.5</td>" in text
 
 
+def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(tilted, told_of, monkeypatch):
+    monkeypatch.setattr(
+        command, "payoff", lambda *_: paid() | {"tuned on nominal": paid()["given"] | {"runs_ok": False}}
+    )
+    told, _ = told_of(dataclasses.replace(tilted, verdict=tilted.verdict._replace(verdict="unknown")), tuned=True)
+    says = told["payoff"]["says"]
+    assert says.startswith("The verdict is unknown")
+    assert "Simulations fail with the gains tuned on nominal." in says
+
+
+def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
+    finding = {"log": "lap", "severity": "fatal", "channel": "position", "found": "steps", "mend": "give the unit"}
+    monkeypatch.setattr(command, "_read", lambda *_: ((), [finding]))
+    monkeypatch.setattr(command, "draw", lambda *_: None)
+    told, _ = told_of(tilted)
+    assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
+
+
+def test_the_diagnosis_is_there_whatever_fails_after_it(tilted, told_of, monkeypatch, tmp_path):
+    def fails(*_):
+        raise RuntimeError("no drawing")
+
+    monkeypatch.setattr(command, "tell", fails)
+    with pytest.raises(RuntimeError):
+        told_of(tilted)
+    kept = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert kept["verdict"] == "effect"
+    assert kept["next_experiment"]["says"].startswith("not looked for")
+
+
 def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_of, monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -264,7 +301,29 @@ def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
     report = Report("axes", None, Console(quiet=True))
     real_axes.real_axes(report, "emps", ["delay"])
     assert list(report.data["tables"]) == ["emps_withheld"]
-    assert report.data["tables"]["emps_withheld"]["rows"] == [["delay", "unknown", "", False, 5.0, 5.0, 5.0]]
+    assert report.data["tables"]["emps_withheld"]["rows"] == [["delay", "unknown", "", "", False, 5.0, 5.0, 5.0]]
+    nothing.verdict.beliefs = [Belief("loop_delay", 0.2, False, 0, 3.0, None, [])]  # tried, not found
+    real_axes.real_axes(report, "emps", ["delay"])
+    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["", "", False]
+    nothing.verdict.beliefs = [Belief("cogging", 0.9, True, 0, 90.0, None, ["loop_delay"])]
+    real_axes.real_axes(report, "emps", ["delay"])
+    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["cogging", "loop_delay", True]
+
+
+def test_what_was_diagnosed_of_real_axes_is_kept_when_it_is_interrupted(monkeypatch):
+    done = []
+
+    def one(report, records, term, *_):
+        if done:
+            raise KeyboardInterrupt
+        done.append(term)
+        return [term, "effect", "", "", True, 1.0, 2.0, 1.0]
+
+    monkeypatch.setattr(real_axes, "_without", one)
+    report = Report("axes", None, Console(quiet=True))
+    with pytest.raises(KeyboardInterrupt):
+        real_axes._emps_withheld(report, None, {"delay": None, "gain": None}, None)
+    assert [row[0] for row in report.data["tables"]["emps_withheld"]["rows"]] == ["delay"]
 
 
 @pytest.mark.parametrize(("axis", "says"), [("emps", "no such term"), ("all", "--axis emps")])

@@ -12,7 +12,7 @@ from experiments.withheld.machine import Faults, Kind, Told
 from experiments.withheld.motions import ROOM, STROKE, told
 
 OFF = 0.03  # the most that a true parameter is off nominal, by its logarithm
-LEAD, SCALE_PERIOD = 5e-3, 2e-5  # m
+LEADS, SCALE_PERIODS, POLES = (3e-3, 1.6e-2), (8e-6, 6e-5), (5e-4, 4e-3)  # m, between which they are drawn
 FAINT, STRONG = 0.3, 4.0  # sizes against that which is clear
 RATES, OFTEN = (1000.0, 2000.0, 4000.0, 10000.0), (0.15, 0.5, 0.25, 0.1)  # Hz
 
@@ -68,6 +68,11 @@ def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
 
 def _one(name: str, size: float, faults: dict[str, Any] | None = None, **rest: Any) -> Fault:
     return Fault(name, size, faults or {}, rest.get("kind", {}), rest.get("scaled", {}), rest.get("traces", {}))
+
+
+def _between(room: ROOM, ends: tuple[float, float]) -> float:
+    """Anywhere between the two, by the logarithm."""
+    return float(np.exp(room.uniform(*np.log(ends))))
 
 
 def _phases(room: ROOM) -> tuple[float, float]:
@@ -149,22 +154,22 @@ def _elastic(room: ROOM, frequency: float, damping: float) -> dict[str, float]:
 
 
 def _compliance(room: ROOM, size: float) -> Fault:
-    frequency = float(np.clip(250.0 / np.sqrt(size), 100.0, 500.0))
-    given = _elastic(room, frequency, float(room.uniform(0.02, 0.05)))
+    frequency = float(np.clip(_between(room, (200.0, 312.5)) / np.sqrt(size), 100.0, 500.0))
+    given = _elastic(room, frequency, _between(room, (0.015, 0.08)))
     return _one("compliance", size, given, kind={"elastic": True})
 
 
 def _backlash(room: ROOM, size: float) -> Fault:
     gap = float(np.clip(2.5e-6 * size, 8e-7, 1e-5))
-    given = _elastic(room, float(room.uniform(350, 600)), float(room.uniform(0.05, 0.1))) | {"gap": gap}
+    given = _elastic(room, _between(room, (250.0, 700.0)), _between(room, (0.04, 0.15))) | {"gap": gap}
     return _one("backlash", size, given, kind={"elastic": True})
 
 
 def _frame_vibration(room: ROOM, size: float) -> Fault:
     given = {
         "base_ratio": 0.015 * size,
-        "base_frequency": float(room.uniform(12, 45)),
-        "base_damping": float(room.uniform(0.02, 0.05)),
+        "base_frequency": _between(room, (10.0, 60.0)),
+        "base_damping": _between(room, (0.015, 0.08)),
     }
     return _one("frame_vibration", size, given)
 
@@ -183,10 +188,9 @@ def _process_force(room: ROOM, size: float) -> Fault:
 
 
 def _cogging(room: ROOM, size: float) -> Fault:
-    period = float(room.choice([1.0e-3, 1.25e-3]))
     given = {
         "cogging": 1.2 * size,
-        "cogging_period": period,
+        "cogging_period": _between(room, POLES),
         "cogging_phase": float(room.uniform(0, 6.28)),
         "second": float(room.uniform(0, 0.2)),
         "sixth": float(room.uniform(0, 0.3)),
@@ -216,7 +220,7 @@ def _force_limit(room: ROOM, size: float) -> Fault:
 def _lead_error(room: ROOM, size: float) -> Fault:
     given = {
         "lead_error": 2e-6 * size,
-        "lead": LEAD,
+        "lead": _between(room, LEADS),
         "lead_phase": _phases(room),
         "linear": float(room.normal(0, 2e-5)),
     }
@@ -226,7 +230,7 @@ def _lead_error(room: ROOM, size: float) -> Fault:
 def _interpolation_error(room: ROOM, size: float) -> Fault:
     given = {
         "interpolation": 1.5e-7 * size,
-        "interpolation_period": SCALE_PERIOD,
+        "interpolation_period": _between(room, SCALE_PERIODS),
         "interpolation_phase": _phases(room),
     }
     return _one("interpolation_error", size, given)
@@ -310,6 +314,7 @@ def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
     """A machine with these effects, of sizes drawn at random."""
     base, apart = presets.paper_drive(), room.spawn(1)[0]
     varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
+    varied |= {name: float(np.exp(room.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
     varied["initial_load"] = float(np.exp(apart.normal(0, 0.2)))
     nominal = dataclasses.replace(
         _scaled(base, varied), sensor=dataclasses.replace(base.sensor, resolution=1e-7, noise=0.0)
@@ -327,7 +332,7 @@ def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
     for fault in faults:
         true = _scaled(true, fault.scaled)
     rate = float(room.choice(RATES, p=OFTEN))
-    bandwidth = room.uniform(170, 210)  # rad/s
+    bandwidth = _between(room, (130.0, 250.0))  # rad/s
     kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
     noise = float(room.uniform(2e-8, 5e-8))
     traces = {name: scale for fault in faults for name, scale in fault.traces.items()}

@@ -19,7 +19,8 @@ from experiments.withheld.truth import truth
 
 NONE, TWO, UNKNOWN, PITFALL = 0.12, 0.12, 0.12, 0.05  # shares of cases
 RESOLUTION = 1e-7  # m
-ATTEMPTS = 5  # at a machine whose loop is stable
+SCREWS = {"compliance", "backlash"}
+ATTEMPTS = 10  # at a machine whose loop is stable
 
 
 def kinds(seed: int, count: int) -> list[tuple[str, ...]]:
@@ -27,13 +28,21 @@ def kinds(seed: int, count: int) -> list[tuple[str, ...]]:
     room = np.random.default_rng([seed, 0])
     names, pits = list(KNOWN), list(PITFALLS)
     mixed: list[tuple[str, ...]] = [()] * round(NONE * count)
-    mixed += [tuple(room.choice(names, 2, replace=False)) for _ in range(round(TWO * count))]
+    mixed += [_two(room, names) for _ in range(round(TWO * count))]
     mixed += [(str(room.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN * count))]
     left = count - len(mixed)
     trapped = round(PITFALL * count)
     singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(left - trapped)]
     cases = [*mixed, *singles, *((pits[k % len(pits)],) for k in range(trapped))]
     return [tuple(map(str, cases[k])) for k in room.permutation(len(cases))]
+
+
+def _two(room: np.random.Generator, names: list[str]) -> tuple[str, ...]:
+    """Two effects that a machine can have at once: a loose screw is an elastic one."""
+    while True:
+        pair = tuple(map(str, room.choice(names, 2, replace=False)))
+        if set(pair) != SCREWS:
+            return pair
 
 
 def _followed(log: Log) -> bool:
