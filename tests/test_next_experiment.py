@@ -48,7 +48,8 @@ def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as i
 
 
 def region(dimension, name, p_value=1e-3):
-    return Region(dimension, name, 0.6, 0.2, p_value, f"60 % of the gap lies in {name}")
+    ends = [1e-3 * float(one) for one in name.split()[0:3:2]] if " to " in name else [None, None]  # mm and mm/s
+    return Region(dimension, name, 0.6, 0.2, p_value, f"60 % of the gap lies in {name}", *ends)
 
 
 def telling(monkeypatch, tells):

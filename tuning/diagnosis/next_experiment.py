@@ -7,7 +7,6 @@ dwells where the gap lies.
 """
 
 import dataclasses
-import re
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -172,7 +171,8 @@ def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
 def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:
     """A motion that has much of a region, and what it does there."""
     name = "" if region is None else region.region
-    if region is None or region.dimension == "frequency" or name == "cruise" or name.startswith("period"):
+    line = region is not None and region.dimension == "position" and region.low is None
+    if region is None or region.dimension == "frequency" or name == "cruise" or line:
         speeds, travel = [share * at.speed for share in (0.2, 0.5, 1.0)], min(at.travel, 0.4 * SLOW * at.speed)
         text = _written("staircase", speeds=speeds, travel=travel, acceleration=at.acceleration, start=at.start)
         does = "cruises at three speeds: what is locked to time keeps its frequency, what is locked to place its period"
@@ -186,9 +186,8 @@ def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:
         return _strokes(at, at.speed, 0.2 * at.travel, PAUSE), "starts and stops often, and rests in between"
     if region.dimension == "position":
         return _strokes(at, min(at.speed, at.travel / SLOW), at.travel), "passes slowly over the travel"
-    if region.dimension == "speed":
-        low, high = (1e-3 * float(one) for one in re.findall(r"[\d.]+(?:e[-+]\d+)?", name))
-        speed = 0.5 * (low + high)
+    if region.low is not None and region.high is not None and region.dimension == "speed":
+        speed = 0.5 * (region.low + region.high)
         return _strokes(at, speed, min(at.travel, SLOW * speed)), "stays at such a speed"
     if region.dimension == "load":
         return _strokes(at, at.speed, at.travel), "is to be run under such a load and under another"

@@ -158,8 +158,8 @@ def look(
     if believed is None or not relieving:
         fits = _best_of_each(fits, _name)
         return Round(before, screened, fits, len(fits), 0.0)
-    there = {_name(one) for one in relieving}
-    others = _best_of_each((one for one in fits if _name(one) not in there), _name)
+    named = {_name(one) for one in relieving}
+    others = _best_of_each((one for one in fits if _name(one) not in named), _name)
     return Round(before, screened, [*relieving, *others], len(relieving), _allowed(before, believed))
 
 

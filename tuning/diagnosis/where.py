@@ -45,6 +45,8 @@ class Region(NamedTuple):
     expected: float  # share of the time; of the noise, for a band of frequencies; 0 for a line
     p_value: float  # that chance does as well in any of the regions looked at
     says: str
+    low: float | None = None  # ends of a band, in SI units
+    high: float | None = None
 
 
 class Motion(NamedTuple):
@@ -106,6 +108,8 @@ class _Asked(NamedTuple):
     region: str
     inside: Labels
     says: str
+    low: float | None = None
+    high: float | None = None
 
 
 def _shares(
@@ -132,7 +136,7 @@ def _shares(
         here = one.inside[counted]
         share, expected = float(energy[here].sum() / energy.sum()), float(here.mean())
         says = f"{_percent(share)} of the gap lies {one.says}, in {_percent(expected)} of the time"
-        found.append(Region(one.dimension, one.region, share, expected, float(chance), says))
+        found.append(Region(one.dimension, one.region, share, expected, float(chance), says, one.low, one.high))
     return found
 
 
@@ -214,7 +218,7 @@ def _bands(
         last = high == edges[-1]
         name = f"{scale * low:.3g} to {scale * high:.3g} {unit}"
         here = inside & (signal >= low) & ((signal <= high) if last else (signal < high))
-        found.append(_Asked(dimension, name, here, f"{what} {name}"))
+        found.append(_Asked(dimension, name, here, f"{what} {name}", float(low), float(high)))
     return found
 
 
@@ -245,7 +249,7 @@ def _frequencies(gap: ForceGap, rate: float, noise: Float[np.ndarray, "lanes n d
         name = f"{low:g} to {min(high, 0.5 * rate):g} Hz"
         says = f"{_percent(share)} of the gap lies at {name}"
         says += f", where the noise has {_percent(expected)}" if known else ""
-        found.append(Region("frequency", name, share, expected, p, says))
+        found.append(Region("frequency", name, share, expected, p, says, low, min(high, 0.5 * rate)))
     return found
 
 
