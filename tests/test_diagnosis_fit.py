@@ -1,6 +1,7 @@
 """Diagnosis, its engine: derivatives of the innovations, a sound machine, effects found among others."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +14,30 @@ from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
+from tuning.diagnosis import search
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import LACKING, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import begin, joined, screen
-from tuning.diagnosis.search import IMPOSSIBLE, STRAINED, WORTH, _further, fit_from, look, recalibrated, standing
+from tuning.diagnosis.search import (
+    IMPOSSIBLE,
+    RELIEF,
+    RESOLVING,
+    SLIGHT,
+    STRAINED,
+    WORTH,
+    Explanation,
+    Round,
+    _enough,
+    _further,
+    _relieving_first,
+    fit_from,
+    look,
+    recalibrated,
+    standing,
+)  # fmt: skip
 from tuning.diagnosis.setting import setting
 from tuning.fit import lanes_of, noise_floor
 
@@ -248,3 +266,50 @@ def test_impossible_numbers_are_explained_before_anything_else():
     assert first.model.values(first.u)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)
     assert strain(first) < STRAINED
     assert base.evidence - first.evidence + found.allowance > WORTH
+
+
+def hypothesis(*effects, evidence, strain=0.0):
+    """A fit as far as the search looks at it."""
+    members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
+    model = SimpleNamespace(members=members, added=len(effects), coupled=False)
+    return SimpleNamespace(model=model, evidence=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
+
+
+def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not():
+    base = hypothesis(evidence=0.0, strain=6.0)
+    backlash = hypothesis("backlash", evidence=-900.0, strain=5.5)
+    tilt = hypothesis("constant_force", evidence=-100.0, strain=1.0)
+    cogging = hypothesis("cogging", evidence=-300.0, strain=5.0)
+    looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
+    first = _relieving_first(Explanation(base, [looked], backlash))
+    assert [one.model.members[0].candidate.name for one in first.fits] == ["constant_force", "backlash", "cogging"]
+    assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
+    calm = hypothesis("backlash", evidence=-900.0, strain=3.0)
+    assert _relieving_first(Explanation(base, [looked], calm)) is None
+    weak = looked._replace(fits=[backlash, hypothesis("constant_force", evidence=-WORTH, strain=1.0)])
+    assert _relieving_first(Explanation(base, [weak], backlash)) is None
+    assert _relieving_first(Explanation(base, [looked], base)) is None
+
+
+@pytest.mark.parametrize(
+    ("before", "strain_then", "ended", "whole", "enough"),
+    [
+        (0.0, 0.0, False, False, WORTH),
+        (1e4, 0.0, False, False, SLIGHT * 1e4),
+        (1e4, 0.0, False, True, RESOLVING),  # a small effect beside a large one, if nothing is left then
+        (100.0, 0.0, False, True, WORTH),
+        (1e4, 0.0, True, True, RELIEF),
+        (1e4, 5.0, True, True, WORTH),  # it says why a nominal parameter had to be moved
+    ],
+)
+def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
+    monkeypatch.setattr(search, "complete", lambda *_: whole)
+    best = hypothesis("cogging", evidence=-before, strain=strain_then)
+    assert _enough(None, best, before, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
+
+
+def test_a_machine_has_one_screw(sound):
+    known = {one.name: one for one in catalogue(*sound)}
+    assert known["backlash"].excludes(known["compliance"])
+    assert known["compliance"].excludes(known["compliance"])
+    assert not known["compliance"].excludes(known["cogging"])

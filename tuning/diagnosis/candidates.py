@@ -52,6 +52,11 @@ class Candidate(NamedTuple):
         """That of the catalogue."""
         return self.effect.name
 
+    def excludes(self, other: "Candidate") -> bool:
+        """Whether a machine cannot have both: it has one screw."""
+        screws = (transmission.Compliance, transmission.Backlash)
+        return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
+
     @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""

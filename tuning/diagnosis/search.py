@@ -141,8 +141,8 @@ def look(
     whole: Callable[[Fitted], bool],
 ) -> Round:
     """One more effect; those that have to be searched for only where no other makes the model `whole`."""
-    there = {member.candidate.name for member in before.model.members}
-    left = [one for one in catalogue if one.name not in there]
+    there = [member.candidate for member in before.model.members]
+    left = [one for one in catalogue if not any(one.excludes(other) for other in there)]
     few, believed = [one for one in left if not one.searched], None
     screened, fits = _race(fitter, before, few, progress)
     fits = _led_on(fitter, fits)
@@ -304,10 +304,9 @@ def explain(
 ) -> Explanation:
     """Effects one after the other, as long as another is worth it, up to `most`.
 
-    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far.
+    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far. Where the first
+    leaves that unsaid, the search goes a second way: the effect that says it comes first, and the better end counts.
     """
-    best: Fitted = base
-    rounds: list[Round] = []
 
     def whole(one: Fitted) -> bool:
         return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
@@ -319,19 +318,41 @@ def explain(
         relevant = [one for one in catalogue if one.relieves] if over(before) else catalogue
         return look(fitter, before, relevant, progress, whole)
 
-    while len(rounds) < most and not (rounds and over(best) and strain(best) < STRAINED):
-        found = looked(best)
-        further = _further(fitter, best, found.fits)
-        if further is not None:
-            found = looked(further)
-            best = further
-            if rounds:
-                rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])
-            else:
-                base = best
-        enough = _enough(fitter, best, base.evidence - best.evidence, over(best), found.fits)
-        rounds.append(found._replace(enough=enough))
-        if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
-            break
-        best = found.fits[0]
-    return Explanation(base, rounds, best)
+    def onward(base: Fitted, rounds: list[Round], best: Fitted) -> Explanation:
+        while len(rounds) < most and not (rounds and over(best) and strain(best) < STRAINED):
+            found = looked(best)
+            further = _further(fitter, best, found.fits)
+            if further is not None:
+                found = looked(further)
+                best = further
+                if rounds:
+                    rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])
+                else:
+                    base = best
+            enough = _enough(fitter, best, base.evidence - best.evidence, over(best), found.fits)
+            rounds.append(found._replace(enough=enough))
+            if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
+                break
+            best = found.fits[0]
+        return Explanation(base, rounds, best)
+
+    found = onward(base, [], base)
+    first = _relieving_first(found)
+    if first is None or over(found.best):
+        return found
+    other = onward(found.base, [first], first.fits[0])
+    return min(found, other, key=lambda one: one.best.evidence)
+
+
+def _relieving_first(found: Explanation) -> Round | None:
+    """The first round with the effect in front that brings the nominal parameters back, where what was found does not.
+
+    Until a tilt is known, say, nothing fits a loose screw that it holds to one side.
+    """
+    if not found.best.model.added or strain(found.best) < STRAINED:
+        return None
+    first = found.rounds[0]
+    for one in first.fits:
+        if strain(one) < STRAINED and first.before.evidence - one.evidence > WORTH:
+            return first._replace(fits=[one, *_others(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
+    return None
