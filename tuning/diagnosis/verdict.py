@@ -20,7 +20,7 @@ ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
 ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from machine to machine
 SHARPNESS = 3.0  # by which factor more or less makes it sure
-NEAREST = 0.4  # how sure an effect without rivals is where much is left: it may act, beside something unknown
+NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
 
 
 class Belief(NamedTuple):
