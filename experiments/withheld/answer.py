@@ -18,6 +18,8 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from diffdrive.drive_file import read_drive
 from diffdrive.logs import read_logs
 from experiments.diagnose import as_json
@@ -27,7 +29,6 @@ from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
 
 UNASKED = Experiment("", [], 0.0, "not asked")
-TASKS = 4  # cases that one process answers: compiled programs pile up in it
 
 
 def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -46,6 +47,7 @@ def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:
         told = answer(place, without)
     except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
         told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
+    jax.clear_caches()  # logs differ in length and rate: compiled programs would pile up
     _keep(place, path, without, told)
     return f"{place.name} {told['verdict']} {[one['effect'] for one in told['causes'] if one['found']]}"
 
@@ -121,7 +123,7 @@ def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]
 def _ask(questions: Sequence[tuple[Path, Path, tuple[str, ...]]], workers: int) -> None:
     """Ask each; the processes are spawned, since a forked JAX hangs."""
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_begin, max_tasks_per_child=TASKS) as pool:
+    with ProcessPoolExecutor(workers, context, initializer=_begin) as pool:
         try:
             for one in as_completed([pool.submit(_answer, *each) for each in questions]):
                 print(one.result(), flush=True)
