@@ -1,6 +1,7 @@
 """The `diffdrive` command."""
 
 import math
+import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -305,6 +306,7 @@ def main() -> None:
 
     configure()
     keep_compiled()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it loses no more than by Ctrl-C
     error = Console(stderr=True, highlight=False)
     warnings.showwarning = _plain_warning(error)
     try:

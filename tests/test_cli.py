@@ -1,6 +1,7 @@
 """The command line as a user meets it."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -96,3 +97,11 @@ def test_an_expected_error_is_one_line_and_code_2(drive_file):
     assert "error: " in done.stderr
     assert "[plant] mass" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a POSIX signal")
+def test_whoever_is_ended_loses_no_more_than_by_an_interrupt():
+    ended = "import os, signal; from experiments import cli; cli.app = lambda: os.kill(os.getpid(), signal.SIGTERM); "
+    run = subprocess.run([sys.executable, "-c", ended + "cli.main()"], capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert "what was written so far stays" in run.stderr

@@ -250,6 +250,7 @@ def commanded(state, reference, speed, measured):
     return state, command.force
 
 
+@pytest.mark.slow  # the machine of the withheld-effect check says the same, in continuous time
 @pytest.mark.parametrize("screw", [Compliance(150.0, 0.05, 0.3, 0.6), Backlash(4e-6, 400.0, 0.1, 0.3, 0.6)])
 def test_a_screw_moves_the_table_as_two_masses_would(screw):
     """Against both masses integrated in full: within 5 % of what the screw changes."""

@@ -155,7 +155,8 @@ def test_what_cannot_be_kept_is_said_with_by_how_much():
     assert "infeasible" in found.status or "stopped" in found.status
 
 
-@pytest.mark.parametrize("factor", [0.1, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.1, 0.3])
 def test_an_unstable_start_is_led_to_stable_gains(factor, usual):
     gains = controller().tracking.gains
     far = eqx.tree_at(

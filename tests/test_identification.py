@@ -104,6 +104,7 @@ def rich():
     return identify([truth_log(machine, GAINS, reference, load, seed=1)], BELIEVED, starts=2)
 
 
+@pytest.mark.slow
 def test_every_parameter_of_an_exact_model_is_found(rich):
     """To the bars of the study of recovery; measured here, 0.2 % and 1.5 %."""
     truth = true_values(MACHINE, BELIEVED)
@@ -114,6 +115,7 @@ def test_every_parameter_of_an_exact_model_is_found(rich):
     assert {stem(one.name) for one in rich.estimates} == {*BARS, "constant_force", "delay"}
 
 
+@pytest.mark.slow
 def test_a_delay_between_samples_is_found_although_none_was_believed(rich):
     delay = next(one for one in rich.estimates if one.name == "delay")
     assert delay.believed == 0.0
@@ -122,6 +124,7 @@ def test_a_delay_between_samples_is_found_although_none_was_believed(rich):
     assert rich.drive.actuator.delay_fraction == pytest.approx(delay.value - 1.0)
 
 
+@pytest.mark.slow
 def test_the_search_converges_without_structure_and_its_intervals_hold_the_truth(rich):
     assert rich.status == "converged"
     assert not rich.adequacy.structured
@@ -135,6 +138,7 @@ def test_the_search_converges_without_structure_and_its_intervals_hold_the_truth
         assert abs(truth[one.name] - one.value) < 2.0 * (one.high - one.low), one
 
 
+@pytest.mark.slow
 def test_what_the_innovations_should_be_is_what_they_are(rich):
     """The scale's resolution and its noise, and no force beyond a thousandth of the friction."""
     floor = np.hypot(1e-7 / np.sqrt(12), 3e-8)
@@ -143,6 +147,7 @@ def test_what_the_innovations_should_be_is_what_they_are(rich):
     assert rich.adequacy.share < 1e-3
 
 
+@pytest.mark.slow
 def test_pairs_that_are_hardly_told_apart_are_named(rich):
     names = [free.path for free in rich.wide.residuals.free]
     assert rich.covariance.correlation.shape == (len(names), len(names))
@@ -156,6 +161,7 @@ def test_pairs_that_are_hardly_told_apart_are_named(rich):
     assert all(abs(r) > INSEPARABLE for *_, r in rich.correlated)
 
 
+@pytest.mark.slow
 def test_the_drive_found_is_one_that_a_file_can_say(rich):
     check_drive(rich.drive)
     assert rich.drive.friction.initial_load == BELIEVED.friction.initial_load
