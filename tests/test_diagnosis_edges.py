@@ -52,6 +52,20 @@ def test_a_log_of_scraps_is_named_before_anything_is_searched():
         diagnose(DRIVE.drive, DRIVE.controller, [scraps, SOUND])
 
 
+def test_logs_of_two_rates_are_not_diagnosed_together():
+    slow = dataclasses.replace(SOUND, name="slow", time=2.0 * SOUND.time)
+    with pytest.raises(LogError, match=r"slow is sampled at 1000 Hz, .* at 2000 Hz: diagnose logs of one rate"):
+        logged_of(DRIVE.drive, [SOUND, slow])
+
+
+def test_a_loop_without_noise_beyond_its_scales_steps_has_a_floor_all_the_same():
+    quantised = float(DRIVE.drive.sensor.resolution) / np.sqrt(12)
+    counts = np.ones((1, len(SOUND.time)))
+    loop = loop_gap([DRIVE.drive], DRIVE.controller, [SOUND], [counts], quantised, DRIVE.sampling)
+    assert 0.0 < loop.position_floor < 1e-6
+    assert loop.command_floor > 0.0
+
+
 def test_an_effect_that_does_not_exist_cannot_be_left_out():
     with pytest.raises(ParameterError, match="no effect coging in the catalogue"):
         diagnose(DRIVE.drive, DRIVE.controller, [SOUND], without=("coging",))

@@ -79,6 +79,12 @@ def test_a_twist_speaks_for_what_foresees_it_and_against_what_does_not():
     assert unlikelihood(there, 0.5 * shape, PERIOD) < 0.0
 
 
+def test_a_twist_that_was_not_measured_says_nothing():
+    """Where the logs that are judged have no second encoder, though others have."""
+    nothing = Twist(np.zeros((1, 50)), np.zeros((1, 50)), 1e-8)
+    assert unlikelihood(nothing, np.ones((1, 50)), PERIOD) == 0.0
+
+
 def test_a_log_has_a_twist_where_it_has_a_second_encoder():
     log = logged(DRIVE, two_sines())
     lanes = logged_of(DRIVE.drive, [log]).lanes

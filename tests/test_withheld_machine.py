@@ -112,7 +112,7 @@ def test_without_a_fault_it_is_the_simulator(sound):
     assert np.sqrt(np.mean((command - asked) ** 2)) < 0.01 * np.abs(command).max()
 
 
-def test_every_effect_is_held_against_the_catalogue():
+def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue():
     assert {effect.name for _, effect, _ in FAULTS if not isinstance(effect, tuple)} == KNOWN.keys() - ELSEWHERE
     assert KNOWN.keys() == EFFECTS.keys()
 
