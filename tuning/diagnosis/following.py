@@ -47,9 +47,8 @@ class Exposure(NamedTuple):
     shift: Float[Array, "lanes n"]  # m, that the force's course within the period adds to the motion
     scale: Float[Array, "lanes n"]  # m
     beside: Float[Array, "lanes n"]  # N, share of `force` that does not come from the motor
-    ripple: Float[Array, "lanes n k"] | None = (
-        None  # N, in each control period of a sample, of the force about its mean
-    )
+    # N, in each control period of a sample, of the force about its mean
+    ripple: Float[Array, "lanes n k"] | None = None
 
     def seen(
         self, time: Any, position: Scalar, velocity: Scalar, bristle: Scalar, friction: Scalar, load: Scalar
