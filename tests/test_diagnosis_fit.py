@@ -254,6 +254,7 @@ def test_parameters_of_the_session_are_one_for_each_log():
     assert float(effect.cosine[1]) == pytest.approx(2.0 * candidate.parameters[0].spread)
 
 
+@pytest.mark.slow
 def test_impossible_numbers_are_explained_before_anything_else():
     """A force constant that is a fifth off, and cogging: recalibration hides the first, by moving all else as far."""
     fitter = fitter_of(ForceGain(-0.2), Cogging(0.00125, 3.0, 1.0))

@@ -112,6 +112,7 @@ def test_a_thinned_command_is_held_back_by_control_periods(delay):
     np.testing.assert_allclose(np.asarray(acts.ripple)[0, :count], late - late.mean(axis=1, keepdims=True), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_noise_in_a_fast_loop_does_not_pass_for_a_missing_force():
     """The command's noise shakes the table and lets its bristle creep, most of all at rest: thinned, it still does."""
     stiff = described(kp=7.98e6, kd=15_960.0, noise=4e-8, rate=10_000.0)

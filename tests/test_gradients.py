@@ -51,7 +51,7 @@ CONTROLLERS = {
     ),
     "cascade": Cascade(100.0, 2e4, 1e6, 0.9, Feedforward.of(MODEL.plant), 2),
 }
-PARTS = ("PD", "PD+FC")  # of others in the list
+PARTS = ("PD", "PD+FC", "PD+FF+DOB")  # of others in the list
 SAMPLES = 1801
 DURATION = (SAMPLES - 1) * 1e-4
 
@@ -145,7 +145,9 @@ def test_derivatives_by_every_parameter(name):
     assert (np.abs(reverse - forward) / scale).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=[pytest.mark.slow] * (one == "PD+FC")) for one in CONTROLLERS]
+)
 def test_derivatives_at_rest_are_zero(name):
     paths = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(smooth_parts(name))]
     moves = ["constant_force" in path or "noise" in path for path in paths]

@@ -173,7 +173,9 @@ def test_pd_loop_is_the_one_derived_by_hand(point):
     assert np.max(np.abs(default / expected - 1.0)[FREQUENCY < 500.0]) < 1e-3
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=[pytest.mark.slow] * (one == "PD+FC")) for one in CONTROLLERS]
+)
 def test_small_motion_of_the_simulated_loop(name):
     """A push of a hundredth of a newton, and a gain of 1.5 that the observers do not know of."""
     for point in (0, 2) if name == "PD+FC" else (0, 4):  # without load, where PD+FC assumes none

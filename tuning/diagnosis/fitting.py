@@ -53,6 +53,7 @@ BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives 
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 AT_ONCE = 8  # filters side by side
 ENOUGH = 0.5  # of cost, that a step must gain
+FAR = 100.0  # of cost: a step that gains more is still on its way
 
 
 class Fitted(NamedTuple):
@@ -287,52 +288,61 @@ class Fitter:
     def sought(
         self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None
     ) -> tuple[_Point, int]:
-        """Where `fit` ends, and after how many steps."""
+        """Where `fit` ends, and after how many steps: at the least, and on from there if quite another noise gains."""
         free = np.ones(model.size) if free is None else free
         point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, FIRST)
-        boldness, damping, steps, idle, elsewhere = BOLDNESS, DAMPING, 0, 0, False
+        point, steps = self._down(model, point, most, free, BOLDNESS)
+        if steps == most or point.process[0] < MISSED:
+            return point, steps
+        other = self.with_process(point, model, FIRST)
+        if point.cost - other.cost < ENOUGH:
+            return point, steps
+        point, more = self._down(model, other, most - steps, free, 1.0)
+        return point, steps + more
+
+    def _down(self, model: Model, point: _Point, most: int, free: Vector, boldness: float) -> tuple[_Point, int]:
+        """To where no step gains any more, in at most so many, and how many it took.
+
+        As long as there is much to gain the filter's process force is taken as so many times smaller.
+        """
+        damping, idle = DAMPING, 0
         carried = None  # the Jacobian, where a new one would be dear
         settled = False  # the process force, as far as the last step could tell
-        while steps < most:
-            if idle == 2:  # at the end, unless quite another noise makes it likelier
-                if elsewhere or point.process[0] < MISSED:
-                    break
-                other, elsewhere = self.with_process(point, model, FIRST), True
-                if point.cost - other.cost < ENOUGH:
-                    break
-                point, idle = other, 0
-            steps += 1
-            trusting = (
-                point
-                if boldness == 1.0
-                else self.at(model, point.u, np.maximum(point.process / boldness, LEAST), point.onward)
-            )
+        for steps in range(most):
+            if idle == 2:
+                return point, steps
+            trusting = point if boldness == 1.0 else self._trusting(model, point, boldness)
             jacobian = self.jacobian(model, trusting, free=free) if carried is None else carried
             ahead, damping = self._step(model, trusting, damping, free, jacobian)
             stale, carried = carried is not None, None
             if ahead is not trusting:
                 if model.coupled:
                     carried = self._updated(jacobian, trusting, ahead)
-                if not (settled and boldness == 1.0 and point.cost - ahead.cost > ENOUGH):
+                if settled and boldness == 1.0 and point.cost - ahead.cost > ENOUGH:
+                    settled = False  # looked for every other time
+                else:
                     begun = ahead.process
                     ahead = self.with_process(ahead, model, begun * NEAR)
                     settled = bool(np.all(ahead.process == begun))
-                else:
-                    settled = False  # every other time
             gained = point.cost - ahead.cost
-            if stale and gained < ENOUGH:  # nothing can be said before the Jacobian is known again
-                point, carried, damping = (ahead if gained > 0 else point), None, DAMPING
-                continue
-            if gained > 0:
-                idle = idle + 1 if gained < ENOUGH and boldness == 1.0 else 0
+            if gained > 0.0:
                 point = ahead
-            if gained < ENOUGH:
-                if boldness == 1.0 and not gained > 0:
-                    idle = 2
-                carried = carried if boldness == 1.0 else None  # under another process force it is another one
-                boldness, damping = 1.0, DAMPING
-            elif boldness == 1.0 and gained > 1e2:
-                boldness, carried = BOLDNESS, None
-        return point, steps
+            if gained >= ENOUGH:
+                idle = 0
+                if boldness == 1.0 and gained > FAR:
+                    boldness, carried = BOLDNESS, None
+                continue
+            damping = DAMPING
+            if stale:  # nothing can be said before the Jacobian is known again
+                carried = None
+            elif boldness > 1.0:  # nor under the filter's own process force, where it is another one
+                boldness, carried = 1.0, None
+            else:
+                idle = idle + 1 if gained > 0.0 else 2
+        return point, most
+
+    def _trusting(self, model: Model, point: _Point, boldness: float) -> _Point:
+        """The same hypothesis in a filter that has less of a process force to blame."""
+        return self.at(model, point.u, np.maximum(point.process / boldness, LEAST), point.onward)
