@@ -19,12 +19,13 @@ from diffdrive.simulate import simulate
 from experiments.diagnose import _write_reference, augmented_drive, diagnose_logs
 from experiments.report import Report
 from experiments.withheld.score import score
+from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.diagnose import _confirmed, _upheld, _within, diagnose, logged_of
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
-from tuning.diagnosis.lines import _window, lines_in_position, lines_in_time
+from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.search import Explanation, Round
 from tuning.diagnosis.setting import setting

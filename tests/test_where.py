@@ -10,12 +10,13 @@ import scipy.signal
 from sound_log import DRIVE, RATE
 
 from diffdrive.logs import Log
+from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.following import LASTING, Course
 from tuning.diagnosis.gap import ForceGap
-from tuning.diagnosis.lines import lines_in_position, lines_in_time, looked_for, told_apart
+from tuning.diagnosis.lines import lines_in_position, lines_in_time, told_apart
 from tuning.diagnosis.setting import Setting, setting
 from tuning.diagnosis.where import FAINT, SIGNIFICANT, Region, localise, ranked
 from tuning.prediction import Lanes
@@ -237,27 +238,3 @@ def test_a_command_at_the_limit_is_saturated_however_large_or_noisy_it_is():
     assert not saturated(asked, 5_000.0)
     assert not saturated(asked, None)
     assert not saturated(measured, 400.0)  # a force that is the same throughout, but within the limit
-
-
-@pytest.mark.parametrize(("name", "parameter", "period"), [
-    ("lead_error", "lead", 3.7e-3), ("lead_error", "lead", 5.08e-3), ("lead_error", "lead", 2.5e-2),
-    ("interpolation_error", "period", 2.35e-5), ("interpolation_error", "period", 3.3e-6),
-])  # fmt: skip
-def test_the_period_of_a_scales_error_is_seen_in_the_force_that_it_feigns(name, parameter, period):
-    """Whatever it is: a position error e(x) reads as a force m e''(x) v^2."""
-    time = np.arange(8_000) / RATE
-    position = 0.04 * np.sin(1.1 * time) + 0.01 * np.sin(3.7 * time)
-    velocity = np.gradient(position, time)
-    force = (velocity**2 * np.cos(2 * np.pi * position / period))[None]
-    force = force / force.std() + 0.5 * np.random.default_rng(1).standard_normal(force.shape)
-    lanes = SimpleNamespace(counts=np.ones_like(force), position=jnp.asarray(position)[None])
-    logged = SimpleNamespace(logs=1, owner=(0,), starts=jnp.zeros(1), sampling=SimpleNamespace(rate=RATE), lanes=lanes)
-    flat = np.zeros_like(force)
-    course = SimpleNamespace(position=position[None])
-    track = SimpleNamespace(pull=(flat, flat), innovation=flat, lacking=force, course=course)
-    drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
-    candidate = next(one for one in candidates(SETTING) if one.name == name)
-    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
-    travel = np.ptp(position)
-    off = min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
-    assert off < 0.25  # turns over the travel: a fit finds the rest

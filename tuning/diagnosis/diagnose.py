@@ -23,6 +23,7 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
+from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import in_parts
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
@@ -238,7 +239,7 @@ def _signals(rungs: list[Rung]) -> list[Region]:
 
 def deviations(fitted: Fitted) -> np.ndarray:
     """Standard deviations of what was fitted, in units of the prior."""
-    return np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))
+    return np.sqrt(np.diag(solved(fitted.hessian, np.eye(len(fitted.hessian)))))
 
 
 Number = float | list[float]

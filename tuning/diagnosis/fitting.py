@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.following import (
     LOST,
     Course,
@@ -245,7 +246,7 @@ class Fitter:
         residual, jacobian = self.residuals(point)[0], jacobian * free
         hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.u
         for _ in range(TRIALS):
-            step = -np.linalg.solve(hessian + damping * np.eye(model.size), slope)
+            step = -solved(hessian + damping * np.eye(model.size), slope)
             ahead = self.at(model, point.u + step, point.process, point.onward)
             if ahead.cost < point.cost:
                 return ahead, max(0.1 * damping, 1e-3)

@@ -10,9 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-from diffdrive.effects.forces import Cogging, ProcessForce
-from diffdrive.effects.scale import InterpolationError, LeadError
-from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import Fitted
 
 PEAKS = 4
@@ -24,7 +21,6 @@ BLOCK = 0.25  # s, over which two explanations are compared
 SURE = 2.0  # standard deviations of that
 NEIGHBOURS = 40  # bins, whose median a line must stand out from
 APART = 3  # bins between two lines
-SCALES = {LeadError: ("lead", 1e-3, 0.05), InterpolationError: ("period", 1e-6, 5e-4)}  # m, between which to look
 
 
 def missing_force(fitted: Fitted) -> Float[np.ndarray, "lanes n"]:
@@ -205,57 +201,3 @@ def _surely(
     over = (signal - other) ** 2 - (signal - fit) ** 2
     blocks = np.add.reduceat(over, np.arange(0, signal.shape[1], max(1, round(BLOCK * rate))), axis=1)
     return bool(blocks.sum() > max(SURE * np.sqrt(np.sum(blocks**2)), (1.0 - AS_GOOD) * np.sum(fit**2)))
-
-
-def _window(signal: Float[np.ndarray, " n"], frequency: float, rate: float) -> tuple[float, float]:
-    """When (s) a line at `frequency` is on: the stretch in which its envelope is most above half of its highest.
-
-    The stretch of the largest sum (Kadane): a blow long after it does not draw its end along.
-    """
-    n = len(signal)
-    slow = signal * np.exp(-2j * np.pi * frequency * np.arange(n) / rate)
-    width = max(3, int(0.2 * rate))
-    envelope = np.abs(np.convolve(slow, np.hanning(width) / np.hanning(width).sum(), mode="same"))
-    level = np.percentile(envelope, 95)
-    total = np.cumsum(np.r_[0.0, np.minimum(envelope, level) - 0.5 * level])
-    end = int(np.argmax(total[1:] - np.minimum.accumulate(total[:-1])))
-    start = int(np.argmin(total[: end + 1]))
-    return start / rate, end / rate
-
-
-def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarray]]:
-    """The candidate's grid, or where the lines are: each parameter one value for each log."""
-    logged = fitted.model.logged
-    logs, owner, rate, begins = logged.logs, logged.owner, logged.sampling.rate, np.asarray(logged.starts)
-
-    def everywhere(value: float) -> np.ndarray:
-        return np.full(logs, float(value))
-
-    if candidate.effect is Cogging:
-        known = [one.get("period", 1e-3) for one in candidate.grid]
-        position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
-        lines = lines_in_position(missing_force(fitted), position, counts, min(known), max(known))
-        found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
-        return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
-    if candidate.effect in SCALES:
-        # a scale's error passes for a force that shakes the table at each place alike
-        name, shortest, longest = SCALES[candidate.effect]
-        position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
-        lines = lines_in_position(missing_force(fitted), position, counts, shortest, longest)
-        known = [one[name] for one in candidate.grid]
-        return [{name: everywhere(value)} for value in (*known, *(one.value for one in lines))]
-    if candidate.effect is ProcessForce:
-        force = missing_force(fitted)
-        grid = []
-        for frequency in (one.value for one in lines_in_time(force, rate)):
-            # one window for each log, from the longest of its lanes
-            windows = [(0.0, 0.0)] * logs
-            for lane, log in enumerate(owner):
-                start, end = _window(force[lane], frequency, rate)
-                if end - start >= windows[log][1] - windows[log][0]:
-                    windows[log] = (begins[lane] + start, begins[lane] + end)
-            starts, ends = (np.array(one) for one in zip(*windows, strict=True))
-            for multiple in (1.0, 0.5):
-                grid.append({"frequency": everywhere(multiple * frequency), "start": starts, "end": ends})
-        return grid
-    return [{name: everywhere(value) for name, value in point.items()} for point in candidate.grid or ({},)]

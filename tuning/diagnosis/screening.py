@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.effects.base import MachineEffect
+from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate, Parameter
+from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import Fitted, Fitter, answered
-from tuning.diagnosis.lines import looked_for
 from tuning.diagnosis.model import (
     Member,
     Model,
@@ -78,18 +79,18 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate with amplitudes."""
     logged = fitted.model.logged
     samples = fitted.residual.size
-    left = np.linalg.solve(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
     best: Screened | None = None
     for point in looked_for(fitted, candidate):
         values = dict(point)
         found, labels = _directions(fitted, candidate, values)
         d = np.where(fitted.residual[:, None] != 0.0, found.reshape(samples, -1), 0.0)  # not where the filter was lost
         cross = fitted.jacobian.T @ d
-        making_way = np.linalg.solve(fitted.hessian, cross)
+        making_way = solved(fitted.hessian, cross)
         schur = d.T @ d - cross.T @ making_way
         slope = d.T @ fitted.residual - cross.T @ left
         schur = schur + np.eye(len(schur))
-        amount = -np.linalg.solve(schur, slope)
+        amount = -solved(schur, slope)
         gain = float(-slope @ amount)
         evidence = gain - float(np.linalg.slogdet(schur)[1])
         evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing

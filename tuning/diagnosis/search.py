@@ -28,6 +28,7 @@ BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 LONGER = 4  # times the most steps, for the best
 PROMISING = 4.0  # in evidence
+AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
@@ -323,7 +324,8 @@ def explain(
             found = looked(best)
             further = _further(fitter, best, found.fits)
             if further is not None:
-                found = looked(further)
+                gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
+                found = looked(further) if gained > AGAIN * explained else found._replace(before=further)
                 best = further
                 if rounds:
                     rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])

@@ -1,0 +1,68 @@
+"""The search for a candidate begins near what the missing force shows."""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tuning.diagnosis.beginnings import looked_for
+from tuning.diagnosis.candidates import candidates
+from tuning.diagnosis.setting import Setting
+
+RATE = 1_000.0
+SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0)
+
+
+@pytest.mark.parametrize(("name", "parameter", "period"), [
+    ("lead_error", "lead", 3.7e-3), ("lead_error", "lead", 5.08e-3), ("lead_error", "lead", 2.5e-2),
+    ("interpolation_error", "period", 2.35e-5), ("interpolation_error", "period", 3.3e-6),
+])  # fmt: skip
+def test_the_period_of_a_scales_error_is_seen_in_the_force_that_it_feigns(name, parameter, period):
+    """Whatever it is: a position error e(x) reads as a force m e''(x) v^2."""
+    time = np.arange(8_000) / RATE
+    position = 0.04 * np.sin(1.1 * time) + 0.01 * np.sin(3.7 * time)
+    velocity = np.gradient(position, time)
+    force = (velocity**2 * np.cos(2 * np.pi * position / period))[None]
+    force = force / force.std() + 0.5 * np.random.default_rng(1).standard_normal(force.shape)
+    lanes = SimpleNamespace(counts=np.ones_like(force), position=jnp.asarray(position)[None])
+    logged = SimpleNamespace(logs=1, owner=(0,), starts=jnp.zeros(1), sampling=SimpleNamespace(rate=RATE), lanes=lanes)
+    flat = np.zeros_like(force)
+    course = SimpleNamespace(position=position[None])
+    track = SimpleNamespace(pull=(flat, flat), innovation=flat, lacking=force, course=course)
+    drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
+    candidate = next(one for one in candidates(SETTING) if one.name == name)
+    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
+    travel = np.ptp(position)
+    off = min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
+    assert off < 0.25  # turns over the travel: a fit finds the rest
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_times_of_a_load_are_those_of_each_log(sign):
+    """One log in two pieces, put on in the first and taken off in the second; one where it stays on."""
+    windows, starts, owner = [(3.2, 9.1), (2.4, None)], [0.0, 7.0, 0.0], (0, 0, 1)
+    time = np.arange(round(6.0 * RATE)) / RATE
+    velocity = np.stack([0.05 * np.cos(3.0 * time)] * 3)
+    when = np.asarray(starts)[:, None] + time
+    on = np.stack([
+        (at >= windows[log][0]) & (windows[log][1] is None or at < windows[log][1])
+        for at, log in zip(when, owner, strict=True)
+    ])  # fmt: skip
+    room = np.random.default_rng(4)
+    force = -np.sign(velocity) * (sign * 3.0 * on + 1.0) + room.standard_normal(velocity.shape)
+    lanes = SimpleNamespace(counts=np.ones_like(force), position=jnp.zeros_like(force))
+    sampling = SimpleNamespace(rate=RATE)
+    logged = SimpleNamespace(logs=2, owner=owner, starts=jnp.asarray(starts), sampling=sampling, lanes=lanes)
+    flat = np.zeros_like(force)
+    track = SimpleNamespace(
+        pull=(flat, flat), innovation=flat, lacking=force, course=SimpleNamespace(velocity=velocity)
+    )
+    drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
+    candidate = next(one for one in candidates(SETTING) if len(one.parameters) > 1 and one.name == "applied_load")
+    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
+    more, less = points[-2:]
+    found = more if sign > 0 else less
+    np.testing.assert_allclose(found["start"], [3.2, 2.4], atol=0.06)
+    assert found["end"][0] == pytest.approx(9.1, abs=0.06)
+    assert found["end"][1] > 6.5  # never, in this log

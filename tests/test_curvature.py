@@ -1,0 +1,33 @@
+"""Equations in a curvature are solved where its prior is lost in rounding."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tuning.diagnosis.curvature import solved
+
+
+@given(st.integers(1, 12), st.integers(0, 2**32 - 1), st.sampled_from([(), (3,)]))
+def test_it_is_the_least_squares_solution_with_the_prior_as_observations(size, seed, more):
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(40, size)) * 10.0 ** rng.uniform(-3, 3, size)
+    right = rng.normal(size=(size, *more))
+    stacked = np.vstack([jacobian, np.eye(size)])
+    q, r = np.linalg.qr(stacked)
+    expected = np.linalg.solve(r, np.linalg.solve(r.T, right))
+    assert q.shape == stacked.shape
+    found = solved(jacobian.T @ jacobian + np.eye(size), right)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+
+
+def test_what_two_directions_share_a_billion_times_better_leaves_the_prior_between_them():
+    jacobian = 1e9 * np.array([[1.0, 1.0]])
+    curvature = jacobian.T @ jacobian + np.eye(2)
+    assert np.linalg.matrix_rank(curvature) == 1
+    variance = np.diag(solved(curvature, np.eye(2)))
+    np.testing.assert_allclose(variance, 0.5, rtol=1e-6)  # of the difference one, of the sum none
+
+
+def test_what_is_not_finite_has_no_solution():
+    assert np.all(np.isnan(solved(np.array([[1.0, np.nan], [np.nan, 1.0]]), np.ones(2))))
+    assert np.all(np.isnan(solved(np.eye(2), np.array([np.inf, 1.0]))))
