@@ -25,11 +25,11 @@ from experiments.report import Report, plain
 from experiments.tuning_cases import Plan
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.diagnose import UNSURE, Diagnosis, deviations, diagnose, parameters
+from tuning.diagnosis.explain import MOST_EFFECTS
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
-from tuning.diagnosis.search import MOST_EFFECTS
 from tuning.diagnosis.verdict import Belief
 
 HIDDEN = 1.05  # times the floor

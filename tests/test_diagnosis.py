@@ -23,11 +23,12 @@ from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.diagnose import _confirmed, _upheld, _within, diagnose, logged_of
+from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
-from tuning.diagnosis.search import Explanation, Round
+from tuning.diagnosis.search import Round
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Belief, Verdict
 from tuning.diagnosis.where import localise

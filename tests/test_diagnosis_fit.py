@@ -14,30 +14,25 @@ from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
-from tuning.diagnosis import search
+from tuning.diagnosis import explain
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
+from tuning.diagnosis.explain import RELIEF, RESOLVING, Explanation, _enough, _further, _other_first
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import LACKING, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import begin, joined, screen
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
-    RELIEF,
-    RESOLVING,
     SLIGHT,
     STRAINED,
     WORTH,
-    Explanation,
     Round,
-    _enough,
-    _further,
-    _relieving_first,
     fit_from,
     look,
     recalibrated,
     standing,
-)  # fmt: skip
+)
 from tuning.diagnosis.setting import setting
 from tuning.fit import lanes_of, noise_floor
 
@@ -282,14 +277,25 @@ def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not(
     tilt = hypothesis("constant_force", evidence=-100.0, strain=1.0)
     cogging = hypothesis("cogging", evidence=-300.0, strain=5.0)
     looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
-    first = _relieving_first(Explanation(base, [looked], backlash))
+    first = _other_first(Explanation(base, [looked], backlash))
     assert [one.model.members[0].candidate.name for one in first.fits] == ["constant_force", "backlash", "cogging"]
     assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
     calm = hypothesis("backlash", evidence=-900.0, strain=3.0)
-    assert _relieving_first(Explanation(base, [looked], calm)) is None
+    assert _other_first(Explanation(base, [looked], calm)) is None
     weak = looked._replace(fits=[backlash, hypothesis("constant_force", evidence=-WORTH, strain=1.0)])
-    assert _relieving_first(Explanation(base, [weak], backlash)) is None
-    assert _relieving_first(Explanation(base, [looked], base)) is None
+    assert _other_first(Explanation(base, [weak], backlash)) is None
+    assert _other_first(Explanation(base, [looked], base)) is None
+
+
+def test_what_explains_nearly_as_much_is_tried_first_as_well():
+    base = hypothesis(evidence=0.0)
+    backlash, spring = (hypothesis(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
+    looked = Round(base, [], [backlash, spring], 2, 0.0)
+    first = _other_first(Explanation(base, [looked], backlash))
+    assert [one.model.members[0].candidate.name for one in first.fits] == ["position_spring", "backlash"]
+    far = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-700.0)])
+    assert _other_first(Explanation(base, [far], backlash)) is None
+    assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
 
 
 @pytest.mark.parametrize(
@@ -304,7 +310,7 @@ def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not(
     ],
 )
 def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
-    monkeypatch.setattr(search, "complete", lambda *_: whole)
+    monkeypatch.setattr(explain, "complete", lambda *_: whole)
     best = hypothesis("cogging", evidence=-before, strain=strain_then)
     assert _enough(None, best, before, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
 

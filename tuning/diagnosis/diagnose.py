@@ -24,13 +24,14 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.curvature import solved
+from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import in_parts
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
-from tuning.diagnosis.search import MOST_EFFECTS, WORTH, Explanation, Progress, Round, explain, recalibrated
+from tuning.diagnosis.search import WORTH, Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Verdict, judge

@@ -235,9 +235,10 @@ class Fitter:
             stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(model.apart(model.effects(u)) for u in us))
             b = jnp.asarray(model.tolerance * np.array(us)[:, : len(NAMES)])
             found.append(np.asarray(_moved(self.logged, b, stacked, point.course, process)))
-        moved = np.concatenate(found)[: len(ways)] - np.asarray(point.track.innovation)
-        slope = moved / steps[wanted, None, None] / np.asarray(point.track.scatter) * self.counts
-        return slope.reshape(len(wanted), -1).T
+        with np.errstate(invalid="ignore"):  # where a filter ran away, the difference tells nothing
+            moved = np.concatenate(found)[: len(ways)] - np.asarray(point.track.innovation)
+            slope = moved / steps[wanted, None, None] / np.asarray(point.track.scatter) * self.counts
+        return np.where(np.isfinite(slope), slope, 0.0).reshape(len(wanted), -1).T
 
     def _step(
         self, model: Model, point: _Point, damping: float, free: Vector, jacobian: np.ndarray

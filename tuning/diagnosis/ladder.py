@@ -12,10 +12,10 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
 from tuning.diagnosis.model import Model
-from tuning.diagnosis.search import Explanation
 
 TRAINED = 0.6  # of a single log
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration

@@ -1,6 +1,6 @@
-"""Which effects explain the logs: recalibrated, with each effect of the catalogue, and with two.
+"""The effect of the catalogue that explains most of what a hypothesis leaves, and its rivals.
 
-    recalibrate -> screen the catalogue -> fit the most promising -> the best, screened and fitted again
+    screen the catalogue -> fit the most promising, a few steps -> the best to their end
 
 The candidates of one round are independent; two threads keep two cores busy, since a compiled roll-out uses one.
 """
@@ -15,9 +15,9 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter
+from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
-from tuning.diagnosis.leftover import COARSE, LEFT, complete, strain, unexplained
+from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.model import Logged, Member, Model
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 
@@ -28,16 +28,11 @@ BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 LONGER = 4  # times the most steps, for the best
 PROMISING = 4.0  # in evidence
-AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
-RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
-RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
-SLIGHTER = 0.12  # the same beside a coupled effect, whose details differ from machine to machine
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
-MOST_EFFECTS = 2
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")
@@ -53,14 +48,6 @@ class Round(NamedTuple):
     rivals: int  # how many of these, the first ones, may stand for one another
     allowance: float  # in evidence, that the first may lack since it resolves an impossibility
     enough: float = WORTH  # in evidence, that the first had to bring
-
-
-class Explanation(NamedTuple):
-    """The recalibrated drive and the effects found, one round for each."""
-
-    base: Fitted
-    rounds: list[Round]
-    best: Fitted
 
 
 def _in_parallel(function: Callable[[A], B], items: Sequence[A], say: Callable[[int], None]) -> list[B]:
@@ -195,7 +182,8 @@ def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) 
     return sorted((one for one in fits if strain(one) < STRAINED and one.evidence < most), key=lambda one: one.evidence)
 
 
-def _others(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
+def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
+    """All but some."""
     held = {id(one) for one in some}
     return [one for one in all_of if id(one) not in held]
 
@@ -244,7 +232,7 @@ def _ended(
         ahead,
         lambda k: progress("fitting", count + k, count + len(ahead)),
     )
-    return [*ended, *_others(begun, ahead)]
+    return [*ended, *apart_from(begun, ahead)]
 
 
 def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Screened]:
@@ -253,7 +241,7 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
     found = _in_parallel(lambda one: screen(believed, one), amounts, lambda k: None)
     found.sort(key=lambda one: -one.evidence)
     few = found[:BESIDE]
-    return few + [one for one in _others(found, few) if one.candidate.relieves]
+    return few + [one for one in apart_from(found, few) if one.candidate.relieves]
 
 
 def _name(fitted: Fitted) -> str:
@@ -271,90 +259,3 @@ def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) ->
     for one in sorted((one for one in fits if _may_be(one)), key=lambda one: one.evidence):
         found.setdefault(kind(one), one)
     return list(found.values())
-
-
-def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
-    """`before` from where the best fit with one effect more ended, if that effect was not what made it better.
-
-    A fit that stopped on its way leaves something to explain to any effect that sets it going again.
-    """
-    if not fits:
-        return None
-    best = fits[0]
-    there = fitter.at(before.model, best.u[: before.u.size], best.process, best.track.course)
-    there = fitter.with_process(there, before.model, np.vstack([best.process * NEAR, before.process * NEAR]))
-    if before.cost - there.cost < WORTH:
-        return None
-    return fitter.fit(before.model, there.u, there.process, there.track.course)
-
-
-def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
-    """The evidence that one more effect must bring beside the `best`, which `gained` some."""
-    if fits and strain(best) >= STRAINED > strain(fits[0]):
-        return WORTH
-    if ended:
-        return RELIEF
-    enough = max(WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
-    if fits and not best.model.coupled and complete(fitter, fits[0]):
-        return min(enough, RESOLVING)
-    return enough
-
-
-def explain(
-    fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
-) -> Explanation:
-    """Effects one after the other, as long as another is worth it, up to `most`.
-
-    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far. Where the first
-    leaves that unsaid, the search goes a second way: the effect that says it comes first, and the better end counts.
-    """
-
-    def whole(one: Fitted) -> bool:
-        return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
-
-    def over(one: Fitted) -> bool:
-        return whole(one) if one.model.coupled else complete(fitter, one)
-
-    def looked(before: Fitted) -> Round:
-        relevant = [one for one in catalogue if one.relieves] if over(before) else catalogue
-        return look(fitter, before, relevant, progress, whole)
-
-    def onward(base: Fitted, rounds: list[Round], best: Fitted) -> Explanation:
-        while len(rounds) < most and not (rounds and over(best) and strain(best) < STRAINED):
-            found = looked(best)
-            further = _further(fitter, best, found.fits)
-            if further is not None:
-                gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
-                found = looked(further) if gained > AGAIN * explained else found._replace(before=further)
-                best = further
-                if rounds:
-                    rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])
-                else:
-                    base = best
-            enough = _enough(fitter, best, base.evidence - best.evidence, over(best), found.fits)
-            rounds.append(found._replace(enough=enough))
-            if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
-                break
-            best = found.fits[0]
-        return Explanation(base, rounds, best)
-
-    found = onward(base, [], base)
-    first = _relieving_first(found)
-    if first is None or over(found.best):
-        return found
-    other = onward(found.base, [first], first.fits[0])
-    return min(found, other, key=lambda one: one.best.evidence)
-
-
-def _relieving_first(found: Explanation) -> Round | None:
-    """The first round with the effect in front that brings the nominal parameters back, where what was found does not.
-
-    Until a tilt is known, say, nothing fits a loose screw that it holds to one side.
-    """
-    if not found.best.model.added or strain(found.best) < STRAINED:
-        return None
-    first = found.rounds[0]
-    for one in first.fits:
-        if strain(one) < STRAINED and first.before.evidence - one.evidence > WORTH:
-            return first._replace(fits=[one, *_others(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
-    return None

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
+from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.leftover import LEFT, complete, furthest, strain, unexplained
-from tuning.diagnosis.search import STRAINED, Explanation, Round
+from tuning.diagnosis.search import STRAINED, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained

@@ -1,0 +1,123 @@
+"""Which effects explain the logs: recalibrated, with one effect, and with two."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.leftover import COARSE, LEFT, complete, strain, unexplained
+from tuning.diagnosis.search import SLIGHT, STRAINED, WORTH, Progress, Round, apart_from, look
+
+AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
+NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
+SLIGHTER = 0.12  # in place of SLIGHT beside a coupled effect, whose details differ from machine to machine
+RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
+RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
+MOST_EFFECTS = 2
+
+
+class Explanation(NamedTuple):
+    """The recalibrated drive and the effects found, one round for each."""
+
+    base: Fitted
+    rounds: list[Round]
+    best: Fitted
+
+
+def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
+    """`before` from where the best fit with one effect more ended, if that effect was not what made it better.
+
+    A fit that stopped on its way leaves something to explain to any effect that sets it going again.
+    """
+    if not fits:
+        return None
+    best = fits[0]
+    there = fitter.at(before.model, best.u[: before.u.size], best.process, best.track.course)
+    there = fitter.with_process(there, before.model, np.vstack([best.process * NEAR, before.process * NEAR]))
+    if before.cost - there.cost < WORTH:
+        return None
+    return fitter.fit(before.model, there.u, there.process, there.track.course)
+
+
+def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
+    """The evidence that one more effect must bring beside the `best`, which `gained` some."""
+    if fits and strain(best) >= STRAINED > strain(fits[0]):
+        return WORTH
+    if ended:
+        return RELIEF
+    enough = max(WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
+    if fits and not best.model.coupled and complete(fitter, fits[0]):
+        return min(enough, RESOLVING)
+    return enough
+
+
+def explain(
+    fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
+) -> Explanation:
+    """Effects one after the other, as long as another is worth it, up to `most`.
+
+    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far. Where something
+    is missing in the end, the search goes a second way, a rival of the first effect in front; the better end counts.
+    """
+
+    def whole(one: Fitted) -> bool:
+        return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
+
+    def over(one: Fitted) -> bool:
+        return whole(one) if one.model.coupled else complete(fitter, one)
+
+    def looked(before: Fitted, catalogue: Sequence[Candidate]) -> Round:
+        relevant = [one for one in catalogue if one.relieves] if over(before) else catalogue
+        return look(fitter, before, relevant, progress, whole)
+
+    def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
+        while len(rounds) < most and not (rounds and over(best) and strain(best) < STRAINED):
+            found = looked(best, catalogue)
+            further = _further(fitter, best, found.fits)
+            if further is not None:
+                gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
+                found = looked(further, catalogue) if gained > AGAIN * explained else found._replace(before=further)
+                best = further
+                if rounds:
+                    rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])
+                else:
+                    base = best
+            enough = _enough(fitter, best, base.evidence - best.evidence, over(best), found.fits)
+            rounds.append(found._replace(enough=enough))
+            if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
+                break
+            best = found.fits[0]
+        return Explanation(base, rounds, best)
+
+    found = onward(base, [], base, catalogue)
+    first = _other_first(found)
+    if first is None or over(found.best):
+        return found
+    named = {member.candidate.name for member in found.best.model.members}
+    other = onward(found.base, [first], first.fits[0], [one for one in catalogue if one.name in named])
+    return min(found, other, key=lambda one: one.best.evidence)
+
+
+def _other_first(found: Explanation) -> Round | None:
+    """The first round with another effect in front; None where there is none that could be meant.
+
+    Where what was found leaves a nominal parameter moved far, it is one that brings it back: until a tilt is known,
+    say, nothing fits a loose screw that it holds to one side. Elsewhere it is one that explains nearly as much: of two
+    effects, the second is found more easily beside one of them than beside the other.
+    """
+    if not found.best.model.added:
+        return None
+    first = found.rounds[0]
+    best, *others = first.fits
+
+    def gain(one: Fitted) -> float:
+        return first.before.evidence - one.evidence
+
+    bringing_back = [one for one in others if strain(found.best) >= STRAINED > strain(one)]
+    near = [one for one in others if gain(one) > NEARLY * gain(best)]
+    for one in [*bringing_back, *near]:
+        if gain(one) > WORTH:
+            return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
+    return None
