@@ -19,13 +19,12 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.explain import RELIEF, RESOLVING, Explanation, _enough, _further, _other_first
 from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.leftover import LACKING, complete, lacking, power_left, strain
+from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import begin, joined, screen
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
     SLIGHT,
-    STRAINED,
     WORTH,
     Round,
     fit_from,

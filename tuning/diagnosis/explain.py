@@ -7,8 +7,8 @@ import numpy as np
 
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.leftover import COARSE, LEFT, complete, strain, unexplained
-from tuning.diagnosis.search import SLIGHT, STRAINED, WORTH, Progress, Round, apart_from, look
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, strain, unexplained
+from tuning.diagnosis.search import SLIGHT, WORTH, Progress, Round, apart_from, look
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place

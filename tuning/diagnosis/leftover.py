@@ -13,6 +13,7 @@ COARSE = 0.05  # the same for effects whose details differ from machine to machi
 MOSTLY = 0.5  # of what is missing
 BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
+STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 RELEVANT = 3e-4  # of the friction
 
 

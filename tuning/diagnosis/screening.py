@@ -20,6 +20,7 @@ from tuning.diagnosis.candidates import Candidate, Parameter
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import Fitted, Fitter, answered
+from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import (
     Member,
     Model,
@@ -107,16 +108,16 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate that is not there by degrees, or the best that a search finds.
 
-    About the nominal parameters: recalibration may have gone astray to make up for what is missing.
+    About the nominal parameters too, as long as recalibration may have gone astray to make up for what is missing.
     """
     model = joined(fitted.model, candidate)
-    first = not fitted.model.added
-    before = np.where(first & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
+    astray = not fitted.model.added or strain(fitted) >= STRAINED
+    before = np.where(astray & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
     points, processes = looked_for(fitted, candidate), fitted.process * TRIED
     if candidate.searched:
         best, process = evolved(fitted, model, candidate, before)
         points, processes = [best], np.vstack([processes, process])
-    starts = [before, fitted.u] if first else [before]
+    starts = [before, fitted.u] if astray else [before]
     found = []
     for values in points:
         for calibration in starts:

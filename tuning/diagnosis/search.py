@@ -17,7 +17,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
-from tuning.diagnosis.leftover import strain
+from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import Logged, Member, Model
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 
@@ -31,7 +31,6 @@ PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
-STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
 
 Progress = Callable[[str, int, int], None]
@@ -143,12 +142,17 @@ def look(
         screened, fits = screened + more[0], _led_on(fitter, fits + more[1])
     screened.sort(key=lambda one: -one.evidence)
     relieving = _best_of_each(_relieving(before, believed, fits), _name)
-    if believed is None or not relieving:
+    if believed is None or not relieving or _clearly(fits[0], relieving[0]):
         fits = _best_of_each(fits, _name)
         return Round(before, screened, fits, len(fits), 0.0)
     named = {_name(one) for one in relieving}
     others = _best_of_each((one for one in fits if _name(one) not in named), _name)
     return Round(before, screened, [*relieving, *others], len(relieving), _allowed(before, believed))
+
+
+def _clearly(best: Fitted, relieving: Fitted) -> bool:
+    """Whether the best may stay the best, though another effect leaves the nominal parameters nearer to the file's."""
+    return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
 
 
 def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
