@@ -20,11 +20,12 @@ RELEVANT = 3e-4  # of the friction
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
-    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much.
+    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much. Both with the effects along
+    one and the same course, which makes a difference of its own where an effect remembers when the table stood still.
     """
     least = np.minimum(fitted.process, RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0)))
-    none = fitter.at(fitted.model, fitted.u, least, fitted.track.course)
-    return none.cost - fitted.cost
+    none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
+    return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 
 
 def lost_samples(fitted: Fitted) -> int:
