@@ -20,8 +20,8 @@ RELEVANT = 3e-4  # of the friction
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
-    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much. Both with the effects along
-    one and the same course, which makes a difference of its own where an effect remembers when the table stood still.
+    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much. The effects are stepped
+    along the same course in both: where one remembers when the table stood still, that makes a difference of its own.
     """
     least = np.minimum(fitted.process, RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0)))
     none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
