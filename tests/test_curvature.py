@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tuning.diagnosis.curvature import solved
+from tuning.diagnosis.curvature import FARTHEST, limited, solved
 
 
 @given(st.integers(1, 12), st.integers(0, 2**32 - 1), st.sampled_from([(), (3,)]))
@@ -31,3 +31,11 @@ def test_what_two_directions_share_a_billion_times_better_leaves_the_prior_betwe
 def test_what_is_not_finite_has_no_solution():
     assert np.all(np.isnan(solved(np.array([[1.0, np.nan], [np.nan, 1.0]]), np.ones(2))))
     assert np.all(np.isnan(solved(np.eye(2), np.array([np.inf, 1.0]))))
+
+
+def test_a_step_keeps_its_direction_and_leads_no_further_than_a_prior_could_mean():
+    small = np.array([0.5, -FARTHEST])
+    np.testing.assert_array_equal(limited(small), small)
+    far = np.array([1.0, -40.0, 0.0]) * FARTHEST
+    np.testing.assert_allclose(limited(far), far / 40.0)
+    assert limited(np.zeros(0)).size == 0

@@ -1,7 +1,6 @@
 """Diagnosis, its engine: derivatives of the innovations, a sound machine, effects found among others."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,19 +13,17 @@ from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
-from tuning.diagnosis import explain
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.explain import RELIEF, RESOLVING, Explanation, _enough, _further, _other_first
+from tuning.diagnosis.curvature import FARTHEST
+from tuning.diagnosis.explain import _further
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import begin, joined, screen
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
-    SLIGHT,
     WORTH,
-    Round,
     fit_from,
     look,
     recalibrated,
@@ -216,6 +213,24 @@ def test_a_backlash_is_found_where_no_gradient_leads():
     assert values["motor_share"][0] == pytest.approx(truth["motor_share"], rel=0.15)
 
 
+def test_no_step_leads_further_than_a_prior_could_mean(sound, monkeypatch):
+    fitter, base = sound
+    point = fitter.at(base.model, base.u, base.process, base.track.course)
+    residual = 10.0 * FARTHEST * base.residual / np.linalg.norm(base.residual)
+    jacobian = np.zeros((residual.size, base.model.size))
+    jacobian[:, 3] = residual / np.linalg.norm(residual)  # what it asks for is five times too far
+    seen, at = [], fitter.at
+
+    def watched(model, u, process, course):
+        seen.append(u)
+        return at(model, u, process, course)
+
+    monkeypatch.setattr(fitter, "at", watched)
+    monkeypatch.setattr(fitter, "residuals", lambda point: (residual, np.ones_like(residual)))
+    fitter._step(base.model, point, 0.1, np.ones(base.model.size), jacobian)
+    assert np.max(np.abs(seen[0] - point.u)) == pytest.approx(FARTHEST)
+
+
 def test_a_secant_holds_along_the_step_that_was_taken():
     fitter = fitter_of()
     base = recalibrated(fitter, TOLERANCE)
@@ -261,57 +276,6 @@ def test_impossible_numbers_are_explained_before_anything_else():
     assert first.model.values(first.u)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)
     assert strain(first) < STRAINED
     assert base.evidence - first.evidence + found.allowance > WORTH
-
-
-def hypothesis(*effects, evidence, strain=0.0):
-    """A fit as far as the search looks at it."""
-    members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
-    model = SimpleNamespace(members=members, added=len(effects), coupled=False)
-    return SimpleNamespace(model=model, evidence=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
-
-
-def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not():
-    base = hypothesis(evidence=0.0, strain=6.0)
-    backlash = hypothesis("backlash", evidence=-900.0, strain=5.5)
-    tilt = hypothesis("constant_force", evidence=-100.0, strain=1.0)
-    cogging = hypothesis("cogging", evidence=-300.0, strain=5.0)
-    looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
-    first = _other_first(Explanation(base, [looked], backlash))
-    assert [one.model.members[0].candidate.name for one in first.fits] == ["constant_force", "backlash", "cogging"]
-    assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
-    calm = hypothesis("backlash", evidence=-900.0, strain=3.0)
-    assert _other_first(Explanation(base, [looked], calm)) is None
-    weak = looked._replace(fits=[backlash, hypothesis("constant_force", evidence=-WORTH, strain=1.0)])
-    assert _other_first(Explanation(base, [weak], backlash)) is None
-    assert _other_first(Explanation(base, [looked], base)) is None
-
-
-def test_what_explains_nearly_as_much_is_tried_first_as_well():
-    base = hypothesis(evidence=0.0)
-    backlash, spring = (hypothesis(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
-    looked = Round(base, [], [backlash, spring], 2, 0.0)
-    first = _other_first(Explanation(base, [looked], backlash))
-    assert [one.model.members[0].candidate.name for one in first.fits] == ["position_spring", "backlash"]
-    far = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-700.0)])
-    assert _other_first(Explanation(base, [far], backlash)) is None
-    assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
-
-
-@pytest.mark.parametrize(
-    ("before", "strain_then", "ended", "whole", "enough"),
-    [
-        (0.0, 0.0, False, False, WORTH),
-        (1e4, 0.0, False, False, SLIGHT * 1e4),
-        (1e4, 0.0, False, True, RESOLVING),  # a small effect beside a large one, if nothing is left then
-        (100.0, 0.0, False, True, WORTH),
-        (1e4, 0.0, True, True, RELIEF),
-        (1e4, 5.0, True, True, WORTH),  # it says why a nominal parameter had to be moved
-    ],
-)
-def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
-    monkeypatch.setattr(explain, "complete", lambda *_: whole)
-    best = hypothesis("cogging", evidence=-before, strain=strain_then)
-    assert _enough(None, best, before, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
 
 
 def test_a_machine_has_one_screw(sound):

@@ -1,4 +1,4 @@
-"""Linear equations in the curvature of a cost with a prior of one in every direction.
+"""Steps in the curvature of a cost with a prior of one in every direction.
 
 It is nowhere less than the prior's. Beside a direction that the logs tell a hundred million times better, that one is
 lost in rounding, and the matrix may be singular.
@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+FARTHEST = 50.0  # standard deviations of the prior in one step: beyond, the curvature meant nothing
+
 
 def solved(curvature: Float[np.ndarray, "k k"], right: Float[Any, "k *m"]) -> Float[np.ndarray, "k *m"]:
     """`x` with curvature x = right, no direction bent less than the prior does; NaN where anything is not finite."""
@@ -17,3 +19,8 @@ def solved(curvature: Float[np.ndarray, "k k"], right: Float[Any, "k *m"]) -> Fl
         return np.full_like(right, np.nan)
     bent, along = np.linalg.eigh(curvature)
     return along @ ((along.T @ right).T / np.maximum(bent, 1.0)).T
+
+
+def limited(step: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """The step, shortened where it would lead further than any prior could mean."""
+    return step * min(1.0, FARTHEST / max(float(np.max(np.abs(step), initial=0.0)), 1e-9))

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.curvature import solved
+from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.following import (
     LOST,
     Course,
@@ -54,7 +54,6 @@ BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives 
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 AT_ONCE = 8  # filters side by side
 ENOUGH = 0.5  # of cost, that a step must gain
-FARTHEST = 50.0  # standard deviations of the prior in one step: beyond, the curvature meant nothing
 FAR = 100.0  # of cost: a step that gains more is still on its way
 
 
@@ -248,8 +247,7 @@ class Fitter:
         residual, jacobian = self.residuals(point)[0], jacobian * free
         hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.u
         for _ in range(TRIALS):
-            step = -solved(hessian + damping * np.eye(model.size), slope)
-            step = step * min(1.0, FARTHEST / max(float(np.max(np.abs(step))), 1e-9))
+            step = -limited(solved(hessian + damping * np.eye(model.size), slope))
             ahead = self.at(model, point.u + step, point.process, point.onward)
             if ahead.cost < point.cost:
                 return ahead, max(0.1 * damping, 1e-3)

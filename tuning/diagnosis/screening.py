@@ -17,7 +17,7 @@ from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate, Parameter
-from tuning.diagnosis.curvature import solved
+from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import Fitted, Fitter, answered
 from tuning.diagnosis.leftover import STRAINED, strain
@@ -99,7 +99,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
             for (one, log), value in zip(labels, amount, strict=True):
                 row = values.setdefault(one.name, np.zeros(logged.logs))
                 row[slice(None) if log is None else log] = value * one.spread
-            rest = fitted.u - left - making_way @ amount
+            rest = fitted.u - limited(left + making_way @ amount)
             best = Screened(candidate, gain, evidence, values, rest, fitted.process * TRIED)
     assert best is not None
     return best

@@ -127,26 +127,36 @@ def look(
     progress: Progress,
     whole: Callable[[Fitted], bool],
 ) -> Round:
-    """One more effect; those that have to be searched for only where no other makes the model `whole`."""
+    """One more effect.
+
+    Where the nominal parameters were moved too far to be believed, it is looked for about the drive file's own numbers
+    too. Effects that have to be searched for are, where no other makes the model `whole`.
+    """
     there = [member.candidate for member in before.model.members]
     left = [one for one in catalogue if not any(one.excludes(other) for other in there)]
-    few, believed = [one for one in left if not one.searched], None
+    few, searched = [one for one in left if not one.searched], [one for one in left if one.searched]
     screened, fits = _race(fitter, before, few, progress)
     fits = _led_on(fitter, fits)
+    believed = None
     if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
         believed = _believed(fitter, before)
         fits = _led_on(fitter, [*fits, *_race_to_nominal(fitter, before, believed, few, progress)])
     settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
-        more = _race(fitter, before, [one for one in left if one.searched], progress)
-        screened, fits = screened + more[0], _led_on(fitter, fits + more[1])
+        more, further = _race(fitter, before, searched, progress)
+        screened, fits = screened + more, _led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
+    return _ranked(before, believed, screened, fits)
+
+
+def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], fits: Sequence[Fitted]) -> Round:
+    """The fits of a round by evidence; those that bring impossible parameters back ahead of all that do not."""
+    every = _best_of_each(fits, _name)
     relieving = _best_of_each(_relieving(before, believed, fits), _name)
-    if believed is None or not relieving or _clearly(fits[0], relieving[0]):
-        fits = _best_of_each(fits, _name)
-        return Round(before, screened, fits, len(fits), 0.0)
+    if believed is None or not relieving or _clearly(every[0], relieving[0]):
+        return Round(before, screened, every, len(every), 0.0)
     named = {_name(one) for one in relieving}
-    others = _best_of_each((one for one in fits if _name(one) not in named), _name)
+    others = [one for one in every if _name(one) not in named]
     return Round(before, screened, [*relieving, *others], len(relieving), _allowed(before, believed))
 
 

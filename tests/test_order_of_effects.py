@@ -1,0 +1,136 @@
+"""Which effect comes first, what it must bring, and what is looked at again."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from sound_log import DRIVE
+
+from tuning.diagnosis import explain
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, Explanation, _enough, _other_first
+from tuning.diagnosis.leftover import lacking
+from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _ranked
+
+
+def hypothesis(*effects, evidence, strain=0.0):
+    """A fit as far as the search looks at it."""
+    members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
+    model = SimpleNamespace(members=members, added=len(effects), coupled=False, possible=lambda u: True)
+    return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
+
+
+def names(looked):
+    return [one.model.members[-1].candidate.name for one in looked.fits]
+
+
+def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not():
+    base = hypothesis(evidence=0.0, strain=6.0)
+    backlash = hypothesis("backlash", evidence=-900.0, strain=5.5)
+    tilt = hypothesis("constant_force", evidence=-100.0, strain=1.0)
+    cogging = hypothesis("cogging", evidence=-300.0, strain=5.0)
+    looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
+    first = _other_first(Explanation(base, [looked], backlash))
+    assert names(first) == ["constant_force", "backlash", "cogging"]
+    assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
+    calm = hypothesis("backlash", evidence=-900.0, strain=3.0)
+    assert _other_first(Explanation(base, [looked], calm)) is None
+    weak = looked._replace(fits=[backlash, hypothesis("constant_force", evidence=-WORTH, strain=1.0)])
+    assert _other_first(Explanation(base, [weak], backlash)) is None
+    assert _other_first(Explanation(base, [looked], base)) is None
+
+
+def test_what_explains_nearly_as_much_is_tried_first_as_well():
+    base = hypothesis(evidence=0.0)
+    backlash, spring = (hypothesis(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
+    looked = Round(base, [], [backlash, spring], 2, 0.0)
+    first = _other_first(Explanation(base, [looked], backlash))
+    assert names(first) == ["position_spring", "backlash"]
+    far = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-700.0)])
+    assert _other_first(Explanation(base, [far], backlash)) is None
+    assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
+
+
+@pytest.mark.parametrize(
+    ("before", "strain_then", "ended", "whole", "enough"),
+    [
+        (0.0, 0.0, False, False, WORTH),
+        (1e4, 0.0, False, False, SLIGHT * 1e4),
+        (1e4, 0.0, False, True, RESOLVING),  # a small effect beside a large one, if nothing is left then
+        (100.0, 0.0, False, True, WORTH),
+        (1e4, 0.0, True, True, RELIEF),
+        (1e4, 5.0, True, True, WORTH),  # it says why a nominal parameter had to be moved
+    ],
+)
+def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
+    monkeypatch.setattr(explain, "complete", lambda *_: whole)
+    best = hypothesis("cogging", evidence=-before, strain=strain_then)
+    assert _enough(None, best, before, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
+
+
+def test_impossible_parameters_are_explained_by_what_brings_them_back():
+    before = hypothesis(evidence=0.0, strain=10.0)
+    believed = hypothesis(evidence=5000.0)
+    gain = hypothesis("force_gain", evidence=100.0, strain=1.0)  # SLIGHT of what the strain gained: allowed
+    cogging = hypothesis("cogging", evidence=-150.0, strain=9.0)
+    looked = _ranked(before, believed, [], [cogging, gain])
+    assert names(looked) == ["force_gain", "cogging"]
+    assert looked.rivals == 1
+    assert looked.allowance == SLIGHT * 5000.0
+    for fits in (
+        [cogging],
+        [cogging, hypothesis("force_gain", evidence=300.0, strain=1.0)],
+    ):
+        looked = _ranked(before, believed, [], fits)
+        assert names(looked)[0] == "cogging"
+        assert (looked.rivals, looked.allowance) == (len(fits), 0.0)
+    assert names(_ranked(before, None, [], [gain, cogging])) == ["cogging", "force_gain"]
+
+
+@pytest.mark.parametrize(
+    ("strain", "more", "first"),
+    [
+        (IMPOSSIBLE - 1.0, SETTLED + 1.0, "backlash"),
+        (IMPOSSIBLE - 1.0, SETTLED - 1.0, "force_gain"),
+        (IMPOSSIBLE + 1.0, SETTLED + 1.0, "force_gain"),
+    ],
+)
+def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(strain, more, first):
+    before, believed = hypothesis(evidence=0.0, strain=10.0), hypothesis(evidence=5000.0)
+    gain = hypothesis("force_gain", evidence=-100.0, strain=1.0)
+    backlash = hypothesis("backlash", evidence=-100.0 - more, strain=strain)
+    assert names(_ranked(before, believed, [], [gain, backlash]))[0] == first
+
+
+@pytest.mark.parametrize("share", [0.5 * AGAIN, 1.5 * AGAIN])
+def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, share):
+    """Where that is much of what the effect seemed to explain, everything is looked at again from there."""
+    stopped, further = hypothesis(evidence=0.0), hypothesis(evidence=-1000.0 * share)
+    looks = []
+
+    def look(fitter, before, *_):
+        looks.append(before)
+        found = [hypothesis("cogging" if len(looks) == 1 else "backlash", evidence=-1000.0)]
+        return Round(before, [], found, 1, 0.0)
+
+    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if before is stopped else None)
+    found = explain.explain(None, stopped, [], lambda *_: None, most=1)
+    again = share > AGAIN
+    assert looks == [stopped, further][: 1 + again]
+    assert names(found.rounds[0]) == ["backlash" if again else "cogging"]
+    assert found.base is found.rounds[0].before is further
+
+
+def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
+    """An effect that remembers rest is another one along another course: that is no force that the filter invented."""
+
+    def at(model, u, process, course):
+        return SimpleNamespace(cost=100.0 * course - 7.0 * float(process[0] > 0.5))
+
+    fitted = SimpleNamespace(
+        model=None, u=None, own=DRIVE.drive, process=np.array([1.0, 0.1]), cost=3.0, track=SimpleNamespace(course=5.0)
+    )
+    assert lacking(SimpleNamespace(at=at), fitted) == 7.0
