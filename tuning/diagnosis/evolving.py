@@ -21,7 +21,7 @@ from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Exposure, Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
-from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine
+from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
 from tuning.diagnosis.segments import begin_velocity
 from tuning.evolution import Budget, evolve
 from tuning.prediction import Lanes
@@ -122,11 +122,9 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tu
         return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, WHITE])
 
     def block(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
-        stacked = [(*there, in_stretches(share)) for share in shares]
-        processes = jnp.asarray(forces(shares))
-        push = jnp.asarray(PUSH * level * (2.0 * shares[:, -2] - 1.0))
-        members = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
-        return np.asarray(_deviances(drive, stretches, members, push, processes, logged))
+        members = stacked([(*there, in_stretches(share)) for share in shares])
+        push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
+        return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
 
     budget = Budget(SIMULATIONS, np.inf, -np.inf)
     found = evolve(costs, np.full(len(free) + 2, 0.5), budget, population=POPULATION, sample=SAMPLE)

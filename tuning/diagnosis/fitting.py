@@ -37,6 +37,7 @@ from tuning.diagnosis.model import (
     exposure_slopes,
     machine,
     machine_slopes,
+    stacked,
 )
 from tuning.diagnosis.second_encoder import Twist, foreseen, unlikelihood
 
@@ -113,19 +114,30 @@ def answered(
 
 
 @eqx.filter_jit
-def _moved(
-    logged: Logged, b: Float[Array, "s b"], effects: tuple[Effects, Effects], course: Course, process: Process
-) -> Float[Array, "s lanes n"]:
-    """The innovations under each of several calibrations and sets of effects."""
+def _machines(
+    logged: Logged, b: Float[Array, "s b"], effects: tuple[Effects, Effects], course: Course
+) -> tuple[Drive, Exposure]:
+    """The drive under each of several calibrations and sets of effects, and what acts on it."""
 
-    def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> Float[Array, "lanes n"]:
+    def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> tuple[Drive, Exposure]:
         loose, coupled = effects
         own, drive = machine(logged, b, (*loose, *coupled))
-        under = exposed(logged, own, loose, course)
-        given = (logged.noise, logged.lanes, logged.sampling, course)
-        return follow(drive, under, coupled, process, *given).innovation
+        return drive, exposed(logged, own, loose, course)
 
     return jax.vmap(one)(b, effects)
+
+
+@eqx.filter_jit
+def _innovations(
+    drives: Drive, acting: Exposure, coupled: Effects, logged: Logged, course: Course, process: Process
+) -> Float[Array, "s lanes n"]:
+    """Of several machines side by side: one filter, whatever the effects that are stepped along the course."""
+
+    def one(drive: Drive, acting: Exposure, coupled: Effects) -> Float[Array, "lanes n"]:
+        given = (logged.noise, logged.lanes, logged.sampling, course)
+        return follow(drive, acting, coupled, process, *given).innovation
+
+    return jax.vmap(one)(drives, acting, coupled)
 
 
 class _Point(NamedTuple):
@@ -214,7 +226,7 @@ class Fitter:
         logs tell a hundred times better than the prior is differenced again, over a step that is no larger than that.
         """
         away = np.where(point.u > 0.0, -1.0, 1.0)
-        columns = np.zeros((self.counts.size, model.size))
+        columns = np.zeros((self.counts.size, model.size), order="F")
         columns[:, wanted] = self._over(model, point, wanted, away * DIFFERENCE)
         steps = away * SMALL * np.sqrt(self.counts.sum()) / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
         sharp = wanted[np.abs(steps[wanted]) < DIFFERENCE]
@@ -232,9 +244,10 @@ class Fitter:
         process, found = Process(*jnp.asarray(point.process)), []
         for few in (filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)):
             us = [point.u + way for way in few]
-            stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(model.apart(model.effects(u)) for u in us))
-            b = jnp.asarray(model.tolerance * np.array(us)[:, : len(NAMES)])
-            found.append(np.asarray(_moved(self.logged, b, stacked, point.course, process)))
+            effects = stacked([model.apart(model.effects(u)) for u in us])
+            b = model.tolerance * np.array(us)[:, : len(NAMES)]
+            drives, acting = _machines(self.logged, b, effects, point.course)
+            found.append(np.asarray(_innovations(drives, acting, effects[1], self.logged, point.course, process)))
         with np.errstate(invalid="ignore"):  # where a filter ran away, the difference tells nothing
             moved = np.concatenate(found)[: len(ways)] - np.asarray(point.track.innovation)
             slope = moved / steps[wanted, None, None] / np.asarray(point.track.scatter) * self.counts

@@ -4,6 +4,7 @@ All that is free is one vector u in units of its prior: u = 0 is what was expect
 """
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -156,11 +157,16 @@ class Model:
             parameter = next(p for p in self.members[index].candidate.parameters if p.name == name)
             slope = parameter.spread * (parameter.value(float(number)) if parameter.positive else 1.0)
             here = np.array([log is None or log == owner for owner in self.logged.owner], float) * slope
-            zero = jax.tree.map(jnp.zeros_like, base)
-            rows.append(eqx.tree_at(lambda tree, i=index, n=name: getattr(tree[i], n), zero, jnp.asarray(here)))
+            zero = jax.tree.map(np.zeros_like, base)
+            rows.append(eqx.tree_at(lambda tree, i=index, n=name: getattr(tree[i], n), zero, here))
         if not rows:
             return base, 0
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows), len(rows)
+        return stacked(rows), len(rows)
+
+
+def stacked(trees: Sequence[A]) -> A:
+    """Trees of numbers as one tree, the first axis over them; out of hand, since there are few numbers."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
 
 
 def effect_in_lanes(effect: type[Effect], values: dict[str, Vector], owner: tuple[int, ...]) -> Effect:
@@ -170,7 +176,7 @@ def effect_in_lanes(effect: type[Effect], values: dict[str, Vector], owner: tupl
 
     def in_lanes(value: Any) -> Any:
         each = np.asarray(value, float)
-        return jnp.asarray(each[rows] if each.ndim else np.full(len(rows), each))
+        return each[rows] if each.ndim else np.full(len(rows), each)
 
     return effect(**{name: in_lanes(values.get(name, default)) for name, default in defaults.items()})
 

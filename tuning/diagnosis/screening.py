@@ -28,6 +28,7 @@ from tuning.diagnosis.model import (
     effect_in_lanes,
     exposure_slopes,
     machine_slopes,
+    stacked,
 )
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
@@ -61,15 +62,15 @@ def _directions(
     rows = []
     for one, log in labels:
         here = np.array([log is None or log == owner for owner in logged.owner], float) * one.spread
-        zero = jax.tree.map(jnp.zeros_like, effect)
-        rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree, n), zero, jnp.asarray(here)))
-    tangents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
+        zero = jax.tree.map(np.zeros_like, effect)
+        rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree, n), zero, here))
+    tangents = stacked(rows)
     bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
     columns = jnp.zeros((fitted.linear.machine.shape[-1], len(rows)))
     if issubclass(candidate.effect, MachineEffect):
         b = jnp.asarray(fitted.model.tolerance * fitted.u[: len(NAMES)])
         others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
-        still = jax.tree.map(lambda leaf: jnp.zeros((len(rows), *leaf.shape)), others)
+        still = jax.tree.map(lambda leaf: np.zeros((len(rows), *leaf.shape)), others)
         columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
     counts, period = logged.lanes.counts, logged.sampling.period
     found = answered(fitted.track, fitted.linear, columns, bend, counts, period)
