@@ -13,8 +13,8 @@ from tuning.least_squares import Progress
 def at_next_step(progress: Progress, say: Callable[[str], None]) -> Iterator[Progress]:
     """Yields `progress` for a search: after a Ctrl-C it ends the search between two steps, where that keeps its best.
 
-    What comes after the search (covariance, intervals) is still computed. A second Ctrl-C stops at once. Signals reach
-    only the main thread; in another this changes nothing.
+    SIGTERM is taken like it. What comes after the search (covariance, intervals) is still computed. A second one stops
+    at once. Signals reach only the main thread; in another this changes nothing.
     """
     asked = False
 
@@ -33,8 +33,9 @@ def at_next_step(progress: Progress, say: Callable[[str], None]) -> Iterator[Pro
     if threading.current_thread() is not threading.main_thread():
         yield progress
         return
-    before = signal.signal(signal.SIGINT, ask)
+    before = {one: signal.signal(one, ask) for one in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield step
     finally:
-        signal.signal(signal.SIGINT, before)
+        for one, handler in before.items():
+            signal.signal(one, handler)

@@ -4,33 +4,39 @@ The first is the oracle: how far the gap shrinks when the true effects are fitte
 answer must become `unknown`, or a rival that the first answer had declared.
 """
 
+import math
 from typing import Any
 
 from diffdrive.effects.catalogue import EFFECTS
 
 Answers = dict[str, dict[str, Any]]
 Key = dict[str, dict[str, Any]]
+UNANSWERED: dict[str, Any] = {"verdict": "error", "causes": []}
 
 
 def oracle(answers: Answers, key: Key) -> dict[str, list[str]]:
     """For each case whose known effects were not just what was found: all others, which are not to be considered."""
     asked = {}
-    for name, told in answers.items():
-        true = {one["name"] for one in key[name]["effects"]}
-        found = {one["effect"] for one in told["causes"] if one["found"]}
+    for name, case in key.items():
+        true = {one["name"] for one in case["effects"]}
+        found = {one["effect"] for one in answers.get(name, UNANSWERED)["causes"] if one["found"]}
         if true and true <= set(EFFECTS) and found != true:
             asked[name] = [one for one in EFFECTS if one not in true]
     return asked
 
 
 def removed(answers: Answers, key: Key) -> dict[str, list[str]]:
-    """For each effect of the catalogue the case that showed it best: found first and alone, by the most evidence."""
+    """For each effect of the catalogue the case that showed it best: believed alone, and by the most evidence.
+
+    One that was not believed would be `unknown` without it, too: that would show nothing.
+    """
     best: dict[str, tuple[float, str]] = {}
-    for name, told in answers.items():
-        true = [one["name"] for one in key[name]["effects"]]
-        first = told["causes"][0] if told["causes"] else None
-        if len(true) == 1 and first and first["found"] and first["effect"] == true[0]:
-            best[true[0]] = max(best.get(true[0], (0.0, "")), (first["evidence"], name))
+    for name, case in key.items():
+        told = answers.get(name, UNANSWERED)
+        true = [one["name"] for one in case["effects"]]
+        found = [one for one in told["causes"] if one["found"]]
+        if told["verdict"] == "effect" and len(true) == 1 and [one["effect"] for one in found] == true:
+            best[true[0]] = max(best.get(true[0], (-math.inf, "")), (found[0]["evidence"], name))
     return {name: [effect] for effect, (_, name) in best.items()}
 
 

@@ -6,6 +6,7 @@ Cases that have an answer to just this question are left alone, so that an inter
 names the cases that are wanted, and for each the effects that are not to be considered.
 """
 
+import functools
 import hashlib
 import json
 import multiprocessing
@@ -20,6 +21,8 @@ from typing import Any
 
 import jax
 
+import diffdrive
+import tuning
 from diffdrive.drive_file import read_drive
 from diffdrive.logs import read_logs
 from experiments.diagnose import as_json
@@ -71,10 +74,21 @@ def machines(folder: Path) -> list[Path]:
 
 
 def question(place: Path, without: Sequence[str]) -> str:
-    """What tells the question from any other: the drive file, the logs, and the effects that are left out."""
-    text = hashlib.sha256(json.dumps(sorted(without)).encode())
+    """What tells the question from any other: the drive file, the logs, the effects left out, and who is asked."""
+    text = hashlib.sha256((_asked_of() + json.dumps(sorted(without))).encode())
     for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
         text.update(path.name.encode() + path.read_bytes())
+    return text.hexdigest()
+
+
+@functools.cache
+def _asked_of() -> str:
+    """What the diagnosis is made of: answers of two editions do not go together."""
+    text = hashlib.sha256()
+    for package in (diffdrive, tuning):
+        root = Path(package.__path__[0])
+        for path in sorted(root.rglob("*.py")):
+            text.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return text.hexdigest()
 
 

@@ -62,7 +62,7 @@ def score(
     two = [row for row in rows if row["kind"] == "compound"]
     pitfalls = [row for row in rows if row["kind"] == "pitfall"]
     drawn = [row for row in single + pitfalls if row["size"][0] >= MEANT]
-    shrinks = [_ratio(row["shrink"], best[row["case"]]) for row in clear]
+    shrinks = [_ratio(row["shrink"], best[row["case"]], row["failed"]) for row in clear if oracle is not None]
     shares = {
         "named_clear": (clear, "named"),
         "exact_clear": (clear, "exact"),
@@ -101,6 +101,7 @@ def score(
         "quarter_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.25),
         "median_shrink_of_oracle": _quantile(shrinks, 0.5),
         "quarter_shrink_of_oracle": _quantile(shrinks, 0.25),
+        "shrinks_of_oracle": sum(one is not None for one in shrinks),
         "confusion": _confusion(rows),
         "rows": rows,
     }
@@ -171,7 +172,9 @@ def _shrink(told: dict[str, Any]) -> float | None:
     return 1.0 - after / before if before > NOTHING * floor**2 else None
 
 
-def _ratio(one: float | None, other: float | None) -> float | None:
+def _ratio(one: float | None, other: float | None, failed: bool) -> float | None:
+    if failed:
+        return 0.0  # whatever could have been
     return one / other if one is not None and other is not None and other > 0.0 else None
 
 

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
 from experiments.report import Report
 from experiments.withheld import again
@@ -22,6 +23,7 @@ SHOWN = (
     "confidently_wrong_faint", "confidently_wrong", "none", "said_none", "false_alarms", "outside", "unknown_recall",
     "compounds", "both_found", "both_named", "pitfalls", "pitfall_named", "calibration_error", "median_parameter_error",
     "median_shrink_held_out", "quarter_shrink_held_out", "median_shrink_of_oracle", "quarter_shrink_of_oracle",
+    "shrinks_of_oracle",
 )  # fmt: skip
 ANSWERING = ("-m", "experiments.withheld.answer")
 CODE = Path(__file__).resolve().parents[2]
@@ -124,6 +126,9 @@ def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: 
             again.without_it(answers, without, removed),
             "The catalogue without the true effect: unknown, or a declared rival",
         )
+        unseen = sorted(set(EFFECTS) - {effect for (effect,) in removed.values()})
+        if unseen:
+            report.say(f"Believed alone in no case, and so not removed: {', '.join(unseen)}.")
     card = score(answers, key, oracle)
     report.values("scorecard", **{name: card[name] for name in SHOWN})
     report.table(

@@ -15,6 +15,7 @@ from tuning.diagnosis.lines import lines_in_position, lines_in_time, missing_for
 
 SCALES = {LeadError: ("lead", 1e-3, 0.05), InterpolationError: ("period", 1e-6, 5e-4)}  # m, between which to look
 BIN = 0.05  # s, to which the times of a load are looked for
+MOST_BINS = 600  # of those: a longer log has coarser ones
 SLOW = 1e-3  # m/s, below which friction may be anything
 
 
@@ -34,45 +35,43 @@ def _window(signal: Float[np.ndarray, " n"], frequency: float, rate: float) -> t
     return start / rate, end / rate
 
 
-def _level(resisting: Float[np.ndarray, " n"], counts: Float[np.ndarray, " n"], rate: float) -> list[tuple[float, ...]]:
-    """When (s) a signal stands at another level, once higher and once lower: begin, end, and what two levels explain.
+def _level(signal: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], rate: float) -> list[tuple[float, ...]]:
+    """When (s) a signal, known at some times, stands at another level, once higher and once lower: begin, end, and what
+    two levels explain.
 
     All pairs of times are tried; where it lasts to the end, the end is not seen.
     """
-    size = max(1, round(BIN * rate))
-    begins = np.arange(0, len(resisting), size)
-    total = np.r_[0.0, np.cumsum(np.add.reduceat(resisting * counts, begins))]
-    samples = np.r_[0.0, np.cumsum(np.add.reduceat(counts, begins))]
+    if not signal.size:
+        return [(0.0, 0.0, 0.0)] * 2
+    size = max(1, round(BIN * rate), -(-len(signal) // MOST_BINS))
+    begins = np.arange(0, len(signal), size)
+    edges = np.r_[time[begins], time[-1] + 1.0 / rate]
+    total = np.r_[0.0, np.cumsum(np.add.reduceat(signal, begins))]
+    samples = np.r_[begins, len(signal)].astype(float)
     inside, within = total[None, :] - total[:, None], samples[None, :] - samples[:, None]
     outside, without = total[-1] - inside, samples[-1] - within
     step = inside / np.maximum(within, 1.0) - outside / np.maximum(without, 1.0)
-    gain = np.where((within > 0) & (without > 0), step**2 * within * without / max(samples[-1], 1.0), 0.0)
+    gain = np.where((within > 0) & (without > 0), step**2 * within * without / samples[-1], 0.0)
     found = []
     for sign in (1.0, -1.0):
         one = np.where(np.triu(sign * step > 0.0, 1), gain, 0.0)
         start, end = np.unravel_index(int(np.argmax(one)), one.shape)
-        never = 0.2 * len(begins) if end == len(begins) else 0.0
-        found.append((start * size / rate, (end + never) * size / rate, float(one.max())))
+        never = 0.2 * (edges[-1] - edges[0]) if end == len(begins) else 0.0
+        found.append((edges[start], edges[end] + never, float(one.max())))
     return found
 
 
 def _loads(fitted: Fitted) -> list[dict[str, np.ndarray]]:
     """When a load was put on and taken off in each log: friction missing there, or too much of it elsewhere."""
     logged = fitted.model.logged
-    rate, n = logged.sampling.rate, logged.lanes.position.shape[1]
-    velocity, counts = np.asarray(fitted.track.course.velocity), np.asarray(logged.lanes.counts)
-    sliding = counts * (np.abs(velocity) > SLOW)
+    rate, velocity = logged.sampling.rate, np.asarray(fitted.track.course.velocity)
+    sliding = (np.asarray(logged.lanes.counts) > 0.0) & (np.abs(velocity) > SLOW)
     resisting = -np.sign(velocity) * missing_force(fitted)
-    first = np.round(np.asarray(logged.starts) * rate).astype(int)
-    windows = []
+    time = np.asarray(logged.starts)[:, None] + np.arange(velocity.shape[1]) / rate
+    owner, windows = np.asarray(logged.owner), []
     for log in range(logged.logs):
-        lanes = [lane for lane, owner in enumerate(logged.owner) if owner == log]
-        signal, there = (np.zeros(max(first[lane] for lane in lanes) + n) for _ in range(2))
-        for lane in lanes:
-            kept = slice(first[lane], first[lane] + n)
-            signal[kept] += sliding[lane] * resisting[lane]
-            there[kept] += sliding[lane]
-        windows.append(_level(signal / np.maximum(there, 1.0), np.minimum(there, 1.0), rate))
+        there = sliding[owner == log]
+        windows.append(_level(resisting[owner == log][there], time[owner == log][there], rate))
     both = [[one[way] for one in windows] for way in (0, 1)]
     return [{"start": np.array([one[0] for one in way]), "end": np.array([one[1] for one in way])} for way in both]
 

@@ -21,6 +21,13 @@ def solved(curvature: Float[np.ndarray, "k k"], right: Float[Any, "k *m"]) -> Fl
     return along @ ((along.T @ right).T / np.maximum(bent, 1.0)).T
 
 
+def log_volume(curvature: Float[np.ndarray, "k k"]) -> float:
+    """Logarithm of how many times smaller the volume is that the curvature leaves of the prior; NaN if not finite."""
+    if not np.all(np.isfinite(curvature)):
+        return np.nan
+    return float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(curvature), 1.0))))
+
+
 def limited(step: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """The step, shortened where it would lead further than any prior could mean."""
     return step * min(1.0, FARTHEST / max(float(np.max(np.abs(step), initial=0.0)), 1e-9))

@@ -193,9 +193,9 @@ def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
     """No sure cause that foresees the held-out logs worse than the recalibrated drive does."""
     worse = rungs[-1].deviance - rungs[1].deviance
     gained = sum(one.gain for one in verdict.beliefs if one.found)
-    if worse < max(WORTH, DENIED * gained):
-        return verdict
     names = " and ".join(one.effect for one in verdict.beliefs if one.found)
+    if not names or worse < max(WORTH, DENIED * gained):
+        return verdict
     says = f"{names} would explain the logs that were fitted, but foresees those held out worse than without"
     beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
     return Verdict("unknown", beliefs, verdict.unexplained, says)
@@ -207,9 +207,10 @@ def _subsystems(found: Explanation) -> list[Region]:
         return []
     first: Round = found.rounds[0]
     total = max(found.base.cost - found.best.cost, 1e-9)
-    gains = {one.candidate.name: one.gain for one in first.screened}
-    gains |= {one.model.members[-1].candidate.name: first.before.cost - one.cost for one in first.fits}
-    freedom = {one.candidate.name: max(len(one.candidate.parameters), 1) for one in first.screened}
+    told = [(one.candidate, one.gain) for one in reversed(first.screened)]  # the best of each name last
+    told += [(one.model.members[-1].candidate, first.before.cost - one.cost) for one in first.fits]
+    gains = {candidate.name: gain for candidate, gain in told}
+    freedom = {candidate.name: max(len(candidate.parameters), 1) for candidate, _ in told}
     regions = []
     for place, effects in PLACES.items():
         best = max((gains.get(effect.name, 0.0), effect.name) for effect in effects)

@@ -1,14 +1,15 @@
 """Which effects explain the logs: recalibrated, with one effect, and with two."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, Optional
 
 import numpy as np
 
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, strain, unexplained
-from tuning.diagnosis.search import SLIGHT, WORTH, Progress, Round, apart_from, look
+from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, WORTH, Progress, Round, apart_from, look, to_its_end
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -24,6 +25,13 @@ class Explanation(NamedTuple):
     base: Fitted
     rounds: list[Round]
     best: Fitted
+    other: Optional["Explanation"] = None  # the way that was searched too and ended no better
+
+    @property
+    def named(self) -> set[str]:
+        """The effects that were added."""
+        members = self.best.model.members
+        return {member.candidate.name for member in members[len(members) - self.best.model.added :]}
 
 
 def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
@@ -38,7 +46,8 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
     there = fitter.with_process(there, before.model, np.vstack([best.process * NEAR, before.process * NEAR]))
     if before.cost - there.cost < WORTH:
         return None
-    return fitter.fit(before.model, there.u, there.process, there.track.course)
+    further = fitter.fit(before.model, there.u, there.process, there.track.course)
+    return further if further.evidence < before.evidence else None
 
 
 def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
@@ -59,33 +68,38 @@ def explain(
     """Effects one after the other, as long as another is worth it, up to `most`.
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far. Where something
-    is missing in the end, the search goes a second way, a rival of the first effect in front; the better end counts.
+    is missing in the end, the search goes a second way, a rival of the first effect in front, beside which only what
+    was found is looked for. Where that ends better, everything is; the other end is kept as a rival.
     """
 
-    def whole(one: Fitted) -> bool:
+    def whole(base: Fitted, one: Fitted) -> bool:
         return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
 
-    def over(one: Fitted) -> bool:
-        return whole(one) if one.model.coupled else complete(fitter, one)
+    def over(base: Fitted, one: Fitted) -> bool:
+        return whole(base, one) if one.model.coupled else complete(fitter, one)
 
-    def looked(before: Fitted, catalogue: Sequence[Candidate]) -> Round:
-        relevant = [one for one in catalogue if one.relieves] if over(before) else catalogue
-        return look(fitter, before, relevant, progress, whole)
+    def standing(base: Fitted, one: Fitted) -> tuple[bool, ...]:
+        return over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
+
+    def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate]) -> Round:
+        relevant = [one for one in catalogue if one.relieves] if over(base, before) else catalogue
+        return look(fitter, before, relevant, progress, partial(whole, base))
 
     def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
-        while len(rounds) < most and not (rounds and over(best) and strain(best) < STRAINED):
-            found = looked(best, catalogue)
+        while len(rounds) < most and not (rounds and over(base, best) and strain(best) < STRAINED):
+            found = looked(base, best, catalogue)
             further = _further(fitter, best, found.fits)
             if further is not None:
+                from_there = base if rounds else further
                 gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
-                found = looked(further, catalogue) if gained > AGAIN * explained else found._replace(before=further)
-                best = further
+                if gained > AGAIN * explained or standing(base, best) != standing(from_there, further):
+                    found = looked(from_there, further, catalogue)
+                base, best = from_there, further
+                found = found._replace(before=best)
                 if rounds:
-                    rounds[-1] = rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])
-                else:
-                    base = best
-            enough = _enough(fitter, best, base.evidence - best.evidence, over(best), found.fits)
-            rounds.append(found._replace(enough=enough))
+                    rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
+            enough = _enough(fitter, best, base.evidence - best.evidence, over(base, best), found.fits)
+            rounds = [*rounds, found._replace(enough=enough)]
             if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
                 break
             best = found.fits[0]
@@ -93,11 +107,22 @@ def explain(
 
     found = onward(base, [], base, catalogue)
     first = _other_first(found)
-    if first is None or over(found.best):
+    if first is None or over(found.base, found.best):
         return found
-    named = {member.candidate.name for member in found.best.model.members}
-    other = onward(found.base, [first], first.fits[0], [one for one in catalogue if one.name in named])
-    return min(found, other, key=lambda one: one.best.evidence)
+    first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
+    few = [one for one in catalogue if one.name in found.named]
+    other = onward(found.base, [first], first.fits[0], few)
+    if not _better(other.best, found.best):
+        return found._replace(other=other)
+    widely = onward(found.base, [first], first.fits[0], catalogue)  # what else may stand beside it
+    return (other if _better(other.best, widely.best) else widely)._replace(other=found)
+
+
+def _better(one: Fitted, other: Fitted) -> bool:
+    """Whether one end is likelier than another; never by numbers that cannot be where the other's can."""
+    if strain(one) > IMPOSSIBLE >= strain(other):
+        return False
+    return one.evidence < other.evidence
 
 
 def _other_first(found: Explanation) -> Round | None:
@@ -116,7 +141,8 @@ def _other_first(found: Explanation) -> Round | None:
         return first.before.evidence - one.evidence
 
     bringing_back = [one for one in others if strain(found.best) >= STRAINED > strain(one)]
-    near = [one for one in others if gain(one) > NEARLY * gain(best)]
+    possible = max(STRAINED, strain(best))
+    near = [one for one in others if gain(one) > NEARLY * gain(best) and strain(one) < possible]
     for one in [*bringing_back, *near]:
         if gain(one) > WORTH:
             return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)

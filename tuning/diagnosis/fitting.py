@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.curvature import limited, solved
+from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.following import (
     LOST,
     Course,
@@ -79,9 +79,8 @@ class Fitted(NamedTuple):
     @property
     def evidence(self) -> float:
         """-2 log of the probability of the logs under the hypothesis, up to a constant shared by all."""
-        if not np.all(np.isfinite(self.hessian)):
-            return np.inf
-        return self.cost + self.second + float(np.linalg.slogdet(self.hessian)[1])
+        found = self.cost + self.second + log_volume(self.hessian)
+        return found if np.isfinite(found) else np.inf
 
 
 _follow = eqx.filter_jit(follow)

@@ -53,10 +53,12 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     """Share of what the recalibrated drive is missing that a fit leaves.
 
     The details of a coupled effect differ from machine to machine: they leave little force, plain as it may be to see.
-    Where the filter was lost in blows, it is those that count.
+    Where the filter was lost in blows, it is those that count. A filter that runs away explains nothing.
     """
-    before = max(missing(fitter, base), 1.0)
-    share = missing(fitter, fitted) / before
+    before, after = max(missing(fitter, base), 1.0), missing(fitter, fitted)
+    if not np.isfinite(after):
+        return 1.0
+    share = after / before if np.isfinite(before) else power_left(base, fitted)
     if fitted.model.coupled:
         share = min(share, power_left(base, fitted))
         if BLOWS * lost_samples(base) > MOSTLY * before:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import fft
+from scipy import fft, ndimage
 
 from tuning.diagnosis.fitting import Fitted
 
@@ -43,9 +43,7 @@ class Line(NamedTuple):
 
 def _stand_out(power: Float[np.ndarray, " n"]) -> list[tuple[int, float]]:
     """Indices of the highest peaks over their neighbourhood, and how often noise would stand out so far."""
-    padded = np.pad(power, NEIGHBOURS, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
-    over = power / np.maximum(np.median(windows, axis=1), 1e-300)
+    over = power / np.maximum(ndimage.median_filter(power, 2 * NEIGHBOURS + 1, mode="mirror"), 1e-300)
     found: list[tuple[int, float]] = []
     for index in np.argsort(over)[::-1]:
         if all(abs(index - other) > APART for other, _ in found):

@@ -17,7 +17,7 @@ from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate, Parameter
-from tuning.diagnosis.curvature import limited, solved
+from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import Fitted, Fitter, answered
 from tuning.diagnosis.leftover import STRAINED, strain
@@ -94,7 +94,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
         schur = schur + np.eye(len(schur))
         amount = -solved(schur, slope)
         gain = float(-slope @ amount)
-        evidence = gain - float(np.linalg.slogdet(schur)[1])
+        evidence = gain - log_volume(schur)
         evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing
         if best is None or evidence > best.evidence:
             for (one, log), value in zip(labels, amount, strict=True):

@@ -31,7 +31,7 @@ PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
 WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
-IMPOSSIBLE = 6.0  # and beyond which nothing may be called found before that is explained
+IMPOSSIBLE = 6.0  # standard deviations of its prior, of a nominal parameter that is explained before anything else
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")
@@ -150,7 +150,9 @@ def look(
 
 
 def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], fits: Sequence[Fitted]) -> Round:
-    """The fits of a round by evidence; those that bring impossible parameters back ahead of all that do not."""
+    """The fits of a round by evidence; those that bring impossible parameters back go ahead of all that do not, unless
+    one that needs no impossible parameters clearly explains more.
+    """
     every = _best_of_each(fits, _name)
     relieving = _best_of_each(_relieving(before, believed, fits), _name)
     if believed is None or not relieving or _clearly(every[0], relieving[0]):
@@ -165,15 +167,23 @@ def _clearly(best: Fitted, relieving: Fitted) -> bool:
     return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
 
 
+def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
+    """A fit, however few steps it was given, where no more of them gain."""
+    for _ in range(1 + LONGER):
+        one = fitter.fit(one.model, one.u, one.process, one.track.course)
+        if one.steps < MOST_STEPS:
+            break
+    return one
+
+
 def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
-    """The fits, best first, the best at its end: what it has not yet explained, others would seem to."""
-    fits = sorted(fits, key=lambda one: one.evidence)
+    """The fits that can be, best first, the best at its end: what it has not yet explained, others would seem to."""
+    fits = _possible(fits)
     for _ in range(LONGER):
         if not fits or fits[0].steps < MOST_STEPS:
             break
         best = fits[0]
-        fits[0] = fitter.fit(best.model, best.u, best.process, best.track.course)
-        fits.sort(key=lambda one: one.evidence)
+        fits = _possible([fitter.fit(best.model, best.u, best.process, best.track.course), *fits[1:]])
     return fits
 
 
@@ -263,13 +273,15 @@ def _name(fitted: Fitted) -> str:
     return fitted.model.members[-1].candidate.name
 
 
-def _may_be(fitted: Fitted) -> bool:
-    return bool(np.isfinite(fitted.evidence)) and fitted.model.possible(fitted.u)
+def _possible(fits: Iterable[Fitted]) -> list[Fitted]:
+    """Those of a machine that can be, best first."""
+    kept = [one for one in fits if np.isfinite(one.evidence) and one.model.possible(one.u)]
+    return sorted(kept, key=lambda one: one.evidence)
 
 
 def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
     """One fit of each kind, the best first."""
     found: dict[Hashable, Fitted] = {}
-    for one in sorted((one for one in fits if _may_be(one)), key=lambda one: one.evidence):
+    for one in _possible(fits):
         found.setdefault(kind(one), one)
     return list(found.values())

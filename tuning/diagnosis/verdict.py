@@ -72,6 +72,33 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
     ]
 
 
+def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float) -> list[Belief]:
+    """The beliefs with what the search found on its other way as a rival of what differs from it."""
+    if found.other is None:
+        return beliefs
+    mine, theirs = found.named - found.other.named, found.other.named - found.named
+    gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
+    shares = _probabilities(gains, left)
+    rivals = sorted(theirs) if shares[1] > DECLARED * shares[0] else []
+    told = [
+        one._replace(
+            confidence=float(one.confidence * shares[0]), alternatives=[*dict.fromkeys([*one.alternatives, *rivals])]
+        )
+        if one.found and one.effect in mine
+        else one
+        for one in beliefs
+    ]
+    sure = float((NEAREST + (1.0 - NEAREST) * known) * shares[1])
+    for number, looked in enumerate(found.other.rounds[: found.other.best.model.added]):
+        fitted = looked.fits[0]
+        name = fitted.model.members[-1].candidate.name
+        if name in theirs:
+            gain = float(looked.before.evidence - fitted.evidence)
+            told = [one for one in told if (one.effect, one.round) != (name, number)]
+            told.append(Belief(name, sure, False, number, gain, fitted, sorted(mine) if rivals else []))
+    return told
+
+
 def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
@@ -87,6 +114,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
         certain = (NEAREST + (1.0 - NEAREST) * known) * expit((gain - looked.enough) / COLDEST)
         beliefs += _believed(looked, number, share, number < effects, float(certain))
+    beliefs = _shared(beliefs, found, share, known)
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         if not lacks and strain(base) >= STRAINED:
@@ -97,7 +125,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
             return Verdict("none", beliefs, 0.0, says)
         says = "structure remains that no effect of the catalogue explains"
         return Verdict("unknown", beliefs, 1.0, says)
-    if known < 0.5:
+    if not known >= 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
         comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
         says = f"{named} {comes} closest, but {leaves} {100 * share:.0f} % of the gap unexplained"
