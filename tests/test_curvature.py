@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tuning.diagnosis.curvature import FARTHEST, limited, solved
+from tuning.diagnosis.curvature import FARTHEST, limited, log_volume, solved
 
 
 @given(st.integers(1, 12), st.integers(0, 2**32 - 1), st.sampled_from([(), (3,)]))
@@ -13,9 +13,8 @@ def test_it_is_the_least_squares_solution_with_the_prior_as_observations(size, s
     jacobian = rng.normal(size=(40, size)) * 10.0 ** rng.uniform(-3, 3, size)
     right = rng.normal(size=(size, *more))
     stacked = np.vstack([jacobian, np.eye(size)])
-    q, r = np.linalg.qr(stacked)
+    r = np.linalg.qr(stacked, mode="r")
     expected = np.linalg.solve(r, np.linalg.solve(r.T, right))
-    assert q.shape == stacked.shape
     found = solved(jacobian.T @ jacobian + np.eye(size), right)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
@@ -39,3 +38,13 @@ def test_a_step_keeps_its_direction_and_leads_no_further_than_a_prior_could_mean
     far = np.array([1.0, -40.0, 0.0]) * FARTHEST
     np.testing.assert_allclose(limited(far), far / 40.0)
     assert limited(np.zeros(0)).size == 0
+
+
+def test_a_volume_is_that_of_the_curvature_and_never_more_than_the_priors():
+    rng = np.random.default_rng(3)
+    jacobian = rng.normal(size=(40, 5))
+    curvature = jacobian.T @ jacobian + np.eye(5)
+    np.testing.assert_allclose(log_volume(curvature), np.linalg.slogdet(curvature)[1])
+    shared = 1e8 * np.array([[1.0, 1.0]])  # the prior between the two is lost in rounding
+    np.testing.assert_allclose(log_volume(shared.T @ shared + np.eye(2)), np.log(2e16), rtol=1e-6)
+    assert np.isnan(log_volume(np.full((2, 2), np.nan)))

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from sound_log import DRIVE
 
-from tuning.diagnosis import explain
+from tuning.diagnosis import explain, leftover, verdict
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, Explanation, _enough, _other_first
-from tuning.diagnosis.leftover import lacking
+from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, Explanation, _better, _enough, _other_first
+from tuning.diagnosis.leftover import lacking, unexplained
 from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _ranked
 
 
-def hypothesis(*effects, evidence, strain=0.0):
+def hypothesis(*effects, evidence, strain=0.0, coupled=False):
     """A fit as far as the search looks at it."""
     members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
-    model = SimpleNamespace(members=members, added=len(effects), coupled=False, possible=lambda u: True)
+    model = SimpleNamespace(members=members, added=len(effects), coupled=coupled, possible=lambda u: True)
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
 
 
@@ -46,6 +46,8 @@ def test_what_explains_nearly_as_much_is_tried_first_as_well():
     looked = Round(base, [], [backlash, spring], 2, 0.0)
     first = _other_first(Explanation(base, [looked], backlash))
     assert names(first) == ["position_spring", "backlash"]
+    strained = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-1200.0, strain=9.0)])
+    assert _other_first(Explanation(base, [strained], backlash)) is None  # it stands behind since it cannot be
     far = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-700.0)])
     assert _other_first(Explanation(base, [far], backlash)) is None
     assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
@@ -134,3 +136,104 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
         model=None, u=None, own=DRIVE.drive, process=np.array([1.0, 0.1]), cost=3.0, track=SimpleNamespace(course=5.0)
     )
     assert lacking(SimpleNamespace(at=at), fitted) == 7.0
+
+
+def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch):
+    monkeypatch.setattr(explain, "complete", lambda *_: True)
+    best = hypothesis("backlash", evidence=-1e4, coupled=True)
+    assert _enough(None, best, 1e4, False, [hypothesis("cogging", evidence=-2e4)]) == SLIGHTER * 1e4
+
+
+@pytest.mark.parametrize("base", [1e4, np.inf])
+@pytest.mark.parametrize("after", [np.inf, np.nan])
+def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
+    ran = {0.0: base, -1.0: after, -2.0: 1.0}
+    monkeypatch.setattr(leftover, "missing", lambda fitter, one: ran[one.evidence])
+    before, runaway, sound = (hypothesis(evidence=one) for one in ran)
+    for one, process in ((before, 2.0), (runaway, 1.0), (sound, 0.1)):
+        one.process = np.array([process, 0.0])
+    assert unexplained(None, before, runaway) == 1.0
+    assert unexplained(None, before, sound) == pytest.approx(1e-4 if np.isfinite(base) else 0.0025)
+
+
+def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
+    impossible, possible = hypothesis(evidence=-900.0, strain=9.0), hypothesis(evidence=-100.0, strain=5.0)
+    assert not _better(impossible, possible)
+    assert _better(possible, hypothesis(evidence=-50.0, strain=9.0))
+    assert _better(impossible, hypothesis(evidence=-100.0, strain=8.0))
+
+
+FIRST = {"backlash": (-900.0, 5.5), "constant_force": (-850.0, 1.0)}
+
+
+def both_ways(monkeypatch, joint):
+    """The search for a loose screw on a tilted axis; `joint` is the evidence of both together."""
+    asked = []
+
+    def look(fitter, before, catalogue, *_):
+        there = [one.candidate.name for one in before.model.members]
+        asked.append((there, [one.name for one in catalogue]))
+        ends = {
+            (): [((name,), *how) for name, how in FIRST.items()],
+            ("backlash",): [(("backlash", "cogging"), -1000.0, 5.0)],
+            ("constant_force",): [
+                (("constant_force", "backlash"), joint, 1.0),
+                (("constant_force", "cogging"), joint + 10.0, 1.0),
+            ],
+        }[tuple(there)]
+        fits = [hypothesis(*one, evidence=by, strain=far) for one, by, far in ends]
+        known = {one.name for one in catalogue}
+        fits = [one for one in fits if one.model.members[-1].candidate.name in known]
+        return Round(before, [], fits, len(fits), 0.0)
+
+    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "to_its_end", lambda fitter, one: one)
+    monkeypatch.setattr(explain, "_further", lambda *_: None)
+    for module in (explain, verdict):
+        monkeypatch.setattr(module, "complete", lambda *_: False)
+        monkeypatch.setattr(module, "unexplained", lambda *_: 0.001)
+    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    catalogue = [SimpleNamespace(name=one, relieves=False) for one in ("backlash", "constant_force", "cogging")]
+    return explain.explain(None, hypothesis(evidence=0.0, strain=8.0), catalogue, lambda *_: None), asked
+
+
+def test_a_second_way_that_ends_better_has_everything_looked_for_beside_it(monkeypatch):
+    found, asked = both_ways(monkeypatch, -2000.0)
+    assert found.named == {"constant_force", "backlash"}
+    assert found.other.named == {"backlash", "cogging"}
+    everything = ["backlash", "constant_force", "cogging"]
+    few = ["backlash", "cogging"]
+    assert asked == [
+        ([], everything),
+        (["backlash"], everything),
+        (["constant_force"], few),
+        (["constant_force"], everything),
+    ]
+    assert names(found.rounds[1]) == ["backlash", "cogging"]
+    told = verdict.judge(None, found)
+    believed = {one.effect: one for one in told.beliefs if one.found}
+    assert believed["constant_force"].confidence > 0.9
+    assert believed["backlash"].alternatives == ["cogging"]  # ten in evidence do not exclude it
+
+
+@pytest.mark.parametrize("joint", [-1001.0, -999.0])
+def test_two_ways_that_end_alike_are_rivals(monkeypatch, joint):
+    found, _ = both_ways(monkeypatch, joint)
+    first, second = ("constant_force", "backlash") if joint < -1000.0 else ("backlash", "cogging")
+    told = {one.effect: one for one in verdict.judge(None, found).beliefs if one.found}
+    theirs = sorted(found.other.named - found.named)
+    assert list(told) == [first, second]
+    for name in found.named - found.other.named:
+        assert told[name].confidence < 0.6
+        assert set(theirs) <= set(told[name].alternatives)
+    rival = next(one for one in verdict.judge(None, found).beliefs if one.effect in theirs and one.confidence > 0.3)
+    assert set(rival.alternatives) == found.named - found.other.named
+
+
+def test_a_way_that_ends_worse_is_no_rival(monkeypatch):
+    found, asked = both_ways(monkeypatch, -860.0)
+    assert found.named == {"backlash", "cogging"}
+    assert len(asked) == 3
+    cogging = next(one for one in verdict.judge(None, found).beliefs if one.effect == "cogging" and one.found)
+    assert cogging.confidence > 0.9
+    assert cogging.alternatives == []

@@ -155,6 +155,10 @@ def test_without_an_oracle_nothing_is_said_of_one():
     assert card_of(pairs[1], oracle={})["median_shrink_of_oracle"] is None
     assert card_of(pairs[1], oracle={"0": ERROR})["median_shrink_of_oracle"] is None
     assert card_of(pairs[0], oracle={})["median_shrink_of_oracle"] == 1.0
+    # an answer that failed closes nothing of what could have been closed, known or not
+    for asked in ({"1": ERROR}, {}):
+        card = card_of(pairs[0], (ERROR, truth("cogging")), oracle=asked)
+        assert (card["median_shrink_of_oracle"], card["shrinks_of_oracle"]) == (0.5, 2)
 
 
 def test_confidences_are_held_against_how_often_they_are_right():
@@ -205,8 +209,11 @@ def test_an_effect_is_removed_where_it_was_seen_best():
         "4": told("effect", cause("cogging", evidence=90.0)),  # not true
         "5": told("unknown", cause("compliance", found=False)),
         "6": ERROR,
+        "7": told("unknown", cause("cogging", evidence=900.0)),  # not believed
+        "8": told("effect", cause("cogging", evidence=900.0), cause("backlash")),  # not alone either
     }
-    key = {name: truth("cogging") for name in answers}
+    key = {name: truth("cogging") for name in [*answers, "never asked"]}
+    answers["of another check"] = told("effect", cause("cogging", evidence=900.0))
     key |= {"3": truth("cogging", "backlash"), "4": truth("backlash"), "5": truth("compliance")}
     assert again.removed(answers, key) == {"2": ["cogging"]}
 
