@@ -10,6 +10,7 @@ from sound_log import DRIVE, RATE, logged, two_sines
 
 from diffdrive.effects.actuator import ForceGain
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
+from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
@@ -20,7 +21,7 @@ from tuning.diagnosis.explain import _further
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
-from tuning.diagnosis.screening import begin, joined, screen
+from tuning.diagnosis.screening import _directions, begin, joined, screen
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
     WORTH,
@@ -145,6 +146,47 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
         )
         slope = ((ahead - behind) / (2.0 * h) / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
+
+
+@pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
+def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monkeypatch, name):
+    fitter, base = sound
+    candidate = next(one for one in catalogue(fitter, base) if one.name == name)
+    point = {key: np.array([value]) for key, value in candidate.grid[0].items()}
+    along, labels = _directions(base, candidate, point)
+    monkeypatch.setattr(type(base.model), "coupled", True)
+    differences, _ = _directions(base, candidate, point)
+    for k, (parameter, _) in enumerate(labels):
+        off = np.linalg.norm(differences[..., k] - along[..., k]) / np.linalg.norm(differences[..., k])
+        assert off < 0.05, parameter.name
+
+
+def test_what_acts_beside_an_effect_within_the_filter_is_screened_as_it_is():
+    """Presliding by Maxwell elements alone: no linear recursion along the filter's course holds there."""
+    truth = PreslidingHysteresis(share=0.95, longest=1e-5, shortest=0.2)
+    fitter = fitter_of(truth, Cogging(0.00125, 1.0, 0.5))
+    base = recalibrated(fitter, TOLERANCE)
+    known = {one.name: one for one in catalogue(fitter, base)}
+    model = joined(base.model, known["presliding_hysteresis"])
+    values = {key: np.array([getattr(truth, key)]) for key in ("share", "longest", "shortest")}
+    first = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, base.track.course, 6)
+    found = screen(first, known["cogging"])
+    assert found.gain < np.sum(first.residual**2) + np.sum(first.u**2)  # no projection explains more than there is
+    assert found.values["period"][0] == pytest.approx(0.00125, rel=0.05)
+    assert found.values["cosine"][0] == pytest.approx(1.0, abs=0.3)
+    assert found.values["sine"][0] == pytest.approx(0.5, abs=0.3)
+    fit = fit_from(fitter, first, found, 4)
+    assert first.evidence - fit.evidence > 100.0
+
+
+def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
+    fitter = fitter_of(Cogging(0.00125, 2.0, 1.0))
+    base = recalibrated(fitter, TOLERANCE)
+    found = screen(base, next(one for one in catalogue(fitter, base) if one.name == "cogging"))
+    far = {name: value * (1.0 if name == "period" else 1e4) for name, value in found.values.items()}
+    fit = fit_from(fitter, base, found._replace(values=far, rest=base.u + 30.0), 4)
+    assert base.evidence - fit.evidence > 100.0
+    assert fit.model.values(fit.u)[0]["cosine"][0] == pytest.approx(2.0, abs=0.2)
 
 
 def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():

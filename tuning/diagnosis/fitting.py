@@ -11,12 +11,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import limited, log_volume, solved
+from tuning.diagnosis.differences import by_numbers
 from tuning.diagnosis.following import (
     LOST,
     Course,
@@ -37,7 +38,6 @@ from tuning.diagnosis.model import (
     exposure_slopes,
     machine,
     machine_slopes,
-    stacked,
 )
 from tuning.diagnosis.second_encoder import Twist, foreseen, unlikelihood
 
@@ -49,11 +49,8 @@ NEAR = np.array(  # times the last process forces are tried after a step
 )
 FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3, 3.0)])
 MOST_STEPS, TRIALS = 25, 6
-DIFFERENCE = 0.02  # in units of the prior
-SMALL = 0.05  # of the scatter, RMS: a change of the residuals that is still linear
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
-AT_ONCE = 8  # filters side by side
 ENOUGH = 0.5  # of cost, that a step must gain
 FAR = 100.0  # of cost: a step that gains more is still on its way
 
@@ -110,33 +107,6 @@ def answered(
         more = jnp.einsum("lnrc,lncm->lnrm", linear.exposure, acts)
         forcing, off = (forcing + more).at[:, :, 0].add(exposure.shift), exposure.scale
     return answers(track, linear, forcing, off, period) * counts[..., None]
-
-
-@eqx.filter_jit
-def _machines(
-    logged: Logged, b: Float[Array, "s b"], effects: tuple[Effects, Effects], course: Course
-) -> tuple[Drive, Exposure]:
-    """The drive under each of several calibrations and sets of effects, and what acts on it."""
-
-    def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> tuple[Drive, Exposure]:
-        loose, coupled = effects
-        own, drive = machine(logged, b, (*loose, *coupled))
-        return drive, exposed(logged, own, loose, course)
-
-    return jax.vmap(one)(b, effects)
-
-
-@eqx.filter_jit
-def _innovations(
-    drives: Drive, acting: Exposure, coupled: Effects, logged: Logged, course: Course, process: Process
-) -> Float[Array, "s lanes n"]:
-    """Of several machines side by side: one filter, whatever the effects that are stepped along the course."""
-
-    def one(drive: Drive, acting: Exposure, coupled: Effects) -> Float[Array, "lanes n"]:
-        given = (logged.noise, logged.lanes, logged.sampling, course)
-        return follow(drive, acting, coupled, process, *given).innovation
-
-    return jax.vmap(one)(drives, acting, coupled)
 
 
 class _Point(NamedTuple):
@@ -204,7 +174,8 @@ class Fitter:
         logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
         if model.coupled:
             wanted = np.flatnonzero(np.broadcast_to(free, model.size))
-            return kept[:, None] * self._differences(model, point, wanted)
+            found = by_numbers(model, point.u, point.process, track, point.course, wanted)
+            return kept[:, None] * found
         linear = self.slopes(point) if linear is None else linear
         effects, b = model.effects(point.u), jnp.asarray(model.tolerance * point.u[: len(NAMES)])
         tangents, count = model.tangents(point.u)
@@ -217,40 +188,6 @@ class Fitter:
             bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
         found = answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
         return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
-
-    def _differences(self, model: Model, point: _Point, wanted: Int[np.ndarray, " w"]) -> Float[np.ndarray, "m k"]:
-        """Differences of the residuals in the directions wanted, each to the side away from the prior's edge.
-
-        A coupled effect answers the table, and the table answers it: no derivative along a given course tells. What the
-        logs tell a hundred times better than the prior is differenced again, over a step that is no larger than that.
-        """
-        away = np.where(point.u > 0.0, -1.0, 1.0)
-        columns = np.zeros((self.counts.size, model.size), order="F")
-        columns[:, wanted] = self._over(model, point, wanted, away * DIFFERENCE)
-        steps = away * SMALL * np.sqrt(self.counts.sum()) / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
-        sharp = wanted[np.abs(steps[wanted]) < DIFFERENCE]
-        columns[:, sharp] = self._over(model, point, sharp, steps)
-        return columns
-
-    def _over(
-        self, model: Model, point: _Point, wanted: Int[np.ndarray, " w"], steps: Vector
-    ) -> Float[np.ndarray, "m w"]:
-        """Differences of the residuals over `steps` (one for each number of u) in the directions wanted."""
-        if not wanted.size:
-            return np.zeros((self.counts.size, 0))
-        ways = list(np.diag(steps)[wanted])
-        filled = [*ways, *[ways[-1]] * (-len(ways) % AT_ONCE)]
-        process, found = Process(*jnp.asarray(point.process)), []
-        for few in (filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)):
-            us = [point.u + way for way in few]
-            effects = stacked([model.apart(model.effects(u)) for u in us])
-            b = model.tolerance * np.array(us)[:, : len(NAMES)]
-            drives, acting = _machines(self.logged, b, effects, point.course)
-            found.append(np.asarray(_innovations(drives, acting, effects[1], self.logged, point.course, process)))
-        with np.errstate(invalid="ignore"):  # where a filter ran away, the difference tells nothing
-            moved = np.concatenate(found)[: len(ways)] - np.asarray(point.track.innovation)
-            slope = moved / steps[wanted, None, None] / np.asarray(point.track.scatter) * self.counts
-        return np.where(np.isfinite(slope), slope, 0.0).reshape(len(wanted), -1).T
 
     def _step(
         self, model: Model, point: _Point, damping: float, free: Vector, jacobian: np.ndarray

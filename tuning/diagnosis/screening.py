@@ -18,6 +18,7 @@ from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate, Parameter
 from tuning.diagnosis.curvature import limited, log_volume, solved
+from tuning.diagnosis.differences import by_acts
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import Fitted, Fitter, answered
 from tuning.diagnosis.leftover import STRAINED, strain
@@ -72,8 +73,11 @@ def _directions(
         others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
         still = jax.tree.map(lambda leaf: np.zeros((len(rows), *leaf.shape)), others)
         columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
-    counts, period = logged.lanes.counts, logged.sampling.period
-    found = answered(fitted.track, fitted.linear, columns, bend, counts, period)
+    if fitted.model.coupled:
+        model, u, process, track = fitted.model, fitted.u, fitted.process, fitted.track
+        found = by_acts(model, u, process, track, fitted.drive, fitted.acting, np.asarray(columns), bend)
+    else:
+        found = answered(fitted.track, fitted.linear, columns, bend, logged.lanes.counts, logged.sampling.period)
     return np.asarray(found) / np.sqrt(float(fitted.track.size)), labels
 
 

@@ -89,16 +89,20 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
 
 def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
-    """From where screening points: the parameters of before moved along, as they were, or as the drive file has them.
+    """From where screening points: the parameters of before moved along, as they were, or as the drive file has them;
+    or from where nothing is added yet, should it have pointed too far.
 
     A coupled effect is no small change: alone first, everything else held, which costs little.
     """
     model = joined(before.model, found.candidate, found.values)
+    amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
     own = begin(model, found.values)
+    none = begin(model, {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()})
     nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
+    every = [np.r_[found.rest, own], np.r_[before.u, own], np.r_[nominal, own], np.r_[before.u, none]]
     starts = []
-    for rest in {tuple(one): one for one in (found.rest, before.u, nominal)}.values():
-        there = fitter.at(model, np.r_[rest, own], before.process, before.track.course)
+    for u in {tuple(one): one for one in every}.values():
+        there = fitter.at(model, u, before.process, before.track.course)
         there = fitter.with_process(there, model, found.processes)
         if found.candidate.coupled:
             alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
