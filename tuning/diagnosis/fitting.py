@@ -52,6 +52,7 @@ MOST_STEPS, TRIALS = 25, 6
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 ENOUGH = 0.5  # of cost, that a step must gain
+SETTLING = 3  # passes after the last step: what a passing course gained is no evidence
 FAR = 100.0  # of cost: a step that gains more is still on its way
 
 
@@ -220,6 +221,8 @@ class Fitter:
     ) -> Fitted:
         """From `u`; `course` is where the effects are first stepped along, `free` are ones for what may move."""
         point, steps = self.sought(model, u, process, course, most, free)
+        for _ in range(SETTLING):
+            point = self.at(model, point.u, point.process, point.onward)
         linear, residual = self.slopes(point), self.residuals(point)[0]
         jacobian = self.jacobian(model, point, linear)
         hessian = jacobian.T @ jacobian + np.eye(model.size)
