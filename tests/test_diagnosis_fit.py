@@ -171,7 +171,9 @@ def test_what_acts_beside_an_effect_within_the_filter_is_screened_as_it_is():
     values = {key: np.array([getattr(truth, key)]) for key in ("share", "longest", "shortest")}
     first = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, base.track.course, 6)
     again = fitter.at(model, first.u, first.process, first.track.course)
-    assert again.cost == pytest.approx(first.cost, abs=1.0)  # it does not hang on the course that happened to lead there
+    assert again.cost == pytest.approx(
+        first.cost, abs=1.0
+    )  # it does not hang on the course that happened to lead there
     found = screen(first, known["cogging"])
     assert found.gain < np.sum(first.residual**2) + np.sum(first.u**2)  # no projection explains more than there is
     assert found.values["period"][0] == pytest.approx(0.00125, rel=0.05)

@@ -18,7 +18,7 @@ from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.leftover import STRAINED, strain
-from tuning.diagnosis.model import Logged, Member, Model
+from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 
 THREADS = 2
@@ -90,26 +90,31 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
 def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
     """From where screening points: the parameters of before moved along, as they were, or as the drive file has them;
-    or from where nothing is added yet, should it have pointed too far.
+    and from where nothing is added yet, should it have pointed too far.
 
     A coupled effect is no small change: alone first, everything else held, which costs little.
     """
     model = joined(before.model, found.candidate, found.values)
-    amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
     own = begin(model, found.values)
-    none = begin(model, {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()})
     nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
-    every = [np.r_[found.rest, own], np.r_[before.u, own], np.r_[nominal, own], np.r_[before.u, none]]
-    starts = []
-    for u in {tuple(one): one for one in every}.values():
+
+    def beginning(u: Vector) -> tuple[Vector, np.ndarray, Course, float]:
         there = fitter.at(model, u, before.process, before.track.course)
         there = fitter.with_process(there, model, found.processes)
         if found.candidate.coupled:
             alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
             there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
-        starts.append(there)
-    begun = min(starts, key=lambda one: one.cost)
-    return fitter.fit(model, begun.u, begun.process, begun.track.course, most)
+        return there.u, there.process, there.track.course, there.cost
+
+    rests = {tuple(one): one for one in (found.rest, before.u, nominal)}.values()
+    *begun, cost = min((beginning(np.r_[rest, own]) for rest in rests), key=lambda one: one[-1])
+    ended = fitter.fit(model, *begun, most)
+    amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
+    if cost <= before.cost or not amplitudes:
+        return ended
+    none = begin(model, {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()})
+    other = fitter.fit(model, np.r_[before.u, none], before.process, before.track.course, most)
+    return min(ended, other, key=lambda one: one.evidence)
 
 
 def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) -> Fitted:
