@@ -68,8 +68,8 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
     pairs = [
         (cause, one)
         for cause in causes
-        for one in verdict.beliefs
-        if one.round == cause.round and one.effect in cause.alternatives
+        for one in sorted(verdict.beliefs, key=lambda one: one.round != cause.round)  # of its own round, if there is
+        if not one.found and one.effect in cause.alternatives
     ]
     if not pairs and verdict.verdict == "unknown":
         return _exciting(found, description)
