@@ -1,13 +1,32 @@
-"""Applied load on the guides over time: functions of the time grid, in newtons, shape [n]."""
+"""Applied load on the guides over time, in newtons: functions of the time grid, and a ramp of four numbers."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import MotionError
-from diffdrive.parameters import Drive
+from diffdrive.parameters import Drive, Scalar
 
 GRAVITY = 9.80665  # m/s^2
+
+
+class Ramp(NamedTuple):
+    """A load (N) that changes linearly by `change` (N) from `begin` to `end` (s), constant outside: four numbers.
+
+    For many lanes at once, each with a load of its own that no array over time needs to hold.
+    """
+
+    load: Scalar
+    change: Scalar
+    begin: Scalar
+    end: Scalar
+
+    def at(self, time: Scalar) -> Scalar:
+        """The load (N) at a time (s); where `end` does not come after `begin`, a step there."""
+        share = (time - self.begin) / jnp.maximum(self.end - self.begin, 1e-9)
+        return self.load + self.change * jnp.clip(share, 0.0, 1.0)
 
 
 def constant(time: np.ndarray, load: float) -> np.ndarray:

@@ -27,8 +27,24 @@ class Quantity(NamedTuple):
     meaning: str
     above: float | None
     at_least: float | None
+    below: float | None
+    at_most: float | None
     directional: bool
     optional: bool
+
+    def broken_by(self, numbers: Any) -> list[str]:
+        """The bounds that not all of these numbers keep, in words."""
+        bounds = (
+            ("above", self.above, np.greater),
+            ("at least", self.at_least, np.greater_equal),
+            ("below", self.below, np.less),
+            ("at most", self.at_most, np.less_equal),
+        )
+        return [
+            f"{word} {bound:g} {self.unit}"
+            for word, bound, kept in bounds
+            if bound is not None and not np.all(kept(numbers, bound))
+        ]
 
 
 class Directional(eqx.Module):
@@ -61,15 +77,19 @@ def quantity(
     *,
     above: float | None = None,
     at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
     per_direction: bool = False,
     default: Any = dataclasses.MISSING,
     optional: bool = False,
 ) -> Any:
-    """Declare a parameter field: its unit, meaning and range (`above` is exclusive, `at_least` inclusive).
+    """Declare a parameter field: its unit, meaning and range.
 
-    It may be None if its default is None or if it is `optional`.
+    `above` and `below` are exclusive, `at_least` and `at_most` inclusive. A quantity may be None if its default is None
+    or if it is `optional`.
     """
-    meta = {"quantity": Quantity(unit, meaning, above, at_least, per_direction, optional or default is None)}
+    optional = optional or default is None
+    meta = {"quantity": Quantity(unit, meaning, above, at_least, below, at_most, per_direction, optional)}
     options: dict[str, Any] = {"metadata": meta}
     if per_direction:
         options["converter"] = directional
@@ -215,10 +235,8 @@ def check(module: Any, path: str = "") -> None:
             numbers = np.asarray(number, dtype=float)
             if not np.all(np.isfinite(numbers)):
                 problems.append(f"{name}{where} must be finite, got {number!r}")
-            elif declared.above is not None and not np.all(numbers > declared.above):
-                problems.append(f"{name}{where} must be above {declared.above:g} {declared.unit}, got {number!r}")
-            elif declared.at_least is not None and not np.all(numbers >= declared.at_least):
-                problems.append(f"{name}{where} must be at least {declared.at_least:g} {declared.unit}, got {number!r}")
+                continue
+            problems += [f"{name}{where} must be {bound}, got {number!r}" for bound in declared.broken_by(numbers)]
     if problems:
         raise ParameterError("; ".join(problems))
 

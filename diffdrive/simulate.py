@@ -24,7 +24,7 @@ from diffdrive.effects import acting
 from diffdrive.effects.base import Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
-from diffdrive.load import require_possible
+from diffdrive.load import Ramp, require_possible
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate
@@ -179,8 +179,11 @@ def running_costs(
     counts: Float[Array, " n"],
     sampling: Sampling,
     key: Array | None = None,
+    ramp: Ramp | None = None,
 ) -> Costs:
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
+
+    `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor.
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
@@ -191,6 +194,8 @@ def running_costs(
     def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
         state, last, (square, largest, change, missed, limited, finite) = carry
         now, count = at
+        if ramp is not None:
+            now = now._replace(load=now.load + ramp.at(sampling.period * state.count))
         state, frame = step(drive, controller, sampling, key, state, now)
         error = now.reference.position - frame.position
         known = frame.estimate is not None and frame.estimate.load is not None

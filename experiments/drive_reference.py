@@ -32,9 +32,8 @@ COLUMNS = ("table", "for kind", "key", "unit", "range", "default", "meaning")
 
 
 def _range(declared: Quantity) -> str:
-    if declared.above is not None:
-        return f"> {declared.above:g}"
-    return f">= {declared.at_least:g}" if declared.at_least is not None else ""
+    signs = ((">", declared.above), (">=", declared.at_least), ("<", declared.below), ("<=", declared.at_most))
+    return ", ".join(f"{sign} {bound:g}" for sign, bound in signs if bound is not None)
 
 
 def _default(field: Any, declared: Quantity) -> str:

@@ -138,7 +138,7 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, Withheld],
     finally:  # each row takes minutes: what is there is kept
         report.table(
             "emps_withheld",
-            ("withheld", "verdict", "found", "rivals", "right", "full model %", "without %", "with what was found %"),
+            ("withheld", "verdict", "found", "rivals of first", "right", "full model %", "without %", "with it %"),
             rows,
             "EMPS, a term withheld: found from the estimation file, force error on the pulse file",
         )
@@ -150,10 +150,10 @@ def _without(report: Report, records: Records, term: str, case: Withheld, contro
     found = _diagnosed(report, case.nominal, controller, estimation, 2, case.tolerance)
     full = force_error(registered(case.full, records["pulses"].log), records["pulses"].log)
     without, added = (force_error(registered(one, pulses), pulses) for one in (case.nominal, augmented_drive(found)))
-    first = [one for one in found.verdict.beliefs if one.found][:1]
-    effects, rivals = [one.effect for one in first], [name for one in first for name in one.alternatives]
-    right = bool({*effects, *rivals} & set(case.names))
-    return [term, found.verdict.verdict, *map(" ".join, (effects, rivals)), right, full, without, added]
+    causes = [one for one in found.verdict.beliefs if one.found]
+    effects, rivals = [one.effect for one in causes], [name for one in causes[:1] for name in one.alternatives]
+    right = bool({*effects[:1], *rivals} & set(case.names))
+    return [term, found.verdict.verdict, " + ".join(effects), " ".join(rivals), right, full, without, added]
 
 
 def _scaled(log: Log, factor: float) -> Log:

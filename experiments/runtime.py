@@ -18,7 +18,7 @@ _XLA_FLAGS = (
 )
 
 
-_WORTH_KEEPING = 0.5  # s of compilation
+_WORTH_KEEPING = 0.1  # s of compilation
 
 
 def configure() -> None:

@@ -25,6 +25,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
+from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DivergenceError, DriveFileError, MotionError, ParameterError, PrecisionError
 from diffdrive.motion import Limits
 from diffdrive.observer import KalmanObserver, LoadStateObserver, LoadStateTuning
@@ -86,6 +87,8 @@ PARAMETERS = {
     "zero force limit": (lambda d: d.actuator.force_limit, 0.0, "actuator.force_limit must be above 0 N"),
     "negative delay": (lambda d: d.actuator, Actuator(delay_samples=-1), "actuator.delay_samples must be a whole"),
     "fractional delay": (lambda d: d.actuator, Actuator(delay_samples=1.5), "actuator.delay_samples must be a whole"),
+    "all mass on the motor": (lambda d: d.effects, (Compliance(motor_share=1.0),), "motor_share must be below 1"),
+    "more than all friction": (lambda d: d.effects, (Backlash(table_friction=1.1),), "table_friction must be at most"),
     "delay fraction above 1": (lambda d: d.actuator, Actuator(delay_fraction=1.5), "delay_fraction must be at most 1"),
 }
 

@@ -216,8 +216,10 @@ def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out
     fits = [SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(added=k)) for k in range(len(held_out))]
     rounds = [Round(fits[k], [], [fits[k + 1]], 1, 0.0) for k in range(2)]
     rungs = [SimpleNamespace(deviance=one) for one in (100.0, *held_out)]
-    found, left = _upheld(Explanation(fits[0], rounds, fits[2]), rungs)
+    elsewhere = Explanation(fits[0], rounds[:1], fits[2])
+    found, left = _upheld(Explanation(fits[0], rounds, fits[2], elsewhere), rungs)
     assert found.best is fits[stays]
+    assert (found.other is elsewhere) == (stays == 2)  # two effects are no rival of the one that is left
     assert len(left) == stays + 2
     assert [one.enough == np.inf for one in found.rounds] == [False, stays < 2]  # and is not believed any more
 

@@ -80,7 +80,7 @@ def test_a_drive_file_without_friction_has_priors_and_a_screening_of_numbers():
         for one in candidate.parameters:
             assert np.isfinite(one.middle), candidate.name
             assert one.spread > 0, candidate.name
-            assert one.middle > 0 or not one.positive, candidate.name
+            assert np.isfinite(one.standard(one.middle)), candidate.name
     base = recalibrated(Fitter(logs), 0.02)
     for name in ("friction_dwell", "presliding_hysteresis", "friction_asymmetry"):
         assert not np.isnan(screen(base, candidate_of(logs, name)).evidence), name

@@ -119,6 +119,14 @@ def test_the_rival_of_a_second_effect_counts(monkeypatch):
     assert "no rival" in next_experiment(diagnosed("effect", belief("cogging")), DRIVE).says
 
 
+def test_the_rival_that_a_second_way_found_is_decided_where_its_own_round_has_none(monkeypatch):
+    telling(monkeypatch, lambda number, steps: 50.0)
+    first = belief("backlash", alternatives=["constant_force", "cogging"])
+    elsewhere, own = belief("constant_force", found=False, round=1), belief("cogging", found=False, round=0)
+    assert next_experiment(diagnosed("effect", first, elsewhere), DRIVE).between == ["backlash", "constant_force"]
+    assert next_experiment(diagnosed("effect", first, elsewhere, own), DRIVE).between == ["backlash", "cogging"]
+
+
 @pytest.mark.parametrize("beliefs", [(), (belief("cogging"),), (belief("cogging", found=False),)])
 @pytest.mark.parametrize(
     ("dimension", "name", "kind"),

@@ -9,8 +9,9 @@ from sound_log import DRIVE
 from tuning.diagnosis import explain, leftover, verdict
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, Explanation, _better, _enough, _other_first
+from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leftover import lacking, unexplained
-from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _ranked
+from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _led_on, _ranked, to_its_end
 
 
 def hypothesis(*effects, evidence, strain=0.0, coupled=False):
@@ -138,10 +139,51 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
     assert lacking(SimpleNamespace(at=at), fitted) == 7.0
 
 
-def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch):
+@pytest.mark.parametrize("ended", [False, True])
+def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, ended):
     monkeypatch.setattr(explain, "complete", lambda *_: True)
-    best = hypothesis("backlash", evidence=-1e4, coupled=True)
-    assert _enough(None, best, 1e4, False, [hypothesis("cogging", evidence=-2e4)]) == SLIGHTER * 1e4
+    best = hypothesis("backlash", evidence=-1e4, coupled=True, strain=4.5)
+    fits = [hypothesis("cogging", evidence=-2e4, strain=4.2)]
+    assert _enough(None, best, 1e4, ended, fits) == SLIGHTER * 1e4
+    assert _enough(None, best, 10.0, True, fits) == RELIEF
+
+
+def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
+    def fitter(further):
+        return SimpleNamespace(fit=lambda *_: further)
+
+    one = hypothesis("frame_vibration", evidence=-100.0)
+    one.steps, one.process, one.track = MOST_STEPS, None, SimpleNamespace(course=None)
+    runaway, impossible = hypothesis("frame_vibration", evidence=np.inf), hypothesis("frame_vibration", evidence=-900.0)
+    impossible.model.possible = lambda u: False
+    for further in (runaway, impossible):
+        further.steps = 3
+        assert to_its_end(fitter(further), one) is one
+        assert _led_on(fitter(further), [one]) == [one]
+    sound = hypothesis("frame_vibration", evidence=-200.0)
+    sound.steps = 3
+    assert to_its_end(fitter(sound), one) is sound
+    assert _led_on(fitter(sound), [one]) == [sound]
+
+
+def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
+    """The first effect's fit had stopped on its way: whatever else a round found, there is nothing left to explain."""
+    further = hypothesis("cogging", evidence=-1400.0)
+    looks = []
+
+    def look(fitter, before, *_):
+        looks.append(before)
+        name = ["cogging", "force_gain"][len(before.model.members)]
+        fits = [hypothesis(*([] if len(looks) == 1 else ["cogging"]), name, evidence=before.evidence - 1000.0)]
+        return Round(before, [], fits, 1, 0.0)
+
+    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "complete", lambda fitter, one: one is further)
+    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if before.model.members else None)
+    found = explain.explain(None, hypothesis(evidence=0.0), [], lambda *_: None)
+    assert found.best is found.rounds[0].fits[0] is further
+    assert len(looks) == 2
 
 
 @pytest.mark.parametrize("base", [1e4, np.inf])
@@ -228,6 +270,34 @@ def test_two_ways_that_end_alike_are_rivals(monkeypatch, joint):
         assert set(theirs) <= set(told[name].alternatives)
     rival = next(one for one in verdict.judge(None, found).beliefs if one.effect in theirs and one.confidence > 0.3)
     assert set(rival.alternatives) == found.named - found.other.named
+
+
+def test_a_way_refused_for_numbers_that_cannot_be_is_no_rival(monkeypatch):
+    found, _ = both_ways(monkeypatch, -999.0)
+    found.other.best.u[0] = IMPOSSIBLE + 1.0
+    assert verdict.judge(None, found).beliefs == verdict.judge(None, found._replace(other=None)).beliefs
+
+
+def test_a_rival_of_a_round_that_ends_the_other_way_is_not_counted_twice(monkeypatch):
+    monkeypatch.setattr(verdict, "complete", lambda *_: False)
+    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
+    base = hypothesis(evidence=0.0)
+    fits = [hypothesis(name, evidence=by) for name, by in (("cogging", -1000.0), ("lead_error", -995.0))]
+    first = Round(base, [], fits, 2, 0.0)
+    other = Explanation(base, [first._replace(fits=fits[::-1])], fits[1])
+    told = {one.effect: one for one in verdict.judge(None, Explanation(base, [first], fits[0], other)).beliefs}
+    assert told["cogging"].confidence > told["lead_error"].confidence
+    assert told["cogging"].confidence + told["lead_error"].confidence <= 1.0
+
+
+def test_what_was_found_is_not_said_to_be_open(monkeypatch):
+    """Of two effects found together, either may have been a near rival of the other in the first round."""
+    monkeypatch.setattr(verdict, "complete", lambda *_: False)
+    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
+    base, one = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1000.0)
+    both = hypothesis("cogging", "lead_error", evidence=-3000.0)
+    rounds = [Round(base, [], [one, hypothesis("lead_error", evidence=-999.0)], 2, 0.0), Round(one, [], [both], 1, 0.0)]
+    assert verdict.judge(None, Explanation(base, rounds, both)).says == "cogging and lead_error explain the gap"
 
 
 def test_a_way_that_ends_worse_is_no_rival(monkeypatch):

@@ -51,6 +51,13 @@ def test_a_failed_answer_is_wrong_in_the_class_of_its_key():
     assert card["rows"][0]["visibility"] is None
 
 
+@pytest.mark.parametrize(("base", "last", "shrink"), [(5.0, "nan", 0.0), ("nan", 1.0, None), (5.0, 1.0, 1.0)])
+def test_a_filter_that_ran_away_on_what_was_held_out_closes_nothing(base, last, shrink):
+    answer = told("effect", cause("cogging"))
+    answer["ladder"] = [{"force_rms_N": one} for one in (9.0, base, last)]
+    assert card_of((answer, truth("cogging")))["median_shrink_held_out"] == shrink
+
+
 def test_a_case_without_an_answer_is_one_that_failed():
     card = score({}, {"1": truth("cogging", size=2.0), "2": truth()})
     assert (card["cases"], card["errors"], card["named_clear"], card["said_none"]) == (2, 2, 0.0, 0.0)

@@ -90,8 +90,10 @@ class Compliance(TableEffect):
     between: ClassVar[bool] = True
     frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio", at_least=0.0, default=0.03)
-    motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, default=0.4)
-    table_friction: Scalar = quantity("1", "share of the friction on the table's side", at_least=0.0, default=0.5)
+    motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)
+    table_friction: Scalar = quantity(
+        "1", "share of the friction on the table's side", at_least=0.0, at_most=1.0, default=0.5
+    )
 
     def init(self) -> Any:
         """The screw relaxed."""
@@ -111,8 +113,10 @@ class Backlash(TableEffect):
     gap: Scalar = quantity("m", "full width of the dead zone", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)
-    motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, default=0.4)
-    table_friction: Scalar = quantity("1", "share of the friction on the table's side", at_least=0.0, default=0.5)
+    motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)
+    table_friction: Scalar = quantity(
+        "1", "share of the friction on the table's side", at_least=0.0, at_most=1.0, default=0.5
+    )
 
     def init(self) -> Any:
         """In the middle of the dead zone."""

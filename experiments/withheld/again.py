@@ -8,10 +8,10 @@ import math
 from typing import Any
 
 from diffdrive.effects.catalogue import EFFECTS
+from experiments.withheld.score import UNANSWERED
 
 Answers = dict[str, dict[str, Any]]
 Key = dict[str, dict[str, Any]]
-UNANSWERED: dict[str, Any] = {"verdict": "error", "causes": []}
 
 
 def oracle(answers: Answers, key: Key) -> dict[str, list[str]]:

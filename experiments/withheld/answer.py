@@ -6,7 +6,6 @@ Cases that have an answer to just this question are left alone, so that an inter
 names the cases that are wanted, and for each the effects that are not to be considered.
 """
 
-import functools
 import hashlib
 import json
 import multiprocessing
@@ -21,11 +20,10 @@ from typing import Any
 
 import jax
 
-import diffdrive
-import tuning
 from diffdrive.drive_file import read_drive
 from diffdrive.logs import read_logs
 from experiments.diagnose import as_json
+from experiments.edition import edition
 from experiments.report import plain
 from experiments.runtime import configure, keep_compiled
 from tuning.diagnosis.diagnose import diagnose
@@ -64,6 +62,7 @@ def _keep(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any
 
 
 def _begin() -> None:
+    _asked_of()  # the code as it is imported, whatever becomes of it meanwhile
     configure()
     keep_compiled()
 
@@ -81,15 +80,9 @@ def question(place: Path, without: Sequence[str]) -> str:
     return text.hexdigest()
 
 
-@functools.cache
 def _asked_of() -> str:
-    """What the diagnosis is made of: answers of two editions do not go together."""
-    text = hashlib.sha256()
-    for package in (diffdrive, tuning):
-        root = Path(package.__path__[0])
-        for path in sorted(root.rglob("*.py")):
-            text.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return text.hexdigest()
+    """What the diagnosis is made of, and what tells it."""
+    return edition(answer.__module__, as_json.__module__)
 
 
 def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:

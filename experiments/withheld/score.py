@@ -15,7 +15,7 @@ MEANT = 1.0  # the size from which an effect was drawn to be clear
 BINS = 10  # of confidence
 MOST = 2  # effects of a case
 NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a share
-MISSING: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
+UNANSWERED: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
 
 
 def visibility(told: dict[str, Any]) -> float | None:
@@ -53,7 +53,7 @@ def score(
     without it nothing is said of an oracle. An answer that failed or is missing is wrong in whatever a case of its kind
     counts for, and closes nothing of the gap. `intervals` are Wilson's, of 95 %.
     """
-    rows = [_row(name, answers.get(name, MISSING), key[name]) for name in sorted(key)]
+    rows = [_row(name, answers.get(name, UNANSWERED), key[name]) for name in sorted(key)]
     best = {row["case"]: _best(row, oracle) for row in rows}
     single = [row for row in rows if row["kind"] == "single"]
     clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
@@ -168,7 +168,12 @@ def _shrink(told: dict[str, Any]) -> float | None:
     ladder, floor = told.get("ladder", []), told.get("gap", {}).get("noise_floor_force_N")
     if len(ladder) < 2 or not floor:
         return None
-    before, after = (max(ladder[k]["force_rms_N"] ** 2 - floor**2, 0.0) for k in (1, -1))
+    base, last = ladder[1]["force_rms_N"], ladder[-1]["force_rms_N"]
+    if not isinstance(base, float):
+        return None
+    if not isinstance(last, float):  # a filter that ran away closes nothing
+        return 0.0
+    before, after = (max(rms**2 - floor**2, 0.0) for rms in (base, last))
     return 1.0 - after / before if before > NOTHING * floor**2 else None
 
 

@@ -109,7 +109,8 @@ def _bring(there: Path, here: Path) -> None:
 def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> again.Answers:
     assert report.out is not None
     _ask(report, cases, report.out / name, workers, wanted)
-    return read_answers(report.out / name)
+    told = read_answers(report.out / name)
+    return {case: told[case] for case in wanted if case in told}  # not what an earlier edition was asked
 
 
 def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool) -> dict[str, Any]:

@@ -35,14 +35,13 @@ def _window(signal: Float[np.ndarray, " n"], frequency: float, rate: float) -> t
     return start / rate, end / rate
 
 
-def _level(signal: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], rate: float) -> list[tuple[float, ...]]:
-    """When (s) a signal, known at some times, stands at another level, once higher and once lower: begin, end, and what
-    two levels explain.
+def _level(signal: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], rate: float) -> list[tuple[float, float]]:
+    """When (s) a signal, known at some times, stands at another level, once higher and once lower: begin and end.
 
     All pairs of times are tried; where it lasts to the end, the end is not seen.
     """
     if not signal.size:
-        return [(0.0, 0.0, 0.0)] * 2
+        return [(0.0, 0.0)] * 2
     size = max(1, round(BIN * rate), -(-len(signal) // MOST_BINS))
     begins = np.arange(0, len(signal), size)
     edges = np.r_[time[begins], time[-1] + 1.0 / rate]
@@ -57,7 +56,7 @@ def _level(signal: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], rate:
         one = np.where(np.triu(sign * step > 0.0, 1), gain, 0.0)
         start, end = np.unravel_index(int(np.argmax(one)), one.shape)
         never = 0.2 * (edges[-1] - edges[0]) if end == len(begins) else 0.0
-        found.append((edges[start], edges[end] + never, float(one.max())))
+        found.append((float(edges[start]), float(edges[end] + never)))
     return found
 
 

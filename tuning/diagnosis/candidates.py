@@ -1,10 +1,4 @@
-"""The catalogue as hypotheses: for each effect, which of its parameters a log may tell, and how large they usually are.
-
-A parameter's prior is normal in its own value or in its logarithm, with the middle and the spread given here. They are
-what a servo engineer would expect before seeing any log, in units of the machine's own friction and mass, and they are
-the price of a hypothesis: one that must be tuned finely to fit pays for it in its evidence. Parameters of the session
-(phases, times) differ from log to log.
-"""
+"""The catalogue as hypotheses: for each effect, which of its parameters a log may tell, and what they may be."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -14,28 +8,10 @@ import numpy as np
 
 from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
 from diffdrive.effects.base import Effect
+from tuning.diagnosis.priors import LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.setting import SLIPPERY, Setting
 
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
-
-
-class Parameter(NamedTuple):
-    """A free parameter of an effect and its prior."""
-
-    name: str
-    middle: float
-    spread: float  # standard deviation, in units of the parameter or, where `positive`, of its logarithm
-    positive: bool = False
-    session: bool = False
-    amplitude: bool = False  # the effect is linear in it and gone where it is zero
-
-    def value(self, u: float) -> float:
-        """At `u` standard deviations from the middle."""
-        return self.middle * np.exp(u * self.spread) if self.positive else self.middle + u * self.spread
-
-    def standard(self, value: float) -> float:
-        """The inverse."""
-        return (np.log(value / self.middle) if self.positive else value - self.middle) / self.spread
 
 
 class Candidate(NamedTuple):
@@ -77,7 +53,11 @@ def _amplitude(name: str, spread: float, session: bool = False) -> Parameter:
 
 
 def _positive(name: str, middle: float, spread: float, session: bool = False) -> Parameter:
-    return Parameter(name, middle, spread, positive=True, session=session)
+    return Parameter(name, middle, spread, LOGARITHM, session)
+
+
+def _share(name: str, middle: float, spread: float) -> Parameter:
+    return Parameter(name, middle, spread, LOG_ODDS)
 
 
 def _payload_mass(at: Setting) -> Candidate:
@@ -239,8 +219,8 @@ def _compliance(at: Setting) -> Candidate:
         (
             _positive("frequency", 250.0, 0.8),
             _positive("damping", 0.03, 0.8),
-            _positive("motor_share", 0.4, 0.3),
-            _positive("table_friction", 0.5, 0.5),
+            _share("motor_share", 0.4, 0.5),
+            _share("table_friction", 0.5, 1.0),
         ),
         coupled=True,
         searched=True,
@@ -254,8 +234,8 @@ def _backlash(at: Setting) -> Candidate:
             _positive("gap", 4e-6, 1.0),
             _positive("frequency", 400.0, 0.6),
             _positive("damping", 0.08, 0.6),
-            _positive("motor_share", 0.4, 0.3),
-            _positive("table_friction", 0.5, 0.5),
+            _share("motor_share", 0.4, 0.5),
+            _share("table_friction", 0.5, 1.0),
         ),
         coupled=True,
         searched=True,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 FARTHEST = 50.0  # standard deviations of the prior in one step: beyond, the curvature meant nothing
 
 
-def solved(curvature: Float[np.ndarray, "k k"], right: Float[Any, "k *m"]) -> Float[np.ndarray, "k *m"]:
+def solved(curvature: Float[np.ndarray, "k k"], right: Float[Any, "k ..."]) -> Float[np.ndarray, "k ..."]:
     """`x` with curvature x = right, no direction bent less than the prior does; NaN where anything is not finite."""
     right = np.asarray(right, float)
     if not (np.all(np.isfinite(curvature)) and np.all(np.isfinite(right))):

@@ -180,12 +180,13 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
 def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
     """Without the further effects that foresee the held-out logs worse than fewer effects do."""
     for number in range(1, found.best.model.added):
-        fewer, more = rungs[number + 1], rungs[number + 2]
+        without, more = rungs[number + 1], rungs[number + 2]
         gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
-        if more.deviance - fewer.deviance > max(WORTH, DENIED * gained):
+        if more.deviance - without.deviance > max(WORTH, DENIED * gained):
             believed, withdrawn = found.rounds[:number], found.rounds[number:]
             rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
-            return found._replace(rounds=rounds, best=found.rounds[number].before), rungs[: number + 2]
+            fewer = found.rounds[number].before  # against which what another way found with more effects is no rival
+            return found._replace(rounds=rounds, best=fewer, other=None), rungs[: number + 2]
     return found, rungs
 
 
@@ -257,7 +258,7 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, tuple[Num
         if index != member:
             continue
         one, u, s = known[name], float(fitted.u[k]), 1.96 * float(spread[k])
-        row = (float(one.value(u)), (float(one.value(u - s)), float(one.value(u + s))))
+        row = (one.value(u), (one.value(u - s), one.value(u + s)))
         if kind is LoopDelay:
             row = (periods * row[0], (periods * row[1][0], periods * row[1][1]))
         if log is None:

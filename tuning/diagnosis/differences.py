@@ -21,7 +21,7 @@ from tuning.diagnosis.model import Logged, Model, Vector, exposed, machine, stac
 
 DIFFERENCE = 0.02  # in units of the prior
 SMALL = 0.05  # of the scatter, RMS: a change of the residuals that is still linear
-AT_ONCE = 8  # filters side by side
+AT_ONCE = 4  # filters side by side; their segments are already
 
 Ways = Int[np.ndarray, " w"]
 Columns = Float[np.ndarray, "m w"]

@@ -101,12 +101,20 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tu
     effects = fitted.model.effects(u)
     loose, others = fitted.model.apart(effects)
     own, drive = machine(logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
-    stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), telling(fitted))
     free, level = candidate.parameters, float(coulomb(drive.friction, 1.0, 0.0))
 
     def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:
         found = {one.name: one.value(2 * REACH * (at - 0.5)) for one, at in zip(free, share, strict=False)}
         return {name: np.full(logged.logs, value) for name, value in found.items()}
+
+    def forces(shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s 2"]:
+        return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, WHITE])
+
+    places = telling(fitted)
+    if not places:  # nothing is missing, or nobody can say where
+        middle = np.full(len(free) + 2, 0.5)
+        return values(middle), forces(middle)
+    stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), places)
 
     def in_stretches(share: Float[np.ndarray, " k"]) -> Effects:
         return effect_in_lanes(candidate.effect, values(share), stretches.owner)
@@ -117,9 +125,6 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tu
         size = POPULATION * shares.shape[1]  # of a generation: one program for all, whatever their number
         filled = np.pad(shares, ((0, -len(shares) % size), (0, 0)), mode="edge")
         return np.concatenate([block(some) for some in np.split(filled, len(filled) // size)])[: len(shares)]
-
-    def forces(shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s 2"]:
-        return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, WHITE])
 
     def block(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
         members = stacked([(*there, in_stretches(share)) for share in shares])

@@ -47,16 +47,16 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
     if before.cost - there.cost < WORTH:
         return None
     further = fitter.fit(before.model, there.u, there.process, there.track.course)
-    return further if further.evidence < before.evidence else None
+    return further if further.evidence < before.evidence and further.model.possible(further.u) else None
 
 
 def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
     """The evidence that one more effect must bring beside the `best`, which `gained` some."""
     if fits and strain(best) >= STRAINED > strain(fits[0]):
         return WORTH
-    if ended:
+    if ended and not best.model.coupled:
         return RELIEF
-    enough = max(WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
+    enough = max(RELIEF if ended else WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
     if fits and not best.model.coupled and complete(fitter, fits[0]):
         return min(enough, RESOLVING)
     return enough
@@ -81,23 +81,27 @@ def explain(
     def standing(base: Fitted, one: Fitted) -> tuple[bool, ...]:
         return over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
 
+    def done(base: Fitted, one: Fitted) -> bool:
+        return over(base, one) and strain(one) < STRAINED
+
     def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate]) -> Round:
         relevant = [one for one in catalogue if one.relieves] if over(base, before) else catalogue
         return look(fitter, before, relevant, progress, partial(whole, base))
 
     def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
-        while len(rounds) < most and not (rounds and over(base, best) and strain(best) < STRAINED):
+        while len(rounds) < most and not (rounds and done(base, best)):
             found = looked(base, best, catalogue)
             further = _further(fitter, best, found.fits)
             if further is not None:
                 from_there = base if rounds else further
                 gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
-                if gained > AGAIN * explained or standing(base, best) != standing(from_there, further):
-                    found = looked(from_there, further, catalogue)
+                again = gained > AGAIN * explained or standing(base, best) != standing(from_there, further)
                 base, best = from_there, further
-                found = found._replace(before=best)
                 if rounds:
                     rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
+                    if done(base, best):
+                        break
+                found = looked(base, best, catalogue) if again else found._replace(before=best)
             enough = _enough(fitter, best, base.evidence - best.evidence, over(base, best), found.fits)
             rounds = [*rounds, found._replace(enough=enough)]
             if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:

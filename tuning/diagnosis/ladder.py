@@ -16,6 +16,7 @@ from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
 from tuning.diagnosis.model import Model
+from tuning.diagnosis.threads import in_parallel
 
 TRAINED = 0.6  # of a single log
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
@@ -79,8 +80,8 @@ def climb(
         chain.append((f"+ {one.model.members[-1].candidate.name}", one))
     believed = Model(test.logged, base.model.members, base.model.tolerance)
     still = test.fit(believed, np.zeros(base.model.size), base.process, base.track.course, 0)
-    fits = [("nominal", still)]
-    for name, one in chain:
+
+    def judged_by(one: Fitted) -> Fitted:
         model = Model(train.logged, one.model.members, one.model.tolerance)
         # what is of the session that is held out stays, to be registered from there: without data it would drift away
         away = fitter.logged.logs > 1
@@ -89,14 +90,18 @@ def climb(
         session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
         model = Model(test.logged, one.model.members, one.model.tolerance)
         register = REGISTER if session.any() and fitter.logged.logs > 1 else 0
-        fits.append((name, test.fit(model, trained.u, one.process, one.track.course, register, session)))
+        return test.fit(model, trained.u, one.process, one.track.course, register, session)
+
+    carried = in_parallel(judged_by, [one for _, one in chain])
+    fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]
     rate = fitter.logged.sampling.rate
     gaps = [force_gap(test, one, one.model, one.u) for _, one in fits]
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
-    rungs = []
-    for (name, one), gap, squares in zip(fits, gaps, drawn, strict=True):
+
+    def rung(asked: tuple[tuple[str, Fitted], ForceGap, Float[np.ndarray, " draws"]]) -> Rung:
+        (name, one), gap, squares = asked
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
         there = test.at(one.model, one.u, one.process, one.track.course)
         foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST]))
@@ -110,5 +115,6 @@ def climb(
             counts = [_at_control(fitter, parts.test, log) for log in parts.logs]
             loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
-        rungs.append(Rung(name, one, gap, gap.interval(rate), shrink, loop, foreseen.cost - float(one.u @ one.u)))
-    return rungs, parts
+        return Rung(name, one, gap, gap.interval(rate), shrink, loop, foreseen.cost - float(one.u @ one.u))
+
+    return in_parallel(rung, list(zip(fits, gaps, drawn, strict=True))), parts

@@ -134,10 +134,9 @@ class Model:
         """Whether every free parameter is one that the effect may have; less than no delay corrects the drive file."""
         for member, values in zip(self.members, self.values(u), strict=True):
             fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(member.candidate.effect)}
-            least = {one.name: fields[one.name].at_least for one in member.candidate.parameters}
             if member.candidate.effect is LoopDelay:
                 continue
-            if any(low is not None and np.any(values[name] < low) for name, low in least.items()):
+            if any(fields[one.name].broken_by(values[one.name]) for one in member.candidate.parameters):
                 return False
         return True
 
@@ -155,8 +154,8 @@ class Model:
         rows = []
         for number, (index, name, log) in zip(u[len(NAMES) :], self.slots, strict=True):
             parameter = next(p for p in self.members[index].candidate.parameters if p.name == name)
-            slope = parameter.spread * (parameter.value(float(number)) if parameter.positive else 1.0)
-            here = np.array([log is None or log == owner for owner in self.logged.owner], float) * slope
+            here = np.array([log is None or log == owner for owner in self.logged.owner], float)
+            here *= parameter.slope(float(number))
             zero = jax.tree.map(np.zeros_like, base)
             rows.append(eqx.tree_at(lambda tree, i=index, n=name: getattr(tree[i], n), zero, here))
         if not rows:

@@ -13,11 +13,12 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.candidates import Parameter, candidates
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.model import Member, Model, counted_in
+from tuning.diagnosis.priors import Parameter
 from tuning.diagnosis.screening import begin
 from tuning.diagnosis.search import standing
 from tuning.diagnosis.setting import setting

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate, Parameter
+from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_acts
 from tuning.diagnosis.evolving import evolved
@@ -31,6 +31,7 @@ from tuning.diagnosis.model import (
     machine_slopes,
     stacked,
 )
+from tuning.diagnosis.priors import Parameter
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, under other process forces too

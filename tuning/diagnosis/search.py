@@ -2,11 +2,11 @@
 
     screen the catalogue -> fit the most promising, a few steps -> the best to their end
 
-The candidates of one round are independent; two threads keep two cores busy, since a compiled roll-out uses one.
+The candidates of one round do not depend on one another.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -20,8 +20,8 @@ from tuning.diagnosis.following import Course
 from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
+from tuning.diagnosis.threads import in_parallel
 
-THREADS = 2
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect
 BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those that can bring its parameters back
@@ -35,7 +35,6 @@ IMPOSSIBLE = 6.0  # standard deviations of its prior, of a nominal parameter tha
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")
-B = TypeVar("B")
 
 
 class Round(NamedTuple):
@@ -47,17 +46,6 @@ class Round(NamedTuple):
     rivals: int  # how many of these, the first ones, may stand for one another
     allowance: float  # in evidence, that the first may lack since it resolves an impossibility
     enough: float = WORTH  # in evidence, that the first had to bring
-
-
-def _in_parallel(function: Callable[[A], B], items: Sequence[A], say: Callable[[int], None]) -> list[B]:
-    done = 0
-    found = []
-    with ThreadPoolExecutor(THREADS) as pool:
-        for one in pool.map(function, items):
-            done += 1
-            say(done)
-            found.append(one)
-    return found
 
 
 def standing(logged: Logged) -> Course:
@@ -149,11 +137,12 @@ def look(
     believed = None
     if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
         believed = _believed(fitter, before)
-        fits = _led_on(fitter, [*fits, *_race_to_nominal(fitter, before, believed, few, progress)])
+        more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
+        fits = _led_on(fitter, [*fits, *more])
     settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
-        more, further = _race(fitter, before, searched, progress)
-        screened, fits = screened + more, _led_on(fitter, fits + further)
+        also, further = _race(fitter, before, searched, progress)
+        screened, fits = screened + also, _led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
     return _ranked(before, believed, screened, fits)
 
@@ -176,12 +165,19 @@ def _clearly(best: Fitted, relieving: Fitted) -> bool:
     return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
 
 
+def _on(fitter: Fitter, one: Fitted) -> Fitted:
+    """The fit gone on with, from where it ended; itself where that leads to no machine that can be."""
+    further = fitter.fit(one.model, one.u, one.process, one.track.course)
+    return next(iter(_possible([further])), one)
+
+
 def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
     """A fit, however few steps it was given, where no more of them gain."""
     for _ in range(1 + LONGER):
-        one = fitter.fit(one.model, one.u, one.process, one.track.course)
-        if one.steps < MOST_STEPS:
-            break
+        further = _on(fitter, one)
+        if further is one or further.steps < MOST_STEPS:
+            return further
+        one = further
     return one
 
 
@@ -191,15 +187,18 @@ def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
     for _ in range(LONGER):
         if not fits or fits[0].steps < MOST_STEPS:
             break
-        best = fits[0]
-        fits = _possible([fitter.fit(best.model, best.u, best.process, best.track.course), *fits[1:]])
+        further = _on(fitter, fits[0])
+        if further is fits[0]:
+            break
+        fits = _possible([further, *fits[1:]])
     return fits
 
 
-def _believed(fitter: Fitter, before: Fitted) -> Fitted:
-    """The same hypothesis with the nominal parameters as the drive file has them."""
+def _believed(fitter: Fitter, before: Fitted) -> Fitted | None:
+    """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
     u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
-    return fitter.fit(before.model, u, None, before.track.course, most=0)
+    found = fitter.fit(before.model, u, None, before.track.course, most=0)
+    return found if np.isfinite(found.evidence) else None
 
 
 def _allowed(before: Fitted, believed: Fitted) -> float:
@@ -225,14 +224,14 @@ def _race(
     fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress
 ) -> tuple[list[Screened], list[Fitted]]:
     """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
-    screened = _in_parallel(
+    screened = in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
     promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
-    begun = _in_parallel(
+    begun = in_parallel(
         lambda one: fit_from(fitter, before, one, RACE),
-        promising,
+        sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
     begun = _best_of_each(begun, _name)
@@ -247,7 +246,7 @@ def _race_to_nominal(
 ) -> list[Fitted]:
     """The promising about the drive file's own numbers fitted: those that bring the parameters back to the end."""
     promising = _about_nominal(believed, catalogue)
-    begun = _in_parallel(
+    begun = in_parallel(
         lambda one: _fit_to_nominal(fitter, before, one, RACE),
         promising,
         lambda k: progress("fitting", k, 2 * len(promising)),
@@ -260,8 +259,8 @@ def _ended(
     fitter: Fitter, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
-    ended = _in_parallel(
-        lambda one: fitter.fit(one.model, one.u, one.process, one.track.course),
+    ended = in_parallel(
+        partial(_on, fitter),
         ahead,
         lambda k: progress("fitting", count + k, count + len(ahead)),
     )
@@ -271,7 +270,7 @@ def _ended(
 def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Screened]:
     """The promising about the drive file's own numbers: where recalibration went astray, nothing looks as it is."""
     amounts = [one for one in catalogue if any(parameter.amplitude for parameter in one.parameters)]
-    found = _in_parallel(lambda one: screen(believed, one), amounts, lambda k: None)
+    found = in_parallel(lambda one: screen(believed, one), amounts)
     found.sort(key=lambda one: -one.evidence)
     few = found[:BESIDE]
     return few + [one for one in apart_from(found, few) if one.candidate.relieves]

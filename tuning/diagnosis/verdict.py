@@ -14,7 +14,7 @@ from scipy.special import expit
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.leftover import LEFT, STRAINED, complete, furthest, strain, unexplained
-from tuning.diagnosis.search import Round
+from tuning.diagnosis.search import IMPOSSIBLE, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
@@ -74,21 +74,23 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
 
 def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float) -> list[Belief]:
     """The beliefs with what the search found on its other way as a rival of what differs from it."""
-    if found.other is None:
+    if found.other is None or strain(found.other.best) > IMPOSSIBLE >= strain(found.best):
         return beliefs
     mine, theirs = found.named - found.other.named, found.other.named - found.named
     gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
     shares = _probabilities(gains, left)
     rivals = sorted(theirs) if shares[1] > DECLARED * shares[0] else []
+    certain = NEAREST + (1.0 - NEAREST) * known
     told = [
-        one._replace(
-            confidence=float(one.confidence * shares[0]), alternatives=[*dict.fromkeys([*one.alternatives, *rivals])]
+        one._replace(  # its own round may have shared with the same rival: the less counts, not both
+            confidence=min(one.confidence, float(certain * shares[0])),
+            alternatives=[*dict.fromkeys([*one.alternatives, *rivals])],
         )
         if one.found and one.effect in mine
         else one
         for one in beliefs
     ]
-    sure = float((NEAREST + (1.0 - NEAREST) * known) * shares[1])
+    sure = float(certain * shares[1])
     for number, looked in enumerate(found.other.rounds[: found.other.best.model.added]):
         fitted = looked.fits[0]
         name = fitted.model.members[-1].candidate.name
@@ -132,6 +134,6 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         return Verdict("unknown", beliefs, share, says)
     named = " and ".join(one.effect for one in beliefs if one.found)
     explains = "explain" if effects > 1 else "explains"
-    others = sorted({name for one in beliefs if one.found for name in one.alternatives})
+    others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
     says = f"{named} {explains} the gap" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
     return Verdict("effect", beliefs, share, says)

@@ -1,0 +1,70 @@
+"""A sweep run part by part into a folder: bounded memory, and whatever was done before an interruption stays done."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from diffdrive.errors import ParameterError
+from experiments.sweeps.plan import Plan
+
+QUESTION = b"diffdrive.sweep"
+Done = Callable[[int], None]  # machines that were done by now
+
+
+def path_of(folder: Path, part: int) -> Path:
+    """Where a part lies."""
+    return folder / f"part-{part:06d}.parquet"
+
+
+def keep(table: pa.Table, path: Path, question: str) -> None:
+    """Write a part, whole or not at all, with the question that it answers."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    half = path.with_suffix(".half")
+    pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), half)
+    half.replace(path)
+
+
+def missing(plan: Plan, folder: Path) -> list[int]:
+    """The parts that are not there yet.
+
+    Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
+    """
+    question, left = plan.question().encode(), []
+    for part in range(plan.parts):
+        path = path_of(folder, part)
+        if not path.exists():
+            left.append(part)
+        elif (pq.read_schema(path).metadata or {}).get(QUESTION) != question:
+            raise ParameterError(
+                f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies or seed: "
+                "give another folder, or remove this one"
+            )
+    return left
+
+
+def here(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
+    """The parts one after the other, in this process."""
+    for part in wanted:
+        yield part, plan.costs(part)
+
+
+def run(
+    plan: Plan, folder: Path, done: Done, engine: Callable[[Plan, list[int]], Iterator[tuple[int, pa.Table]]] = here
+) -> ds.Dataset:
+    """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
+    question, left = plan.question(), missing(plan, folder)
+    finished = plan.samples - sum(len_of(plan, part) for part in left)
+    done(finished)
+    for part, table in engine(plan, left):
+        keep(table, path_of(folder, part), question)
+        finished += len_of(plan, part)
+        done(finished)
+    return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
+
+
+def len_of(plan: Plan, part: int) -> int:
+    """How many machines a part has."""
+    return min(plan.part_size, plan.samples - part * plan.part_size)

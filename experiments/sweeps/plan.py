@@ -1,0 +1,150 @@
+"""A sweep as it was asked for, and the costs of any part of it."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+
+from diffdrive.controllers import Controller
+from diffdrive.drive_file import DriveDescription
+from diffdrive.errors import ParameterError
+from diffdrive.motion import Motion, require_within
+from diffdrive.parameters import require_double_precision
+from diffdrive.simulate import inputs_of
+from experiments.edition import edition
+from experiments.sweeps.engine import costs_of
+from experiments.sweeps.machines import machines
+from experiments.sweeps.samples import Method, shares
+from experiments.sweeps.varied import Varied, parse_varied
+
+MOST_IN_A_PART = 8192  # machines: a few seconds of work, a megabyte of results
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The machines of a sweep, and what each goes through.
+
+    Every controller follows every motion on the same machines under the same loads and noise (common random numbers).
+    """
+
+    axis: DriveDescription
+    controllers: Mapping[str, Controller]
+    motions: Mapping[str, Motion]
+    varied: tuple[Varied, ...]
+    samples: int
+    method: Method = "sobol"
+    seed: int = 0
+    load: float = 0.0  # N, where none varies
+    settle: float = 0.0  # s at the start that do not count
+
+    @classmethod
+    def of(
+        cls, axis: DriveDescription, controllers: Mapping[str, Controller], motions: Mapping[str, Motion],
+        vary: tuple[str, ...], samples: int, **more: Any,
+    ) -> "Plan":  # fmt: skip
+        """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
+        require_double_precision()
+        varied = tuple(parse_varied(text, axis.drive) for text in vary)
+        names = [one.name for one in varied]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ParameterError(f"vary: {', '.join(twice)} is given more than once")
+        both = [name for name in names if {f"{name}.positive", f"{name}.negative"} & set(names)]
+        if both:
+            raise ParameterError(f"vary {both[0]}: stands for both directions, one of which is varied beside it")
+        plan = cls(axis, controllers, motions, varied, samples, **more)
+        if samples < 1:
+            raise ParameterError(f"sweep: at least one machine is needed, got {samples}")
+        for name, motion in motions.items():
+            require_within(motion, axis.limits)
+            if not 0.0 <= plan.settle < motion.duration:
+                raise ParameterError(
+                    f"sweep: settle = {plan.settle:g} s leaves nothing of {name} ({motion.duration:g} s)"
+                )
+        plan._require_possible()
+        return plan
+
+    def _require_possible(self) -> None:
+        """No machine at either end of any quantity is impossible: hours later would be late."""
+        count = len(self.varied)
+        ends = np.full((2 * count + 1, count), 0.5)
+        for k in range(count):
+            ends[2 * k : 2 * k + 2, k] = 0.0, 1.0
+        machine, ramp, _ = machines(self.axis.drive, self.varied, ends, self.load)
+        lowest = float(jnp.min(ramp.load) + jnp.minimum(jnp.min(ramp.change), 0.0))
+        preload = float(jnp.min(machine.friction.initial_load))
+        if not lowest > -preload:
+            raise ParameterError(
+                f"sweep: a load of {lowest:g} N lifts the table off its guides: it must stay above minus the initial "
+                f"load, {-preload:g} N"
+            )
+
+    @property
+    def part_size(self) -> int:
+        """Machines in a part, a power of two."""
+        return min(MOST_IN_A_PART, 1 << (self.samples - 1).bit_length())
+
+    @property
+    def parts(self) -> int:
+        """How many parts."""
+        return -(-self.samples // self.part_size)
+
+    def drawn(self, part: int) -> np.ndarray:
+        """Shares of the probability of the machines of a part, [n, d]."""
+        left = self.samples - part * self.part_size
+        return shares(self.method, len(self.varied), self.seed, part, self.part_size)[:left]
+
+    def keys(self, numbers: np.ndarray) -> Any:
+        """Keys of the measuring noise of these machines; None where the scale has none."""
+        if not float(self.axis.drive.sensor.noise) > 0.0 and not any(one.name == "sensor.noise" for one in self.varied):
+            return None
+        base = jax.random.key(self.seed)
+        return jax.vmap(lambda number: jax.random.fold_in(base, number))(jnp.asarray(numbers))
+
+    def costs(self, part: int) -> pa.Table:
+        """The machines of a part under every controller on every motion: one row for each."""
+        drawn = self.drawn(part)
+        numbers = part * self.part_size + np.arange(len(drawn))
+        machine, ramp, values = machines(self.axis.drive, self.varied, drawn, self.load)
+        keys, tables, unknown = self.keys(numbers), [], pa.nulls(len(drawn), pa.float64())
+        for motion_name, motion in self.motions.items():
+            inputs = inputs_of(motion, np.zeros(len(motion.time)))
+            counts = (motion.time >= self.settle).astype(float)
+            for controller_name, controller in self.controllers.items():
+                found = costs_of(machine, ramp, keys, controller, inputs, counts, self.axis.sampling)
+                tables.append(
+                    pa.table(
+                        {
+                            "machine": numbers,
+                            "controller": [controller_name] * len(drawn),
+                            "motion": [motion_name] * len(drawn),
+                            **values,
+                            "rms_m": found.rms,
+                            "peak_m": found.peak,
+                            "command_noise_N": found.command_noise,
+                            "load_error_N": unknown if found.load_error is None else found.load_error,
+                            "saturated": found.saturated,
+                            "diverged": found.steps_finite < len(motion.time),
+                        }
+                    )
+                )
+        return pa.concat_tables(tables)
+
+    def question(self) -> str:
+        """What tells this sweep from any other: everything that its numbers hang on."""
+        text = hashlib.sha256(
+            edition(*(one.__module__ for one in (Plan, costs_of, machines, parse_varied, shares))).encode()
+        )
+        asked = [self.method, self.seed, self.samples, self.load, self.settle, [one.text for one in self.varied]]
+        text.update(json.dumps(asked).encode())
+        models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
+        text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())
+        for name, motion in self.motions.items():
+            text.update(name.encode() + np.ascontiguousarray(motion.position).tobytes())
+        return text.hexdigest()

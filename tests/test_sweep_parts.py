@@ -1,0 +1,109 @@
+"""A sweep in parts: the same rows however it was run, and whatever was done stays done."""
+
+import numpy as np
+import pytest
+
+from diffdrive import motion
+from diffdrive.drive_file import DriveDescription
+from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.motion import Limits
+from diffdrive.parameters import Drive, Sampling, Sensor
+from diffdrive.presets import paper_drive
+from experiments import paper
+from experiments.sweeps.parts import here, path_of, run
+from experiments.sweeps.plan import Plan
+
+PAPER = paper_drive()
+DRIVE = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(1e-7, 2e-8))
+CONTROLLERS = {name: paper.controllers(DRIVE)[name] for name in ("PD", "PD+FC+LE")}
+AXIS = DriveDescription(DRIVE, CONTROLLERS["PD"], Sampling(1e4, 1), Limits())
+MOTIONS = {"sine": motion.sine(amplitude=1e-3, frequency=20.0, duration=0.05, rate=1e4)}
+VARY = ("plant.mass=lognormal:3%", "load=uniform:0..12 kN")
+
+
+def plan(samples=20, vary=VARY, **more):
+    return Plan.of(AXIS, CONTROLLERS, MOTIONS, vary, samples, **({"seed": 5} | more))
+
+
+@pytest.fixture
+def small_parts(monkeypatch):
+    monkeypatch.setattr("experiments.sweeps.plan.MOST_IN_A_PART", 8)
+
+
+def rows(found):
+    return found.to_table().sort_by([("machine", "ascending"), ("controller", "ascending")])
+
+
+def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(tmp_path, small_parts):
+    done = []
+    found = rows(run(plan(), tmp_path, done.append))
+    assert done == [0, 8, 16, 20]
+    assert found.num_rows == 40
+    table = {name: np.array(found[name].to_pylist(), object) for name in found.column_names}
+    pd, le = (table["controller"] == name for name in CONTROLLERS)
+    for name in ("machine", "plant.mass", "load"):
+        assert np.array_equal(table[name][pd], table[name][le])
+    assert sorted(table["machine"][pd]) == list(range(20))
+    assert len(set(table["plant.mass"][pd])) == 20
+    assert not any(table["diverged"])
+    assert all(one is None for one in table["load_error_N"][pd])
+    assert all(one > 0.0 for one in table["load_error_N"][le])
+    assert np.mean(table["rms_m"][le]) < np.mean(table["rms_m"][pd])
+
+
+def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path, small_parts):
+    def dying(plan, wanted):
+        yield from here(plan, wanted[:1])
+        raise KeyboardInterrupt
+
+    whole = rows(run(plan(), tmp_path / "whole", lambda done: None))
+    with pytest.raises(KeyboardInterrupt):
+        run(plan(), tmp_path / "cut", lambda done: None, dying)
+    (path_of(tmp_path / "cut", 1).with_suffix(".half")).write_bytes(b"cut off in the middle of writing")
+    asked = []
+
+    def counting(plan, wanted):
+        asked.extend(wanted)
+        yield from reversed(list(here(plan, wanted)))  # in any order
+
+    assert rows(run(plan(), tmp_path / "cut", lambda done: None, counting)).equals(whole)
+    assert asked == [1, 2]
+
+
+def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, small_parts, monkeypatch):
+    run(plan(8), tmp_path, lambda done: None)
+    before = path_of(tmp_path, 0).read_bytes()
+    others = [plan(8, seed=6), plan(8, vary=VARY[:1]), plan(8, settle=0.01), plan(8, method="random")]
+    for other in others:
+        with pytest.raises(ParameterError, match="is of another sweep"):
+            run(other, tmp_path, lambda done: None)
+    monkeypatch.setattr("experiments.sweeps.plan.edition", lambda *_: "another edition")
+    with pytest.raises(ParameterError, match="is of another sweep"):
+        run(plan(8), tmp_path, lambda done: None)
+    assert path_of(tmp_path, 0).read_bytes() == before
+
+
+def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
+    few, many = (rows(run(plan(n, method="sobol"), tmp_path / str(n), lambda done: None)) for n in (8, 16))
+    assert few.num_rows == 16
+    assert few.select(["machine", "plant.mass", "rms_m"]).equals(
+        many.slice(0, 16).select(["machine", "plant.mass", "rms_m"])
+    )
+
+
+@pytest.mark.parametrize(
+    ("vary", "more", "says"),
+    [
+        (("plant.mass=normal:60 kg",), {}, "plant.mass must be above 0 kg"),
+        (("load=uniform:-20..0 kN",), {}, "lifts the table off its guides"),
+        (("load=uniform:-10..0 kN", "load.change=uniform:-10..0 kN"), {}, "lifts the table off its guides"),
+        (("plant.mass=normal:2%", "plant.mass=normal:3%"), {}, "given more than once"),
+        (("friction.viscous=normal:2%", "friction.viscous.positive=normal:3%"), {}, "stands for both directions"),
+        (VARY, {"samples": 0}, "at least one machine"),
+        (VARY, {"settle": 1.0}, "leaves nothing of sine"),
+        (VARY, {"settle": -0.1}, "leaves nothing of sine"),
+    ],
+)
+def test_a_sweep_that_cannot_be_is_refused_before_it_starts(vary, more, says):
+    with pytest.raises(DiffdriveError, match=says):
+        plan(vary=vary, **more)

@@ -1,0 +1,102 @@
+"""What varies in a sweep and how it is sampled: distributions against scipy's, parts against the whole, bad input."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.presets import paper_drive
+from experiments.sweeps.samples import shares
+from experiments.sweeps.varied import FARTHEST, parse_varied
+
+DRIVE = paper_drive()
+SHARE = (np.arange(20_000) + 0.5) / 20_000
+
+
+@pytest.mark.parametrize(
+    ("text", "how", "low", "middle", "high", "deviation"),
+    [
+        ("plant.mass=uniform:-5%..5%", "times", 0.95, 1.0, 1.05, 0.1 / np.sqrt(12)),
+        ("plant.mass=uniform:90..110 kg", "is", 90.0, 100.0, 110.0, 20 / np.sqrt(12)),
+        ("plant.mass=normal:2%", "times", 0.92, 1.0, 1.08, 0.02),
+        ("plant.mass=normal:2 kg", "plus", -8.0, 0.0, 8.0, 2.0),
+        ("plant.mass=normal:95..2 kg", "is", 87.0, 95.0, 103.0, 2.0),
+        ("plant.mass=lognormal:3%", "times", np.exp(-0.12), 1.0, np.exp(0.12), 0.03),
+        ("plant.mass=lognormal:90 kg..3%", "is", 90 * np.exp(-0.12), 90.0, 90 * np.exp(0.12), 2.7),
+        ("friction.viscous=loguniform:50%..200%", "times", 0.5, 1.0, 2.0, np.log(4.0) / np.sqrt(12)),
+        ("load=triangular:0..2..10 kN", "is", 0.0, None, 10e3, np.sqrt((100 + 4 - 20) / 18) * 1e3),
+        ("effects.backlash.gap=uniform:0..10 um", "is", 0.0, 5e-6, 1e-5, 1e-5 / np.sqrt(12)),
+        ("plant.mass=fixed:5%", "times", 1.05, 1.05, 1.05, 0.0),
+        ("friction.coulomb_screw.negative=fixed:70", "is", 70.0, 70.0, 70.0, 0.0),
+    ],
+)
+def test_a_distribution_is_the_one_that_was_written(text, how, low, middle, high, deviation):
+    varied = parse_varied(text, DRIVE)
+    values = varied.of(SHARE)
+    assert varied.how == how
+    assert np.all(np.diff(values) >= 0.0)
+    assert values[0] >= low - 1e-9 * abs(low)
+    assert values[-1] <= high + 1e-9 * abs(high)
+    assert varied.of(np.array([0.0, 1.0])) == pytest.approx([low, high])
+    if middle is not None:
+        assert varied.of(np.array([0.5]))[0] == pytest.approx(middle, abs=1e-12)
+    spread = np.std(np.log(values)) if "loguniform" in text else np.std(values)
+    assert spread == pytest.approx(deviation, rel=0.01, abs=1e-12)
+
+
+def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
+    values = parse_varied("plant.mass=normal:1 kg", DRIVE).of(SHARE)
+    assert np.max(np.abs(values)) < FARTHEST
+    assert stats.kstest(values, "norm").statistic < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("plant.mas=normal:2%", "no quantity of this drive; near it are plant.mass"),
+        ("plant.mass", "no quantity|no distribution"),
+        ("load=normal:2%", "zero, to be relative to: give all numbers in N"),
+        ("plant.constant_force=lognormal:2%", "zero, to be relative to"),
+        ("plant.mass=gauss:3", "'gauss' is no distribution; known: uniform:"),
+        ("plant.mass=uniform:3", "is not what uniform takes"),
+        ("plant.mass=uniform:5..3", "must rise"),
+        ("plant.mass=loguniform:0..3 kg", "above zero"),
+        ("plant.mass=normal:-2%", "deviation must be above zero"),
+        ("plant.mass=normal:nan%", "plant.mass"),
+        ("plant.mass=uniform:5%..7 kg", "plant.mass"),
+        ("effects.backlash.gap=uniform:0..3 N", "effects.backlash.gap"),
+    ],
+)
+def test_what_cannot_vary_so_is_said(text, says):
+    with pytest.raises(DiffdriveError, match=says):
+        parse_varied(text, DRIVE)
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
+@given(seed=st.integers(0, 2**31), part=st.integers(0, 50))
+def test_a_part_is_the_same_wherever_it_is_drawn(method, seed, part):
+    one, again = (shares(method, 3, seed, part, 16) for _ in range(2))
+    assert np.array_equal(one, again)
+    assert np.all((one >= 0.0) & (one <= 1.0))
+    assert not np.array_equal(one, shares(method, 3, seed, part + 1, 16))
+    assert not np.array_equal(one, shares(method, 3, seed + 1, part, 16))
+
+
+def test_sobol_points_go_on_from_part_to_part():
+    parts = np.concatenate([shares("sobol", 4, 7, part, 64) for part in range(4)])
+    assert np.array_equal(parts, shares("sobol", 4, 7, 0, 256))
+    assert np.sort(np.floor(256 * parts[:, 2])) == pytest.approx(np.arange(256))  # one point in each slice
+
+
+def test_a_latin_hypercube_has_one_sample_in_each_slice_of_each_quantity():
+    found = shares("latin-hypercube", 3, 1, 5, 32)
+    for k in range(3):
+        assert np.sort(np.floor(32 * found[:, k])) == pytest.approx(np.arange(32))
+
+
+@pytest.mark.parametrize("bad", [("halton", 16), ("sobol", 12), ("random", 0)])
+def test_other_methods_and_sizes_are_refused(bad):
+    with pytest.raises(ParameterError, match="samples"):
+        shares(bad[0], 2, 0, 0, bad[1])
