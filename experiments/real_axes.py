@@ -138,7 +138,7 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, Withheld],
     finally:  # each row takes minutes: what is there is kept
         report.table(
             "emps_withheld",
-            ("withheld", "verdict", "found", "rivals of first", "right", "full model %", "without %", "with it %"),
+            ("withheld", "verdict", "found", "rivals of first", "named", "full model %", "without %", "with it %"),
             rows,
             "EMPS, a term withheld: found from the estimation file, force error on the pulse file",
         )
@@ -152,8 +152,17 @@ def _without(report: Report, records: Records, term: str, case: Withheld, contro
     without, added = (force_error(registered(one, pulses), pulses) for one in (case.nominal, augmented_drive(found)))
     causes = [one for one in found.verdict.beliefs if one.found]
     effects, rivals = [one.effect for one in causes], [name for one in causes[:1] for name in one.alternatives]
-    right = bool({*effects[:1], *rivals} & set(case.names))
-    return [term, found.verdict.verdict, " + ".join(effects), " ".join(rivals), right, full, without, added]
+    named = _named(case.names, effects, rivals)
+    return [term, found.verdict.verdict, " + ".join(effects), " ".join(rivals), named, full, without, added]
+
+
+def _named(right: Sequence[str], effects: Sequence[str], rivals: Sequence[str]) -> str:
+    """How what was withheld is named: the axis lacks other things beside it, and one of them may come first."""
+    if set(effects[:1]) & set(right):
+        return "first"
+    if set(rivals) & set(right):
+        return "as a rival"
+    return "beside another" if set(effects) & set(right) else "not"
 
 
 def _scaled(log: Log, factor: float) -> Log:
