@@ -11,8 +11,20 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from experiments.cli_options import Believed, Columns, DriveFile, Loads, Logs, Out, Units
+from experiments.cli_options import (
+    DEFAULT_MOTION,
+    Believed,
+    Columns,
+    DriveFile,
+    Loads,
+    LoadText,
+    Logs,
+    MotionText,
+    Out,
+    Units,
+)  # fmt: skip
 from experiments.cli_studies import studies
+from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
 
 app = typer.Typer(
@@ -24,26 +36,6 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-MotionText = Annotated[
-    str,
-    typer.Option(
-        "--motion",
-        help="`name:setting=value,...` with units where you like; names: triangular, constant_speed, trapezoidal, "
-        "jerk_limited, sine, multisine, chirp, staircase. Or a CSV file with the columns time (s) and position (m).",
-    ),
-]
-LoadText = Annotated[
-    str,
-    typer.Option(
-        "--load",
-        help="Load on the guides: a number of newtons, `8kN`, `step:at=1s,to=10kN`, `ramp:start=1,end=2,to=10kN`, "
-        "`piecewise:times=0;1;2,loads=0;5kN;0`, or `material_removal:workpiece=800,removal_rate=20,cuts=0.5~2;3~4`.",
-    ),
-]
-
-# not 10 mm/s: ten quanta of 0.1 um a period, on which a quantised loop locks and looks unlike its neighbours
-DEFAULT_MOTION = "triangular:speed=10.137mm/s,stroke=10mm,rounding=0.2s,duration=3s"
 
 
 @app.command()
@@ -243,26 +235,6 @@ def diagnose(
 
 
 @app.command()
-def sweep(
-    drive: DriveFile,
-    motion: MotionText = DEFAULT_MOTION,
-    lanes: Annotated[int, typer.Option(min=1, help="How many machines.")] = 256,
-    max_load: Annotated[str, typer.Option(help="Loads are uniform from 0 to this.")] = "12.6 kN",
-    spread: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Relative deviation of the machine's parameters from nominal.")
-    ] = 0.02,
-    settle: Annotated[float, typer.Option(min=0.0, help="Seconds at the start that do not count.")] = 0.5,
-    seed: Annotated[int, typer.Option(help="Seed of loads, parameters and noise.")] = 0,
-    out: Out = None,
-) -> None:
-    """Monte Carlo: the same controller on many machines, with random loads, parameters and noise."""
-    from experiments.single import sweep_drive
-
-    if not sweep_drive(drive, motion, lanes, max_load, spread, settle, seed, out):
-        raise typer.Exit(3)
-
-
-@app.command()
 def template(out: Out = None) -> None:
     """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml."""
     from experiments.demo import PAPER_DRIVE
@@ -297,6 +269,7 @@ def _plain_warning(error: Console) -> Callable[..., None]:
     return show
 
 
+app.add_typer(sweeps)
 app.add_typer(studies)
 
 

@@ -29,3 +29,22 @@ Loads = Annotated[
         help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable.",
     ),
 ]
+MotionText = Annotated[
+    str,
+    typer.Option(
+        "--motion",
+        help="`name:setting=value,...` with units where you like; names: triangular, constant_speed, trapezoidal, "
+        "jerk_limited, sine, multisine, chirp, staircase. Or a CSV file with the columns time (s) and position (m).",
+    ),
+]
+LoadText = Annotated[
+    str,
+    typer.Option(
+        "--load",
+        help="Load on the guides: a number of newtons, `8kN`, `step:at=1s,to=10kN`, `ramp:start=1,end=2,to=10kN`, "
+        "`piecewise:times=0;1;2,loads=0;5kN;0`, or `material_removal:workpiece=800,removal_rate=20,cuts=0.5~2;3~4`.",
+    ),
+]
+
+# not 10 mm/s: ten quanta of 0.1 um a period, on which a quantised loop locks and looks unlike its neighbours
+DEFAULT_MOTION = "triangular:speed=10.137mm/s,stroke=10mm,rounding=0.2s,duration=3s"

@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import math
 import platform
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +18,7 @@ import matplotlib.figure
 import matplotlib.ticker
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from diffdrive.errors import ParameterError
@@ -169,6 +170,23 @@ class Report:
 
             yield advance
 
+    @contextlib.contextmanager
+    def counted(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
+        """A progress bar with rate and time left; yields a function of how many are done."""
+        rate = TextColumn("{task.fields[rate]}")
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate)
+        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=self.console) as bar:
+            task = bar.add_task(what, total=total, rate="compiling")
+            began: list[tuple[float, int]] = []
+
+            def advance(done: int) -> None:
+                now = time.perf_counter()
+                began.append((now, done)) if not began else None
+                gone, since = now - began[0][0], done - began[0][1]
+                bar.update(task, completed=done, rate=f"{since / gone:.4g}/s" if gone > 0.0 and since else "compiling")
+
+            yield advance
+
     def close(self) -> None:
         """Write result.json."""
         self.data["seconds"] = round(time.perf_counter() - self._started, 2)
@@ -177,6 +195,11 @@ class Report:
         text = json.dumps(plain(self.data), indent=2, allow_nan=False)
         (self.out / "result.json").write_text(text + "\n", encoding="utf-8")
         self.console.print(f"written to {self.out}", markup=False)
+
+
+def named_file(text: str) -> str:
+    """The text as part of a file's name."""
+    return re.sub(r"[^\w.+-]+", "_", text).strip("_.")
 
 
 def new_figure(

@@ -2,6 +2,7 @@
 
 import contextlib
 import inspect
+import io
 import math
 import re
 from collections.abc import Callable
@@ -106,18 +107,31 @@ def parse_motion(text: str, rate: float) -> Motion:
     path = Path(text)
     if not path.is_file():
         raise MotionError(f"'{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
+    return parse_motion_table(read_motion(path), str(path))
+
+
+def read_motion(path: Path) -> str:
+    """The text of a motion's file."""
     try:
-        header = path.read_text(encoding="utf-8-sig").partition("\n")[0]
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise MotionError(f"{path}: not a text file: {error}") from None
+
+
+def parse_motion_table(text: str, path: str) -> Motion:
+    """A motion from the text of a CSV file with the columns time (s), position (m); `path` is what messages name."""
+    try:
+        header = text.partition("\n")[0]
         # "Time (s)", "position [m]": the first word counts
         columns = [
             name.strip(' "').lower().replace("[", " ").replace("(", " ").split(" ")[0] for name in header.split(",")
         ]
-        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, encoding="utf-8-sig")
+        table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
     except ValueError as error:
         raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {error}") from None
     if "time" not in columns or "position" not in columns or table.shape[1] != len(columns):
         raise MotionError(f"{path}: needs a header line with the columns time and position, has {header.strip()!r}")
-    return motion.from_array(table[:, columns.index("time")], table[:, columns.index("position")], name=path.name)
+    return motion.from_array(table[:, columns.index("time")], table[:, columns.index("position")], name=Path(path).name)
 
 
 def parse_load(text: str, time: np.ndarray) -> np.ndarray:

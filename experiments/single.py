@@ -1,6 +1,5 @@
 """The commands that work on one drive file: simulate, sweep, convergence."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,11 @@ from diffdrive.drive_file import read_drive
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.load_estimator import InnovationLoad
 from diffdrive.logs.write import write_csv
-from diffdrive.motion import require_within
 from diffdrive.observer import KalmanObserver
 from diffdrive.run import Run
 from diffdrive.simulate import simulate
 from experiments.report import Report, new_figure
 from experiments.scenario import number, parse_load, parse_motion
-from experiments.sweep import percentiles, sweep
 
 # what a machine could not log; the velocity gets another name there, as a log's is that which the machine reports
 _SIMULATED = {
@@ -66,11 +63,12 @@ def simulate_drive(
                 report.values("load", final_N=float(run.load[-1]), final_estimate_N=float(run.load_estimate[-1]))
         if report.out is not None:
             write_run(report.out / "run.csv", run)
-            report.figure("run", _run_figure(run))
+            report.figure("run", run_figure(run))
     return run.status.ok
 
 
-def _run_figure(run: Run) -> Any:
+def run_figure(run: Run) -> Any:
+    """Position, tracking error, forces and load over time."""
     figure, axes = new_figure(4, 1, width=9.0, height=1.9)
     axes[0].plot(run.time, 1e3 * run.reference, label="reference")
     axes[0].plot(run.time, 1e3 * run.position, "--", label="position")
@@ -89,62 +87,6 @@ def _run_figure(run: Run) -> Any:
     for axis in (axes[0], axes[2], axes[3]):
         axis.legend(fontsize=8, loc="upper right")
     return figure
-
-
-def sweep_drive(
-    drive: Path, motion: str, lanes: int, max_load: str, spread: float, settle: float, seed: int, out: Path | None
-) -> bool:
-    """`diffdrive sweep`; False if a machine diverged."""
-    description = read_drive(drive)
-    planned = require_within(parse_motion(motion, description.sampling.rate), description.limits)
-    with Report(f"{drive.name}: {lanes} machines, {planned.name}, {planned.duration:g} s", out) as report:
-        with report.working("sweeping"):
-            found = sweep(
-                description.drive, description.controller, planned, sampling=description.sampling, lanes=lanes,
-                load=(0.0, number(max_load, "N", "--max-load")), spread=spread, settle=settle, seed=seed,
-            )  # fmt: skip
-        report.values("machines", total=lanes, diverged=int(np.sum(~found.ok & (found.saturated < 0.5))))
-        if (found.saturated >= 0.5).any():
-            stuck = int(np.sum(found.saturated >= 0.5))
-            report.values("saturated", machines=stuck, meaning="at the force limit more than half of the time")
-        good = found.ok
-        if not good.any():
-            report.say("No machine is left to report on: the loop is unstable with these gains, or too weak.")
-            return False
-        rows = [
-            ["RMS error, um", *percentiles(1e6 * found.rms[good])],
-            ["peak error, um", *percentiles(1e6 * found.peak[good])],
-        ]
-        rows.append(["command noise, N", *percentiles(found.command_noise[good])])
-        if found.saturated.any():
-            rows.append(["at the force limit, %", *percentiles(100 * found.saturated[good])])
-        if found.load_error is not None:
-            rows.append(["load error, kN", *percentiles(1e-3 * found.load_error[good])])
-        report.table(
-            "sweep", ("", "median", "95 %", "worst"), rows, "Over all machines that neither diverged nor saturated"
-        )
-        columns = {
-            "load_N": found.load,
-            "rms_m": found.rms,
-            "peak_m": found.peak,
-            "command_noise_N": found.command_noise,
-        }
-        if found.load_error is not None:
-            columns["load_error_N"] = found.load_error
-        if report.out is not None:
-            with (report.out / "machines.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file)
-                writer.writerow([*columns, "ok"])
-                writer.writerows(zip(*(c.tolist() for c in columns.values()), found.ok.tolist(), strict=True))
-        figure, (left, right) = new_figure(1, 2, width=10.0, share_x=False)
-        left.plot(1e-3 * found.load[good], 1e6 * found.rms[good], ".", label="RMS")
-        left.plot(1e-3 * found.load[good], 1e6 * found.peak[good], ".", ms=3, label="peak")
-        left.set(xlabel="load, kN", ylabel="tracking error, um", ylim=(0, None))
-        left.legend()
-        right.hist(1e6 * found.rms[good], bins=30)
-        right.set(xlabel="RMS tracking error, um", ylabel="machines")
-        report.figure("sweep", figure)
-    return bool(good.all())
 
 
 def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:

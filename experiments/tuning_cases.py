@@ -2,7 +2,10 @@
 
 import warnings
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -12,10 +15,9 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.load import require_possible
 from diffdrive.motion import Motion, require_within, triangular
-from diffdrive.parameters import Drive, Sampling
+from diffdrive.parameters import Drive, Sampling, as_arrays, quantities
 from diffdrive.run import Run
 from diffdrive.simulate import simulate
-from experiments.sweep import perturbed
 from tuning.scenarios import Scenario
 
 OFF_GRID = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
@@ -48,10 +50,29 @@ def reversal(speed: float, rate: float, duration: float = DURATION) -> Motion:
     )
 
 
+def perturbed(drive: Drive, spread: float, rng: np.random.Generator) -> Drive:
+    """A machine whose plant and friction parameters differ from nominal by the relative deviation `spread`.
+
+    Log-normal, so that no parameter changes sign.
+    """
+    machine = as_arrays(drive)
+    declared = quantities(machine)
+    names = [name for name, _, value in declared if name.startswith(("plant.", "friction.")) and value is not None]
+
+    def parts(tree: Drive) -> list[Any]:
+        return [attrgetter(name)(tree) for name in names]
+
+    return eqx.tree_at(
+        parts,
+        machine,
+        [jax.tree.map(lambda x: x * np.exp(spread * rng.standard_normal()), part) for part in parts(machine)],
+    )
+
+
 def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
     """The drive itself, then others with each parameter off by the relative deviation `spread`."""
-    drawn = [perturbed(drive, spread, 1, np.random.default_rng((seed, k))) for k in range(1, count)]
-    return [drive, *(jax.tree.map(lambda leaf: float(np.ravel(leaf)[0]), one) for one in drawn)]
+    drawn = [perturbed(drive, spread, np.random.default_rng((seed, k))) for k in range(1, count)]
+    return [drive, *(jax.tree.map(float, one) for one in drawn)]
 
 
 def tuned_on(description: DriveDescription, plan: Plan) -> list[Scenario]:

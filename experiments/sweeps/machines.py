@@ -33,9 +33,7 @@ def _met(value: Any, one: Varied, drawn: Float[np.ndarray, " n"]) -> Any:
     return jnp.asarray(value + drawn if one.how == "plus" else value * drawn)
 
 
-def machines(
-    drive: Drive, varied: Sequence[Varied], shares: Float[np.ndarray, "n d"], load: float = 0.0
-) -> tuple[Drive, Ramp, Values]:
+def machines(drive: Drive, varied: Sequence[Varied], shares: Float[np.ndarray, "n d"]) -> tuple[Drive, Ramp, Values]:
     """A drive whose varied leaves are arrays over the machines, their loads, and the values of what varies.
 
     A quantity per direction is told by its value in positive direction. Raises `ParameterError` for values that no
@@ -44,7 +42,7 @@ def machines(
     names = {one.name.split(".")[1] for one in varied if one.name.startswith("effects.")}
     machine = as_arrays(with_effects(drive, names))
     values: Values = {}
-    ends = dict.fromkeys(LOAD, 0.0) | {"load": load, "load.to": 1.0}
+    ends = dict.fromkeys(LOAD, 0.0) | {"load.to": 1.0}
     for k, one in enumerate(varied):
         drawn = one.of(shares[:, k])
         if one.name in LOAD:

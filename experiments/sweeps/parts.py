@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
@@ -12,6 +13,7 @@ from experiments.sweeps.plan import Plan
 
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
+Engine = Callable[[Plan, list[int]], Iterator[tuple[int, pa.Table]]]  # the wanted parts, in any order
 
 
 def path_of(folder: Path, part: int) -> Path:
@@ -51,9 +53,7 @@ def here(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
         yield part, plan.costs(part)
 
 
-def run(
-    plan: Plan, folder: Path, done: Done, engine: Callable[[Plan, list[int]], Iterator[tuple[int, pa.Table]]] = here
-) -> ds.Dataset:
+def run(plan: Plan, folder: Path, done: Done, engine: Engine = here) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
     question, left = plan.question(), missing(plan, folder)
     finished = plan.samples - sum(len_of(plan, part) for part in left)
@@ -63,6 +63,16 @@ def run(
         finished += len_of(plan, part)
         done(finished)
     return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
+
+
+def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) -> tuple[float, float] | None:
+    """RMS and peak error (m) of one run of the sweep in `folder`; None where it is not there, or of another edition."""
+    path = path_of(folder, number // plan.part_size)
+    if not path.exists() or (pq.read_schema(path).metadata or {}).get(QUESTION) != plan.question().encode():
+        return None
+    wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
+    rows = pq.read_table(path, columns=["rms_m", "peak_m"], filters=wanted).to_pylist()
+    return (rows[0]["rms_m"], rows[0]["peak_m"]) if rows else None
 
 
 def len_of(plan: Plan, part: int) -> int:

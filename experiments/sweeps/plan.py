@@ -3,7 +3,8 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -14,13 +15,15 @@ import pyarrow as pa
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import ParameterError
+from diffdrive.load import Ramp
 from diffdrive.motion import Motion, require_within
-from diffdrive.parameters import require_double_precision
-from diffdrive.simulate import inputs_of
+from diffdrive.parameters import Drive, require_double_precision
+from diffdrive.simulate import Costs, inputs_of
 from experiments.edition import edition
+from experiments.scenario import parse_load
 from experiments.sweeps.engine import costs_of
-from experiments.sweeps.machines import machines
-from experiments.sweeps.samples import Method, shares
+from experiments.sweeps.machines import Values, machines
+from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
 
 MOST_IN_A_PART = 8192  # machines: a few seconds of work, a megabyte of results
@@ -40,8 +43,9 @@ class Plan:
     samples: int
     method: Method = "sobol"
     seed: int = 0
-    load: float = 0.0  # N, where none varies
+    load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
     settle: float = 0.0  # s at the start that do not count
+    correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -68,6 +72,7 @@ class Plan:
                     f"sweep: settle = {plan.settle:g} s leaves nothing of {name} ({motion.duration:g} s)"
                 )
         plan._require_possible()
+        root_of(plan.correlation, names)
         return plan
 
     def _require_possible(self) -> None:
@@ -76,14 +81,23 @@ class Plan:
         ends = np.full((2 * count + 1, count), 0.5)
         for k in range(count):
             ends[2 * k : 2 * k + 2, k] = 0.0, 1.0
-        machine, ramp, _ = machines(self.axis.drive, self.varied, ends, self.load)
-        lowest = float(jnp.min(ramp.load) + jnp.minimum(jnp.min(ramp.change), 0.0))
+        machine, ramp, _ = machines(self.axis.drive, self.varied, ends)
+        below = min(float(np.min(self.loads(motion))) for motion in self.motions.values())
+        lowest = below + float(jnp.min(ramp.load) + jnp.minimum(jnp.min(ramp.change), 0.0))
         preload = float(jnp.min(machine.friction.initial_load))
         if not lowest > -preload:
             raise ParameterError(
                 f"sweep: a load of {lowest:g} N lifts the table off its guides: it must stay above minus the initial "
                 f"load, {-preload:g} N"
             )
+
+    def loads(self, motion: Motion) -> np.ndarray:
+        """The load (N) that every machine has along a motion, beside what varies."""
+        return parse_load(self.load, motion.time)
+
+    @cached_property
+    def _root(self) -> np.ndarray | None:
+        return root_of(self.correlation, [one.name for one in self.varied])
 
     @property
     def part_size(self) -> int:
@@ -97,8 +111,12 @@ class Plan:
 
     def drawn(self, part: int) -> np.ndarray:
         """Shares of the probability of the machines of a part, [n, d]."""
-        left = self.samples - part * self.part_size
-        return shares(self.method, len(self.varied), self.seed, part, self.part_size)[:left]
+        drawn = shares(self.method, len(self.varied), self.seed, part, self.part_size)[: len(self.numbers(part))]
+        return drawn if self._root is None else correlated(drawn, self._root)
+
+    def numbers(self, part: int) -> np.ndarray:
+        """Numbers of the machines of a part."""
+        return np.arange(part * self.part_size, min(self.samples, (part + 1) * self.part_size))
 
     def keys(self, numbers: np.ndarray) -> Any:
         """Keys of the measuring noise of these machines; None where the scale has none."""
@@ -107,34 +125,54 @@ class Plan:
         base = jax.random.key(self.seed)
         return jax.vmap(lambda number: jax.random.fold_in(base, number))(jnp.asarray(numbers))
 
+    def machines(self, numbers: np.ndarray) -> tuple[Drive, Ramp, Values, Any]:
+        """Machines of one part by their numbers: drives, loads, the values of what varies, the keys of their noise."""
+        part = int(numbers[0]) // self.part_size
+        drawn = self.drawn(part)[numbers - part * self.part_size]
+        return *machines(self.axis.drive, self.varied, drawn), self.keys(numbers)
+
+    def costs_of(self, numbers: np.ndarray, controller: str, motion: str) -> Costs:
+        """Costs of machines of one part; each is the same to the last bit whichever others stand beside it."""
+        drives, ramps, _, keys = self.machines(numbers)
+        planned = self.motions[motion]
+        counts = (planned.time >= self.settle).astype(float)
+        inputs = inputs_of(planned, self.loads(planned))
+        return costs_of(drives, ramps, keys, self.controllers[controller], inputs, counts, self.axis.sampling)
+
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
-        drawn = self.drawn(part)
-        numbers = part * self.part_size + np.arange(len(drawn))
-        machine, ramp, values = machines(self.axis.drive, self.varied, drawn, self.load)
-        keys, tables, unknown = self.keys(numbers), [], pa.nulls(len(drawn), pa.float64())
-        for motion_name, motion in self.motions.items():
-            inputs = inputs_of(motion, np.zeros(len(motion.time)))
-            counts = (motion.time >= self.settle).astype(float)
-            for controller_name, controller in self.controllers.items():
-                found = costs_of(machine, ramp, keys, controller, inputs, counts, self.axis.sampling)
+        numbers, tables = self.numbers(part), []
+        _, _, values, _ = self.machines(numbers)
+        unknown = pa.nulls(len(numbers), pa.float64())
+        for motion, planned in self.motions.items():
+            for controller in self.controllers:
+                found = self.costs_of(numbers, controller, motion)
                 tables.append(
                     pa.table(
                         {
                             "machine": numbers,
-                            "controller": [controller_name] * len(drawn),
-                            "motion": [motion_name] * len(drawn),
+                            "controller": [controller] * len(numbers),
+                            "motion": [motion] * len(numbers),
                             **values,
                             "rms_m": found.rms,
                             "peak_m": found.peak,
                             "command_noise_N": found.command_noise,
                             "load_error_N": unknown if found.load_error is None else found.load_error,
                             "saturated": found.saturated,
-                            "diverged": found.steps_finite < len(motion.time),
+                            "diverged": found.steps_finite < len(planned.time),
                         }
                     )
                 )
         return pa.concat_tables(tables)
+
+    def axis_of(self, drive: Drive) -> DriveDescription:
+        """The axis with another drive in it: what a machine's drive file says."""
+        return replace(self.axis, drive=drive)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """What varies, with its unit."""
+        return {one.name: one.unit for one in self.varied}
 
     def question(self) -> str:
         """What tells this sweep from any other: everything that its numbers hang on."""
@@ -142,6 +180,7 @@ class Plan:
             edition(*(one.__module__ for one in (Plan, costs_of, machines, parse_varied, shares))).encode()
         )
         asked = [self.method, self.seed, self.samples, self.load, self.settle, [one.text for one in self.varied]]
+        asked += [{one: dict(others) for one, others in self.correlation.items()}]
         text.update(json.dumps(asked).encode())
         models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
         text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())

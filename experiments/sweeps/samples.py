@@ -5,10 +5,12 @@ anywhere, or again, without the others. Sobol points go on from part to part (th
 independent anyway; Latin hypercubes are one hypercube in each part.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from diffdrive.errors import ParameterError
@@ -36,3 +38,37 @@ def shares(method: Method, dimensions: int, seed: int, part: int, size: int) -> 
     if method == "latin-hypercube":
         return np.asarray(qmc.LatinHypercube(dimensions, rng=own).random(size))
     return own.random((size, dimensions))
+
+
+def root_of(correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]) -> Float[np.ndarray, "d d"] | None:
+    """A matrix whose product with its transpose is the correlation between `names`; None where there is none.
+
+    `correlation` holds pairs of names, each pair once or twice. Raises `ParameterError` for numbers that no quantities
+    can have.
+    """
+    if not correlation:
+        return None
+    matrix = np.eye(len(names))
+    for one, others in correlation.items():
+        for other, value in others.items():
+            if one not in names or other not in names:
+                missing = one if one not in names else other
+                raise ParameterError(f"correlation: {missing} is not varied")
+            if one == other:
+                continue
+            a, b = names.index(one), names.index(other)
+            if not -1.0 <= value <= 1.0 or matrix[a, b] not in (0.0, value):
+                raise ParameterError(f"correlation: of {one} and {other} is {value!r}: one number from -1 to 1")
+            matrix[a, b] = matrix[b, a] = value
+    bends, along = np.linalg.eigh(matrix)
+    if bends[0] < -1e-6:
+        raise ParameterError("correlation: no quantities can be correlated like that (the matrix is not positive)")
+    root = along * np.sqrt(np.clip(bends, 0.0, None)) @ along.T
+    return np.asarray(root / np.linalg.norm(root, axis=1, keepdims=True))
+
+
+def correlated(shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:
+    """The shares with the correlations of a `root`, each still uniform for itself (a Gaussian copula)."""
+    least = np.finfo(float).eps
+    normal = ndtri(np.clip(shares, least, 1.0 - least))
+    return np.asarray(ndtr(normal @ root.T))

@@ -1,0 +1,121 @@
+"""A sweep as it was asked for, in plain text: what its folder keeps, and any machine can be run again from."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
+from diffdrive.errors import ParameterError
+from diffdrive.motion import Motion
+from experiments.scenario import MOTIONS, parse_motion, parse_motion_table, read_motion
+from experiments.sweeps.plan import Plan
+from experiments.sweeps.samples import Method
+
+FILE = "asked.json"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Drives as the tables of their files, motions as their texts or the whole text of their files."""
+
+    name: str
+    drive: dict[str, Any]  # what the first controller believes
+    motions: dict[str, str]
+    vary: tuple[str, ...]
+    samples: int
+    method: Method = "sobol"
+    seed: int = 0
+    load: str = "0"
+    settle: float = 0.0
+    machine: dict[str, Any] | None = None  # what the machines vary about, where it is not the drive
+    against: dict[str, dict[str, Any]] = field(default_factory=dict)  # further controllers, by the name of their file
+    correlation: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, drive: Path, motions: Sequence[str], vary: Sequence[str], samples: int, *,
+        machine: Path | None = None, against: Sequence[Path] = (), **more: Any,
+    ) -> "Asked":  # fmt: skip
+        """From files and texts, which are read here; raises what reading them does."""
+        names = [path.stem for path in (drive, *against)]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ParameterError(f"--against: two files are called {', '.join(twice)}: give them names of their own")
+        return cls(
+            drive.stem,
+            drive_tables(read_drive(drive)),
+            dict(_motion(text) for text in motions),
+            tuple(vary),
+            samples,
+            machine=None if machine is None else drive_tables(read_drive(machine)),
+            against={path.stem: drive_tables(read_drive(path)) for path in against},
+            **more,
+        )
+
+    def plan(self) -> Plan:
+        """What is to be run. Raises `ParameterError` or `MotionError` for a sweep that cannot be."""
+        believed = parse_drive(self.drive, self.name)
+        axis = believed if self.machine is None else parse_drive(self.machine, "the machine")
+        sampling = believed.sampling
+        axis = dataclasses.replace(axis, sampling=sampling, limits=believed.limits)
+        controllers = {self.name: believed.controller}
+        for name, tables in self.against.items():
+            other = parse_drive(tables, name)
+            if other.sampling.rate != sampling.rate:
+                raise ParameterError(
+                    f"{name}: is sampled at {other.sampling.rate:g} Hz, {self.name} at {sampling.rate:g} Hz: on the "
+                    "same machines and motions they must be equal"
+                )
+            controllers[name] = other.controller
+        return Plan.of(
+            axis, controllers, self._motions(axis), self.vary, self.samples,
+            method=self.method, seed=self.seed, load=self.load, settle=self.settle, correlation=self.correlation,
+        )  # fmt: skip
+
+    def _motions(self, axis: DriveDescription) -> dict[str, Motion]:
+        """Each by its name; a second one of the same name by its number, too."""
+        found: dict[str, Motion] = {}
+        for origin, text in self.motions.items():
+            of_a_file = origin != text
+            one = parse_motion_table(text, origin) if of_a_file else parse_motion(text, axis.sampling.rate)
+            number = 1 + sum(name.split(" #")[0] == one.name for name in found)
+            found[one.name if number == 1 else f"{one.name} #{number}"] = one
+        return found
+
+
+def to_text(asked: Asked) -> str:
+    """As JSON."""
+    return json.dumps(dataclasses.asdict(asked), indent=1) + "\n"
+
+
+def from_text(text: str) -> Asked:
+    """From JSON."""
+    told = json.loads(text)
+    return Asked(**told | {"vary": tuple(told["vary"])})
+
+
+def _motion(text: str) -> tuple[str, str]:
+    """Where it is from, and what it says: a motion by its text is from there itself."""
+    if text.partition(":")[0] in MOTIONS or not Path(text).is_file():
+        return text, text
+    return text, read_motion(Path(text))
+
+
+def keep(asked: Asked, folder: Path) -> None:
+    """Write it into the folder of the sweep."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / FILE).write_text(to_text(asked), encoding="utf-8")
+
+
+def read_asked(folder: Path) -> Asked:
+    """What the sweep in `folder` was asked for; raises `ParameterError` where there is none."""
+    path = folder / FILE
+    try:
+        return from_text(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise ParameterError(f"{folder}: holds no sweep ({FILE} is not there)") from None
+    except (ValueError, TypeError, KeyError) as problem:
+        raise ParameterError(f"{path}: is damaged: {problem}; run the sweep again") from None

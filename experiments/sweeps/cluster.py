@@ -1,0 +1,73 @@
+"""The parts of a sweep on many processes or machines, by Dask distributed.
+
+Dask, not Ray: it is Python throughout, a worker is one command on any machine, it runs a lost worker's tasks again by
+itself, and every batch system has a launcher for it. It is the package's extra `cluster`.
+"""
+
+import functools
+from collections.abc import Iterator
+
+import pyarrow as pa
+
+from diffdrive.errors import ParameterError
+from experiments.runtime import configure, keep_compiled
+from experiments.sweeps.asked import Asked, from_text, to_text
+from experiments.sweeps.parts import Engine
+from experiments.sweeps.plan import Plan
+
+AGAIN = 3  # times that a part is run again whose worker was lost
+
+
+@functools.lru_cache(maxsize=1)
+def _plan(text: str) -> Plan:
+    """The plan from its text, once in a process and not once in each of its parts."""
+    configure()
+    keep_compiled()
+    return from_text(text).plan()
+
+
+def _part(text: str, question: str, part: int) -> pa.Table:
+    """One part, on whichever machine this runs."""
+    plan = _plan(text)
+    if plan.question() != question:
+        raise ParameterError(
+            "a worker has another edition of diffdrive than the program that asks: install the same one on every "
+            "machine of the cluster"
+        )
+    return plan.costs(part)
+
+
+def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> Engine:
+    """An engine for `parts.run`: `workers` processes of this machine, or the cluster whose scheduler is at `address`.
+
+    A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
+    where nobody answers at the address.
+    """
+    try:
+        from distributed import Client, LocalCluster, as_completed
+    except ImportError:
+        raise ParameterError("several workers need Dask: pip install 'diffdrive[cluster]'") from None
+
+    def engine(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
+        if not wanted:
+            return
+        text, question = to_text(asked), plan.question()
+        here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+        cluster = None if address else LocalCluster(**here)
+        try:
+            with Client(address or cluster, timeout="20s") as client:
+                number = {
+                    client.submit(_part, text, question, part, pure=False, retries=AGAIN): part for part in wanted
+                }
+                for future in as_completed(number):
+                    yield number[future], future.result()
+                    future.release()
+        except (OSError, TimeoutError) as problem:
+            if address is None:
+                raise
+            raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
+        finally:
+            if cluster is not None:
+                cluster.close()
+
+    return engine

@@ -1,0 +1,227 @@
+"""`diffdrive sweep` and `diffdrive replay`: a sweep run, told and drawn; and one of its machines again."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffdrive.drive_file import drive_tables, parse_drive, write_drive
+from diffdrive.errors import ParameterError
+from experiments.report import Report, named_file
+from experiments.single import run_figure, write_run
+from experiments.sweeps import figures
+from experiments.sweeps.asked import Asked, keep, read_asked
+from experiments.sweeps.parts import Engine, here, kept, run
+from experiments.sweeps.plan import Plan
+from experiments.sweeps.replay import SIGNALS, costs_again, machine_of, run_of, traces
+from experiments.sweeps.sensitivity import FEWEST, Influence, influences
+from experiments.sweeps.summary import ERRORS, SHARES, Group, Interval, compared, exceedance, groups, quantile, worst
+
+PARTS = "parts"
+TOLD = 5  # worst machines that are named
+Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
+
+STUCK = 0.5  # share of the time at the force limit from which an axis is too weak
+
+
+def sweep_drive(
+    asked: Asked, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
+) -> bool:
+    """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
+    if by not in ERRORS:
+        raise ParameterError(f"--by {by.removesuffix('_m')}: no such error; known: peak, rms")
+    if recorded and out is None:
+        raise ParameterError("--record: give --out, a folder for the traces")
+    unknown = [name for name in recorded if name not in SIGNALS]
+    if unknown:
+        raise ParameterError(f"--record {unknown[0]}: no such signal; known: {', '.join(SIGNALS)}")
+    plan = asked.plan()
+    title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
+    with Report(title, out) as report, _folder(out) as folder:
+        if out is not None:
+            keep(asked, out)
+        runs = plan.samples * len(plan.controllers) * len(plan.motions)
+        with report.counted("machines", plan.samples) as done:
+            rows = run(plan, folder, done, engine or here)
+        report.values("sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts)
+        found = groups(rows, list(plan.controllers), list(plan.motions))
+        told = [(one, _influences(plan, one, by)) for one in found]
+        _tell(report, plan, told, tolerance, by)
+        for motion in plan.motions if out is not None else ():
+            _draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
+        if recorded:
+            _record(report, plan, found, recorded, by)
+        return not any(one.diverged.any() for one in found)
+
+
+@contextlib.contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """Where the parts go: beside the results, or nowhere for long."""
+    if out is not None:
+        yield out / PARTS
+        return
+    with tempfile.TemporaryDirectory(prefix="sweep-") as room:
+        yield Path(room)
+
+
+def _range(interval: Interval, factor: float) -> str:
+    """A value between its ends, in another unit."""
+
+    def shown(value: float | None) -> str:
+        return "-" if value is None else f"{factor * value:.4g}"
+
+    return f"{shown(interval.value)} ({shown(interval.low)} to {shown(interval.high)})"
+
+
+def _tell(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+    report.data["results"] = [_numbers(one, tolerance) for one in found]
+    rows, missed = [], []
+    for one, _ in found:
+        place = [one.motion, one.controller]
+        for name, called in ERRORS.items():
+            errors = one.error(name)
+            told = [_range(quantile(errors, share), 1e6) for share in SHARES]
+            rows.append([*place, called, *told, 1e6 * float(np.max(errors))])
+        misses = "-" if tolerance is None else _range(exceedance(one.error(by), tolerance), 100)
+        missed.append([*place, int(np.sum(one.diverged)), _stuck(one), misses])
+    report.table(
+        "errors",
+        ("motion", "controller", "um", *(f"{100 * share:g} %" for share in SHARES), "worst"),
+        rows,
+        "Tracking error over the machines, um: quantiles, in brackets their 95 % intervals",
+    )
+    limit = "no tolerance given" if tolerance is None else f"{ERRORS[by]} beyond {1e6 * tolerance:g} um"
+    report.table(
+        "misses",
+        ("motion", "controller", "diverged", "at the force limit", "miss the tolerance, %"),
+        missed,
+        f"Machines that diverged, that are at the force limit for half of the time or more, and misses: {limit}",
+    )
+    _compare(report, [one for one, _ in found], by)
+    _blame(report, plan, found, by)
+    report.table(
+        "worst",
+        ("motion", "controller", "machines, the worst first"),
+        [[one.motion, one.controller, " ".join(map(str, worst(one, TOLD, by)))] for one, _ in found],
+        f"Worst by {ERRORS[by]}; any machine again: diffdrive replay FOLDER --machine NUMBER",
+    )
+
+
+def _stuck(group: Group) -> int:
+    return int(np.sum(~group.diverged & (group.column("saturated") >= STUCK)))
+
+
+def _numbers(told: Told, tolerance: float | None) -> dict[str, Any]:
+    """What the tables say, for programs: SI units, intervals as numbers."""
+    group, every = told
+    return {
+        "motion": group.motion,
+        "controller": group.controller,
+        "diverged": int(np.sum(group.diverged)),
+        "at_the_force_limit": _stuck(group),
+        "quantiles": {
+            name: {str(share): quantile(group.error(name), share)._asdict() for share in SHARES} for name in ERRORS
+        },
+        "misses": None
+        if tolerance is None
+        else {"tolerance_m": tolerance} | {name: exceedance(group.error(name), tolerance)._asdict() for name in ERRORS},
+        "sensitivity": [one._asdict() for one in every],
+    }
+
+
+def _compare(report: Report, found: Sequence[Group], by: str) -> None:
+    """Each controller beside the first of its motion."""
+    pairs = [(one, next(first for first in found if first.motion == one.motion)) for one in found]
+    rows = []
+    for one, first in pairs:
+        if one is not first:
+            told = compared(one, first, by)
+            rows.append([one.motion, told.one, told.other, _range(told.better, 100), told.ratio])
+    if rows:
+        report.table(
+            "compared",
+            ("motion", "controller", "beside", "better on, % of machines", "median ratio of errors"),
+            rows,
+            f"Machine by machine, under the same load and noise: {ERRORS[by]}",
+        )
+
+
+def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
+    rows = [
+        [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 1e6 * each.low, 1e6 * each.high]
+        for one, every in found
+        for k, each in enumerate(every)
+        if each.share > each.uncertain or not k  # the rest is noise; result.json has it
+    ]
+    if rows:
+        report.table(
+            "sensitivity",
+            ("motion", "controller", "quantity", "share, %", "+-", "um where low", "um where high"),
+            rows,
+            f"What drives the spread: share of the variance of the logarithm of the {ERRORS[by]}, and its mean in the "
+            "lowest and highest sixth",
+        )
+    elif plan.varied:
+        report.say(f"No sensitivities: they take {FEWEST} machines that did not diverge and are not all alike.")
+
+
+def _influences(plan: Plan, group: Group, by: str) -> list[Influence]:
+    names = list(plan.units)
+    return influences(names, np.stack([group.column(name) for name in names], axis=1), group.error(by), plan.seed)
+
+
+def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+    every = [one for one, _ in found]
+    motion = f"_{named_file(every[0].motion)}" if len(plan.motions) > 1 else ""
+    report.figure(f"distribution{motion}", figures.distribution(every, tolerance, by))
+    report.figure(f"exceedance{motion}", figures.exceeded(every, tolerance, by))
+    for one, told in found:
+        if told:
+            controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
+            report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
+    strongest = [told[0].name for _, told in found if told]
+    for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
+        drawn = figures.against(every, name, plan.units[name], tolerance, by)
+        report.figure(f"error_against_{named_file(name)}{motion}", drawn)
+
+
+def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequence[str], by: str) -> None:
+    """The signals of every controller's worst machines, under every controller."""
+    assert report.out is not None
+    for motion in plan.motions:
+        numbers = sorted({number for one in found if one.motion == motion for number in worst(one, TOLD, by)})
+        path = report.out / (f"traces_{named_file(motion)}.nc" if len(plan.motions) > 1 else "traces.nc")
+        with report.working("recording the worst machines"):
+            traces(plan, numbers, plan.controllers, motion, recorded).to_netcdf(path, engine="h5netcdf")
+        report.say(f"{path.name}: {', '.join(recorded)} of machines {', '.join(map(str, numbers))}")
+
+
+def replay_machine(folder: Path, number: int, controller: str | None, motion: str | None, out: Path | None) -> bool:
+    """`diffdrive replay`; False if the machine diverges."""
+    plan = read_asked(folder).plan()
+    controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
+    machine = machine_of(plan, number)
+    with Report(f"{folder.name}: machine {number}, {controller}, {motion}", out) as report:
+        report.table(
+            "machine",
+            ("quantity", "unit", "value"),
+            [[name, plan.units[name], value] for name, value in machine.values.items()],
+            "What differs from the drive file",
+        )
+        with report.working("simulating"):
+            simulated, costs = run_of(plan, machine, controller, motion), costs_again(plan, number, controller, motion)
+        report.values("run", status=simulated.status.message)
+        report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
+        told = kept(plan, folder / PARTS, number, controller, motion)
+        if told is not None:
+            report.values("as_in_the_sweep", to_the_last_bit=told == (float(costs.rms[0]), float(costs.peak[0])))
+        if report.out is not None:
+            write_run(report.out / "run.csv", simulated)
+            # the gains are the axis's; observers and feed-forwards in a file take the file's own model
+            tables = drive_tables(plan.axis_of(machine.drive))
+            write_drive(report.out / "machine.toml", parse_drive(tables, f"machine {number}"))
+            report.figure("run", run_figure(simulated))
+    return simulated.status.ok

@@ -1,0 +1,110 @@
+"""The figures of a sweep."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.report import new_figure, plain_logarithmic
+from experiments.sweeps.sensitivity import Influence
+from experiments.sweeps.summary import Group, exceedance
+
+MOST_POINTS = 4000  # of a cloud: more are a blot
+BINS = 24
+
+
+def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
+    """How the error is distributed over the machines, a curve for each controller; lower and further left is better."""
+    figure, axis = new_figure(width=8.0, height=4.0)
+    for group in groups:
+        errors = np.sort(1e6 * group.error(by))
+        shares = np.arange(1, len(errors) + 1) / len(errors)
+        axis.step(errors, 100.0 * shares, where="post", label=group.controller)
+    _tolerance(axis, tolerance)
+    axis.set(xscale="log", xlabel=f"{_name(by)}, um", ylabel="machines with at most that, %", title=groups[0].motion)
+    plain_logarithmic(axis.xaxis)
+    axis.legend(loc="lower right")
+    return figure
+
+
+def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
+    """How probable it is that a machine misses a tolerance, over the tolerance, with its 95 % interval."""
+    figure, axis = new_figure(width=8.0, height=4.0)
+    for group in groups:
+        errors = group.error(by)
+        finite = errors[np.isfinite(errors)]
+        if not len(finite):
+            continue
+        at = np.geomspace(max(np.min(finite), 1e-12), np.max(finite) * 1.05, 80)
+        told = [exceedance(errors, one) for one in at]
+        line = axis.plot(1e6 * at, [100 * one.value for one in told], label=group.controller)[0]
+        low, high = ([100 * end for end in ends] for ends in zip(*(one[1:] for one in told), strict=True))
+        axis.fill_between(1e6 * at, low, high, color=line.get_color(), alpha=0.2, lw=0)
+    _tolerance(axis, tolerance)
+    least = 100.0 / (2.0 * len(groups[0].table))
+    axis.set(
+        xscale="log", yscale="log", ylim=(least, 110.0), xlabel=f"tolerance on the {_name(by)}, um",
+        ylabel="machines that miss it, %", title=groups[0].motion,
+    )  # fmt: skip
+    plain_logarithmic(axis.xaxis)
+    plain_logarithmic(axis.yaxis)
+    axis.legend(loc="lower left")
+    return figure
+
+
+def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> Any:
+    """The error over a quantity that varies: each machine, and median and 95 % of a slice of them."""
+    figure, axis = new_figure(width=8.0, height=4.0)
+    scale, shown = (1e-3, f"k{unit}") if unit == "N" and np.max(np.abs(groups[0].column(name))) >= 2e3 else (1.0, unit)
+    for k, group in enumerate(groups):
+        values, errors = scale * group.column(name), 1e6 * group.error(by)
+        good = np.isfinite(errors)
+        some = np.flatnonzero(good)[:MOST_POINTS]
+        axis.plot(values[some], errors[some], ".", ms=2, alpha=0.25, color=f"C{k}")
+        middles, medians, highs = _sliced(values[good], errors[good])
+        axis.plot(middles, medians, color=f"C{k}", label=f"{group.controller}: median")
+        axis.plot(middles, highs, "--", color=f"C{k}", label="95 %")
+    _tolerance(axis, tolerance, horizontal=True)
+    axis.set(yscale="log", xlabel=f"{name}, {shown}", ylabel=f"{_name(by)}, um", title=groups[0].motion)
+    plain_logarithmic(axis.yaxis)
+    axis.legend(fontsize=8)
+    return figure
+
+
+def _sliced(values: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Median and 95 % over slices of equally many machines."""
+    order = np.argsort(values, kind="stable")
+    slices = [part for part in np.array_split(order, min(BINS, max(1, len(order) // 16))) if len(part)]
+    told = [(np.mean(values[part]), np.median(errors[part]), np.quantile(errors[part], 0.95)) for part in slices]
+    middles, medians, highs = np.array(told).reshape(-1, 3).T
+    return middles, medians, highs
+
+
+def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
+    """What each quantity does to the error, the strongest on top."""
+    figure, axis = new_figure(width=8.0, height=1.2 + 0.35 * len(found))
+    middle = 1e6 * float(np.exp(np.mean(np.log(np.sqrt([one.low * one.high for one in found])))))
+    for row, one in enumerate(reversed(found)):
+        ends = [(1e6 * one.low - middle, "C0"), (1e6 * one.high - middle, "C1")]
+        for reach, colour in sorted(ends, key=lambda end: -abs(end[0])):  # the shorter over the longer one
+            axis.barh(row, reach, left=middle, color=colour, height=0.6)
+        edge = max(1e6 * one.low, 1e6 * one.high, middle)
+        axis.annotate(f" {100 * one.share:.0f} %", (edge, row), va="center", fontsize=8)
+    axis.axvline(middle, color="0.3", lw=0.8)
+    axis.set_yticks(range(len(found)), [one.name for one in reversed(found)])
+    axis.set(
+        xlabel=f"mean {_name(by)}, um, where the quantity is low (blue), high (orange)",
+        title=f"{group.controller}, {group.motion}: share of the variance",
+    )
+    axis.margins(x=0.12)
+    return figure
+
+
+def _name(by: str) -> str:
+    return {"rms_m": "RMS error", "peak_m": "peak error"}[by]
+
+
+def _tolerance(axis: Any, tolerance: float | None, horizontal: bool = False) -> None:
+    if tolerance is not None:
+        draw = axis.axhline if horizontal else axis.axvline
+        draw(1e6 * tolerance, color="0.3", ls=":", label="tolerance")

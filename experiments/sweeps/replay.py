@@ -1,0 +1,117 @@
+"""Any machine of a sweep again, from its number: its drive, its load, its noise, and every signal of its run."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from diffdrive.errors import ParameterError
+from diffdrive.parameters import Drive, as_arrays
+from diffdrive.run import Run, judged
+from diffdrive.simulate import Costs, inputs_of, rollout
+from experiments.sweeps.machines import lane
+from experiments.sweeps.plan import Plan
+
+SIGNALS = {
+    "reference": "m",
+    "position": "m",
+    "error": "m",
+    "velocity": "m/s",
+    "command": "N",
+    "force": "N",
+    "friction": "N",
+    "friction_estimate": "N",
+    "load": "N",
+    "load_estimate": "N",
+}
+
+_rollout = eqx.filter_jit(rollout)
+
+
+class Machine(NamedTuple):
+    """One machine of a sweep: the drive as it is in truth, the values of what varies, the load beside the plan's."""
+
+    number: int
+    drive: Drive
+    values: dict[str, float]
+    ramp: Any
+    key: Any
+
+
+def machine_of(plan: Plan, number: int) -> Machine:
+    """The machine of that number; raises `ParameterError` if the sweep has none."""
+    if not 0 <= number < plan.samples:
+        raise ParameterError(f"machine {number}: the sweep has machines 0 to {plan.samples - 1}")
+    drives, ramps, values, keys = plan.machines(np.array([number]))
+    return Machine(
+        number,
+        lane(drives, 0),
+        {name: float(value[0]) for name, value in values.items()},
+        jax.tree.map(lambda leaf: leaf[0], ramps),
+        None if keys is None else keys[0],
+    )
+
+
+def _named(choices: Mapping[str, Any], name: str, what: str) -> Any:
+    if name not in choices:
+        raise ParameterError(f"{what} '{name}': is not of this sweep; known: {', '.join(choices)}")
+    return choices[name]
+
+
+def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: int = 1) -> Run:
+    """Every signal of a machine under a controller, with a status as any simulation has."""
+    planned, control = _named(plan.motions, motion, "motion"), _named(plan.controllers, controller, "controller")
+    loads = plan.loads(planned) + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
+    inputs = inputs_of(planned, loads)
+    frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
+    limit = machine.drive.actuator.force_limit
+    return judged(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
+
+
+def costs_again(plan: Plan, number: int, controller: str, motion: str) -> Costs:
+    """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
+    return plan.costs_of(np.array([machine_of(plan, number).number]), controller, motion)
+
+
+def traces(
+    plan: Plan, numbers: Iterable[int], controllers: Iterable[str], motion: str, signals: Iterable[str], every: int = 1
+) -> Any:
+    """Signals of some machines along a motion as an xarray.Dataset: [controller, machine, time] each.
+
+    A signal that a controller does not have is NaN. Raises `ParameterError` for a signal that there is not.
+    """
+    import xarray as xr
+
+    names, numbers, controllers = list(signals), list(numbers), list(controllers)
+    for name in names:
+        _named(SIGNALS, name, "signal")
+    drawn = [machine_of(plan, number) for number in numbers]
+    runs = [[run_of(plan, machine, controller, motion, every) for machine in drawn] for controller in controllers]
+    time = runs[0][0].time
+
+    def told(run: Run, name: str) -> np.ndarray:
+        value = getattr(run, "table_position" if name == "position" else name)
+        return np.full(len(time), np.nan) if value is None else np.asarray(value, float)
+
+    def varied(name: str) -> tuple[str, list[float], dict[str, str]]:
+        return "machine", [machine.values[name] for machine in drawn], {"units": plan.units[name]}
+
+    return xr.Dataset(
+        {
+            name: (
+                ("controller", "machine", "time"),
+                np.array([[told(run, name) for run in row] for row in runs]),
+                {"units": SIGNALS[name]},
+            )
+            for name in names
+        },
+        {
+            "controller": controllers,
+            "machine": numbers,
+            "time": ("time", time, {"units": "s"}),
+            **{name: varied(name) for name in plan.units},
+        },
+        {"motion": motion, "sweep": plan.question()},
+    )

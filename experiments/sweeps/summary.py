@@ -1,0 +1,107 @@
+"""What a sweep says: quantiles, how often a tolerance is missed, which controller is better, which machines are worst.
+
+A machine that diverged has no error to speak of: it counts as one of infinite error, so that it moves every quantile
+and every count, and is never dropped.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+from jaxtyping import Float
+from scipy import stats
+
+SHARES = (0.5, 0.9, 0.95, 0.99)
+LEVEL = 0.95
+ERRORS = {"rms_m": "RMS error", "peak_m": "peak error"}
+
+Values = Float[np.ndarray, " n"]
+
+
+class Interval(NamedTuple):
+    """A value and its 95 % interval; an end is None where there are too few machines for one."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+class Group(NamedTuple):
+    """One controller on one motion, its machines in their order."""
+
+    controller: str
+    motion: str
+    table: pa.Table
+
+    def column(self, name: str) -> Values:
+        """The numbers of a column; NaN where there are none."""
+        return np.asarray(self.table[name].to_numpy(zero_copy_only=False), float)
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """Which machines diverged."""
+        return np.asarray(self.table["diverged"].to_numpy(zero_copy_only=False), bool)
+
+    def error(self, name: str = "peak_m") -> Values:
+        """An error in m of every machine, infinite where it diverged."""
+        return np.where(self.diverged, np.inf, self.column(name))
+
+
+def groups(rows: ds.Dataset, controllers: Sequence[str], motions: Sequence[str]) -> list[Group]:
+    """Every controller on every motion."""
+    found = []
+    for motion in motions:
+        for controller in controllers:
+            wanted = (pc.field("motion") == motion) & (pc.field("controller") == controller)
+            found.append(Group(controller, motion, rows.to_table(filter=wanted).sort_by("machine")))
+    return found
+
+
+def _end(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def quantile(values: Values, share: float) -> Interval:
+    """A quantile and the order statistics that enclose it (of independent machines: of Sobol's it is less sure)."""
+    ends = stats.quantile_test(values, p=share).confidence_interval(LEVEL)
+    return Interval(
+        float(np.quantile(values, share, method="inverted_cdf")), _end(float(ends.low)), _end(float(ends.high))
+    )
+
+
+def exceedance(values: Values, tolerance: float) -> Interval:
+    """The probability that a machine misses the tolerance, with Wilson's interval."""
+    return share_of(values > tolerance)
+
+
+def share_of(which: np.ndarray) -> Interval:
+    """How often it is so, with Wilson's interval."""
+    count, total = int(np.sum(which)), len(which)
+    ends = stats.binomtest(count, total).proportion_ci(LEVEL, method="wilson")
+    return Interval(count / total, float(ends.low), float(ends.high))
+
+
+def worst(group: Group, count: int, by: str = "peak_m") -> list[int]:
+    """Numbers of the worst machines, the worst first; those that diverged are worst of all."""
+    order = np.argsort(-group.error(by), kind="stable")[:count]
+    return [int(group.table["machine"][int(k)].as_py()) for k in order]
+
+
+class Comparison(NamedTuple):
+    """Two controllers on the same machines under the same loads and noise."""
+
+    one: str
+    other: str
+    better: Interval  # share of the machines on which `one` has the smaller error
+    ratio: float  # of the errors, one over other: the median over the machines
+
+
+def compared(one: Group, other: Group, by: str = "peak_m") -> Comparison:
+    """Machine by machine. Where both diverged neither is better."""
+    mine, theirs = one.error(by), other.error(by)
+    both = np.isfinite(mine) & np.isfinite(theirs)
+    ratio = float(np.median(mine[both] / theirs[both])) if both.any() else np.nan
+    return Comparison(one.controller, other.controller, share_of(mine < theirs), ratio)

@@ -1,0 +1,67 @@
+"""What varies in a sweep from what a user gives: quantities one by one, all of them together, or an identification."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from diffdrive.drive_file import read_drive
+from diffdrive.errors import ParameterError
+from diffdrive.parameters import quantities
+from experiments.scenario import number
+from experiments.sweeps.varied import known_quantities
+
+Correlation = Mapping[str, Mapping[str, float]]
+
+DEFAULT_SPREAD = "2%"
+
+
+def varying(
+    drive: Path, vary: Sequence[str], spread: str | None, identified: Path | None
+) -> tuple[tuple[str, ...], Correlation]:
+    """The texts of `varied.parse_varied` for a drive file, and the correlations between them.
+
+    Where nothing is given, all parameters of plant and friction vary by a little.
+    """
+    texts, correlation = list(vary), {}
+    if identified is not None:
+        known, correlation = read_uncertainty(identified)
+        texts += known
+    if spread is not None or not texts:
+        texts += _spread(drive, spread or DEFAULT_SPREAD, texts)
+    return tuple(texts), correlation
+
+
+def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
+    """Every plant and friction parameter of the drive file that is not varied yet; both directions alike."""
+    percent = spread if spread.endswith("%") else f"{100.0 * number(spread, '1', '--spread'):.12g}%"
+    taken = {text.partition("=")[0].strip() for text in there}
+    taken |= {name.removesuffix(".positive").removesuffix(".negative") for name in taken}
+    axis = read_drive(drive).drive
+    known = known_quantities(axis)
+    return [
+        f"{name}=lognormal:{percent}"
+        for name, _, _ in quantities(axis)
+        if name.startswith(("plant.", "friction.")) and name not in taken and known[name][1]
+    ]
+
+
+def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
+    """What an identification left open: its file uncertainty.toml."""
+    try:
+        told = tomllib.loads(path.read_text(encoding="utf-8"))
+        vary = [f"{name}={text}" for name, text in told["vary"].items()]
+        return vary, told.get("correlation", {})
+    except FileNotFoundError:
+        raise ParameterError(f"{path}: no such file; `diffdrive identify --out FOLDER` writes it") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, AttributeError) as problem:
+        raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
+
+
+def tolerance_of(text: str | None) -> float | None:
+    """A tolerance in m, above zero."""
+    if text is None:
+        return None
+    value = number(text, "m", "--tolerance")
+    if not value > 0.0:
+        raise ParameterError(f"--tolerance {text}: must be above zero")
+    return value

@@ -1,0 +1,107 @@
+"""What a sweep says, checked against counting by hand, and its intervals against what they promise."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.sweeps.sensitivity import influences
+from experiments.sweeps.summary import Group, compared, exceedance, quantile, worst
+
+
+def group(errors, diverged=(), controller="one"):
+    count = len(errors)
+    table = pa.table(
+        {
+            "machine": np.arange(100, 100 + count),
+            "peak_m": np.asarray(errors, float),
+            "diverged": [k in diverged for k in range(count)],
+        }
+    )
+    return Group(controller, "motion", table)
+
+
+def test_a_machine_that_diverged_is_the_worst_and_misses_every_tolerance():
+    one = group([3e-6, 0.0, 1e-6, 2e-6], diverged={1})
+    assert worst(one, 3) == [101, 100, 103]
+    assert exceedance(one.error(), 1e3).value == 0.25
+    assert quantile(one.error(), 0.99).value == np.inf
+    assert quantile(one.error(), 0.5).value == 2e-6
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.floats(1e-9, 1e-3), min_size=1, max_size=60), st.sampled_from([0.5, 0.9, 0.95]))
+def test_a_quantile_is_the_smallest_error_that_so_many_machines_keep(errors, share):
+    told = quantile(np.array(errors), share)
+    kept = [one for one in sorted(errors) if np.mean(np.array(errors) <= one) >= share - 1e-12]
+    assert told.value == kept[0]
+    assert told.low is None or told.low <= told.value
+    assert told.high is None or told.high >= told.value
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95])
+def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says(share):
+    rng = np.random.default_rng(3)
+    held = []
+    for _ in range(400):
+        told = quantile(rng.random(200), share)
+        held.append(told.low is not None and told.high is not None and told.low <= share <= told.high)
+    assert np.mean(held) > 0.93
+
+
+def test_the_interval_of_a_probability_holds_it_as_often_as_it_says():
+    rng = np.random.default_rng(4)
+    held = [told.low <= 0.1 <= told.high for told in (exceedance(rng.random(150), 0.9) for _ in range(600))]
+    assert 0.92 < np.mean(held) < 0.98
+
+
+def test_two_controllers_are_compared_machine_by_machine():
+    one = group([1e-6, 2e-6, 9e-6, 1e-6], diverged={3})
+    other = group([2e-6, 4e-6, 3e-6, 1e-6], diverged={3}, controller="other")
+    told = compared(one, other)
+    assert told.better.value == 0.5  # of two that diverged neither is better
+    assert told.ratio == 0.5
+
+
+def test_all_diverged_have_no_ratio():
+    assert np.isnan(compared(group([1.0], diverged={0}), group([1.0])).ratio)
+
+
+def test_the_shares_of_an_additive_error_are_those_of_its_terms():
+    values = np.random.default_rng(1).random((4096, 3))
+    errors = 1e-6 * np.exp(2.0 * values[:, 1] - 1.0 * values[:, 0])  # variance 4 : 1 : 0 in the logarithm
+    told = influences(["a", "b", "c"], values, errors)
+    assert [one.name for one in told] == ["b", "a", "c"]
+    assert [one.share for one in told] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    assert all(abs(one.share - true) <= one.uncertain for one, true in zip(told, [0.8, 0.2, 0.0], strict=True))
+    # log error is linear in b: its mean over the lowest sixth is at b = 1/12, over the highest at 11/12
+    assert told[0].high / told[0].low == pytest.approx(np.exp(2.0 * 10.0 / 12.0), rel=0.05)
+
+
+def test_an_influence_without_direction_is_found_too():
+    values = np.random.default_rng(2).random((4096, 2))
+    told = influences(["a", "b"], values, np.exp(np.abs(values[:, 0] - 0.5)))
+    assert told[0].name == "a"
+    assert told[0].share > 0.95
+    assert told[0].low == pytest.approx(told[0].high, rel=0.02)
+
+
+def test_machines_without_an_error_do_not_hide_what_drives_it():
+    values = np.random.default_rng(5).random((1024, 2))
+    errors = np.where(values[:, 0] > 0.9, np.inf, np.exp(values[:, 0]))
+    told = influences(["a", "b"], values, errors)
+    assert told[0].name == "a"
+    assert np.isfinite([one.share for one in told]).all()
+
+
+@pytest.mark.parametrize("errors", [np.ones(500), np.ones(20) + np.arange(20), np.full(500, np.inf)])
+def test_without_spread_or_machines_there_are_no_influences(errors):
+    values = np.random.default_rng(6).random((len(errors), 1))
+    assert influences(["a"], values, errors) == []
+
+
+def test_what_does_not_vary_has_no_influence():
+    values = np.random.default_rng(7).random((500, 2))
+    values[:, 1] = 3.0
+    assert [one.name for one in influences(["a", "fixed"], values, np.exp(values[:, 0]))] == ["a"]
