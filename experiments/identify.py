@@ -17,6 +17,7 @@ from experiments.checked_logs import parse_loads, read_checked
 from experiments.gaps import gap_table
 from experiments.identify_figures import draw
 from experiments.interruption import at_next_step
+from experiments.left_open import write_uncertainty
 from experiments.report import Report
 from experiments.scenario import number
 from tuning import inverse_dynamics
@@ -72,6 +73,7 @@ def identify_drive(
         _estimates(report, found)
         if report.out is not None:
             _write(report, replace(description, drive=found.drive))
+            write_uncertainty(report.out, found)
         _words(report, found)
         if found.search.status == "converged":
             _next_motions(report, found, description)

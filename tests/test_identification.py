@@ -325,7 +325,7 @@ def test_a_drive_file_with_more_damping_than_the_machine_is_told():
     y[paths.index("viscous.positive")] = -1.0
     innovations = Innovations(question.free, Sampling(RATE))
     covariance = Covariance(np.eye(len(y)), 100, 1.0)
-    found = {row.name: row for row in estimates(y, innovations, question.problem, covariance, set())}
+    found = {row.name: row for row in estimates(y, innovations, question.problem, covariance, set())[0]}
     assert (found["viscous.positive"].value, found["viscous.positive"].status) == (0.0, "at its bound")
     assert found["viscous.negative"].status == "fitted"
 

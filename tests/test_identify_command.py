@@ -25,6 +25,10 @@ from experiments.identify import parse_bounds
 from experiments.interruption import at_next_step
 from experiments.modelled_friction import friction_on, stretches_of
 from experiments.report import Report
+from experiments.sweeps.machines import machines
+from experiments.sweeps.samples import correlated, root_of, shares
+from experiments.sweeps.varied import parse_varied
+from experiments.sweeps.varying import varying
 from tuning.estimates import Estimate
 
 TRUE = described()
@@ -343,3 +347,24 @@ def test_the_emps_drive_file_holds_the_published_parameters():
         (published.plant, published.friction)
     )
     assert held.sampling.rate == emps.SAMPLING.rate
+
+
+def test_what_it_left_open_is_what_a_sweep_varies(identified):
+    _, out, written = identified
+    axis = read_drive(out / "identified.toml")
+    texts, together = varying(out / "identified.toml", [], None, out / "uncertainty.toml")
+    found = estimates(written)
+    fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
+    names = [text.partition("=")[0] for text in texts]
+    assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
+    drawn = correlated(shares("sobol", len(texts), 0, 0, 4096), root_of(together, names))
+    machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
+    for name, value in values.items():
+        row = found[name.split(".", 1)[1]]
+        near = 0.02 * (row["high"] - row["low"])
+        assert np.quantile(value, [0.025, 0.975]) == pytest.approx([row["low"], row["high"]], abs=near), name
+    assert len(np.ravel(machine.plant.mass)) == 4096
+    for one, other, r in written["tables"]["correlated"]["rows"]:
+        if f"friction.{one}" in names and f"friction.{other}" in names:
+            normal = np.corrcoef(values[f"friction.{one}"], values[f"friction.{other}"])[0, 1]
+            assert normal == pytest.approx(r, abs=0.02)

@@ -52,6 +52,7 @@ class Reported(NamedTuple):
         return f"{self.unknown}.{self.side}" if self.side else self.unknown
 
 
+NORMAL = 1.959964  # half-width of a 95 % interval in standard deviations
 OPEN = 50.0  # half-width in the logarithm, beyond which an interval is simply open
 LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
 
@@ -88,8 +89,8 @@ def estimates(
     problem: Problem,
     covariance: Covariance,
     undetermined: set[str],
-) -> list[Estimate]:
-    """The table of estimates at y. Positive parameters get the interval of their logarithm."""
+) -> tuple[list[Estimate], Float[np.ndarray, "q q"]]:
+    """The table of estimates at y, and their covariance. Positive parameters get the interval of their logarithm."""
 
     def values(y: Float[Array, " k"]) -> Float[Array, " q"]:
         drive, unknowns = innovations.unpack(y, problem)
@@ -101,7 +102,8 @@ def estimates(
     before = reported(problem.believed, problem.believed_unknowns, together)
     point = jnp.asarray(y)
     found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
-    widths = covariance.quantile * np.sqrt(np.einsum("qk,kj,qj->q", slope, covariance.matrix, slope))
+    scatter = slope @ covariance.matrix @ slope.T
+    widths = covariance.quantile * np.sqrt(np.diag(scatter))
     ends = _ends(point, innovations, problem, together)
     at_bound = set(Space(innovations.free, problem.origin).near_bound(y))
     table = []
@@ -125,7 +127,7 @@ def estimates(
                 row.name, row.unit, float(row.value), float(value), float(low), float(high), lowest, highest, status
             )
         )
-    return table
+    return table, scatter * (covariance.quantile / NORMAL) ** 2
 
 
 def _ends(

@@ -40,6 +40,7 @@ class Identified:
 
     drive: Drive
     estimates: list[Estimate]
+    scatter: Float[np.ndarray, "q q"]  # their covariance, as wide as their intervals are
     adequacy: Adequacy
     covariance: Covariance
     correlated: list[tuple[str, str, float]]  # pairs that the logs hardly tell apart
@@ -94,9 +95,11 @@ def identify(
         fit = sharpened(fit, question.noise, progress)
     found, remark = _drive(fit)
     missing = missing_force(fit)
+    table, scatter = estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked)
     return Identified(
         drive=found,
-        estimates=estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked),
+        estimates=table,
+        scatter=scatter,
         adequacy=adequacy(fit.innovation / np.asarray(fit.problem.gains.scatter), fit.gain, missing, friction_of(fit)),
         covariance=fit.covariance,
         correlated=_correlated(fit.residuals.free, fit.covariance),

@@ -14,7 +14,7 @@ from experiments.report import Report, named_file
 from experiments.single import run_figure, write_run
 from experiments.sweeps import figures
 from experiments.sweeps.asked import Asked, keep, read_asked
-from experiments.sweeps.parts import Engine, here, kept, run
+from experiments.sweeps.parts import Engine, here, kept, missing, run
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.replay import SIGNALS, costs_again, machine_of, run_of, traces
 from experiments.sweeps.sensitivity import FEWEST, Influence, influences
@@ -42,6 +42,7 @@ def sweep_drive(
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     with Report(title, out) as report, _folder(out) as folder:
         if out is not None:
+            missing(plan, folder)  # before anything is written: what is there may be of another sweep
             keep(asked, out)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
@@ -174,7 +175,9 @@ def _influences(plan: Plan, group: Group, by: str) -> list[Influence]:
 
 
 def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
-    every = [one for one, _ in found]
+    every = [one for one, _ in found if not one.diverged.all()]
+    if not every:
+        return  # nothing but infinite errors
     motion = f"_{named_file(every[0].motion)}" if len(plan.motions) > 1 else ""
     report.figure(f"distribution{motion}", figures.distribution(every, tolerance, by))
     report.figure(f"exceedance{motion}", figures.exceeded(every, tolerance, by))

@@ -19,7 +19,8 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
     for group in groups:
         errors = np.sort(1e6 * group.error(by))
         shares = np.arange(1, len(errors) + 1) / len(errors)
-        axis.step(errors, 100.0 * shares, where="post", label=group.controller)
+        finite = np.isfinite(errors)  # the curve of a controller that diverges ends below 100 %
+        axis.step(errors[finite], 100.0 * shares[finite], where="post", label=group.controller)
     _tolerance(axis, tolerance)
     axis.set(xscale="log", xlabel=f"{_name(by)}, um", ylabel="machines with at most that, %", title=groups[0].motion)
     plain_logarithmic(axis.xaxis)
@@ -33,8 +34,6 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     for group in groups:
         errors = group.error(by)
         finite = errors[np.isfinite(errors)]
-        if not len(finite):
-            continue
         at = np.geomspace(max(np.min(finite), 1e-12), np.max(finite) * 1.05, 80)
         told = [exceedance(errors, one) for one in at]
         line = axis.plot(1e6 * at, [100 * one.value for one in told], label=group.controller)[0]

@@ -1,0 +1,151 @@
+"""`diffdrive sweep` and `replay` as a user meets them."""
+
+import json
+
+import numpy as np
+import pyarrow.dataset as ds
+import pytest
+import xarray as xr
+from typer.testing import CliRunner
+
+from diffdrive.drive_file import read_drive
+from experiments.cli import app
+from experiments.demo import PAPER_DRIVE
+
+MOTION = "sine:amplitude=1mm,frequency=10Hz,duration=0.1s"
+VARY = ("--vary", "plant.mass=lognormal:3%", "--vary", "load=uniform:0..10 kN")
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(one) for one in arguments])
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """A drive with noise, and the same under a controller that does not know of friction."""
+    folder = tmp_path_factory.mktemp("drives")
+    text = PAPER_DRIVE.read_text(encoding="utf-8")
+    (folder / "axis.toml").write_text(text.replace("resolution =", "noise = 2e-8\nresolution ="))
+    head = text[: text.index("[controller.observer]")].replace('kind = "pd+fc+le"', 'kind = "pd"')
+    tail = text[text.index("[units]") :]
+    (folder / "plain.toml").write_text(head + tail)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def swept(drives):
+    out = drives / "swept"
+    result = run(
+        "sweep", drives / "axis.toml", "--against", drives / "plain.toml", *VARY, "--motion", MOTION, "--samples", 128,
+        "--settle", 0.02, "--tolerance", "1um", "--record", "error,load_estimate", "--out", out,
+    )  # fmt: skip
+    if result.exit_code:
+        raise AssertionError(result.output) from result.exception
+    return result, out, json.loads((out / "result.json").read_text())
+
+
+def test_it_says_how_often_the_axis_misses_and_why(swept):
+    result, out, written = swept
+    assert result.exit_code == 0, result.output
+    rows = ds.dataset(out / "parts").to_table().to_pydict()
+    for told in written["results"]:
+        mine = np.array(rows["controller"]) == told["controller"]
+        assert np.sum(mine) == 128
+        peaks = np.array(rows["peak_m"])[mine]
+        assert told["misses"]["peak_m"]["value"] == np.mean(peaks > 1e-6)
+        assert told["quantiles"]["peak_m"]["0.5"]["value"] == np.sort(peaks)[63]
+    assert {one["name"] for one in written["results"][0]["sensitivity"]} == {"plant.mass", "load"}
+    assert "tables" in written
+    assert "compared" in written["tables"]
+    for name in written["figures"]:
+        assert (out / name).stat().st_size > 5000, name
+    assert {"distribution.png", "exceedance.png", "error_against_load.png"} <= set(written["figures"])
+
+
+def test_the_worst_machines_are_recorded(swept):
+    _, out, written = swept
+    found = xr.load_dataset(out / "traces.nc", engine="h5netcdf")
+    worst = [set(map(int, row[2].split())) for row in written["tables"]["worst"]["rows"]]
+    assert set(found.machine.values.tolist()) == worst[0] | worst[1]
+    assert found.error.dims == ("controller", "machine", "time")
+    assert found.error.attrs["units"] == "m"
+    rows = ds.dataset(out / "parts").to_table().to_pydict()
+    for controller in ("axis", "plain"):
+        for number in found.machine.values:
+            after = found.error.sel(controller=controller, machine=number).values[found.time.values >= 0.02]
+            row = rows["controller"].index(controller) + int(number)
+            assert rows["machine"][row] == number
+            assert np.max(np.abs(after)) == pytest.approx(rows["peak_m"][row], rel=0.02)
+            assert float(found["plant.mass"].sel(machine=number)) == rows["plant.mass"][row]
+    assert np.isnan(found.load_estimate.sel(controller="plain")).all()
+
+
+def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_path):
+    _, out, _ = swept
+    result = run("replay", out, "--machine", 77, "--controller", "plain", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    written = json.loads((tmp_path / "result.json").read_text())
+    assert written["as_in_the_sweep"] == {"to_the_last_bit": True}
+    mass = {row[0]: row[2] for row in written["tables"]["machine"]["rows"]}["plant.mass"]
+    assert float(read_drive(tmp_path / "machine.toml").drive.plant.mass) == mass
+    assert (tmp_path / "run.png").exists()
+    assert run("replay", out, "--machine", 77, "--controller", "plian").exit_code != 0
+    assert run("replay", out, "--machine", 128).exit_code != 0
+    assert run("replay", tmp_path, "--machine", 1).exit_code != 0
+
+
+def test_a_second_run_computes_nothing_and_another_sweep_is_refused(swept, drives):
+    _, out, before = swept
+    same = (
+        "sweep", drives / "axis.toml", "--against", drives / "plain.toml", *VARY, "--motion", MOTION, "--samples", 128,
+        "--settle", 0.02, "--tolerance", "1um", "--out", out,
+    )  # fmt: skip
+    stamps = {path: path.stat().st_mtime_ns for path in (out / "parts").iterdir()}
+    assert run(*same).exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in (out / "parts").iterdir()} == stamps
+    assert json.loads((out / "result.json").read_text())["results"] == before["results"]
+    asked = (out / "asked.json").read_bytes()
+    other = run(*same, "--seed", 1)
+    assert other.exit_code != 0
+    assert "is of another sweep" in str(other.exception)
+    assert (out / "asked.json").read_bytes() == asked
+
+
+def test_machines_that_diverge_are_counted_and_the_code_is_3(drives, tmp_path):
+    text = (drives / "plain.toml").read_text()
+    (tmp_path / "wild.toml").write_text(text.replace("kd = ", "kd = 1e8 # "))
+    result = run(
+        "sweep", tmp_path / "wild.toml", *VARY, "--motion", MOTION, "--samples", 8, "--settle", 0, "--out", tmp_path
+    )
+    assert result.exit_code == 3, result.output
+    told = json.loads((tmp_path / "result.json").read_text())["results"][0]
+    assert told["diverged"] == 8
+    assert told["quantiles"]["peak_m"]["0.5"]["value"] == "inf"
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (("--by", "mean"), "no such error"),
+        (("--record", "errors", "--out", "x"), "no such signal"),
+        (("--record", "error"), "give --out"),
+        (("--method", "grid"), "is no method"),
+        (("--tolerance", "2 N"), "--tolerance"),
+        (("--vary", "plant.mas=lognormal:3%"), "is no quantity"),
+        (("--samples", "0"), ""),
+        (("--identified", "absent.toml"), "no such file"),
+        (("--load", "-90 kN"), "lifts the table"),
+    ],
+)
+def test_what_cannot_be_is_refused_at_once(drives, tmp_path, monkeypatch, more, says):
+    monkeypatch.chdir(tmp_path)
+    result = run("sweep", drives / "axis.toml", "--motion", MOTION, "--settle", 0.02, *more)
+    assert result.exit_code not in (0, 3)
+    assert says in (str(result.exception) + result.output)
+    assert not (tmp_path / "x" / "parts").exists()
+
+
+def test_two_files_of_one_name_are_not_told_apart(drives, tmp_path):
+    (tmp_path / "axis.toml").write_text((drives / "axis.toml").read_text())
+    result = run("sweep", drives / "axis.toml", "--against", tmp_path / "axis.toml", "--motion", MOTION)
+    assert "two files are called axis" in str(result.exception)
