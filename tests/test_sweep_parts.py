@@ -22,19 +22,14 @@ VARY = ("plant.mass=lognormal:3%", "load=uniform:0..12 kN")
 
 
 def plan(samples=20, vary=VARY, **more):
-    return Plan.of(AXIS, CONTROLLERS, MOTIONS, vary, samples, **({"seed": 5} | more))
-
-
-@pytest.fixture
-def small_parts(monkeypatch):
-    monkeypatch.setattr("experiments.sweeps.plan.MOST_IN_A_PART", 8)
+    return Plan.of(AXIS, CONTROLLERS, MOTIONS, vary, samples, **({"seed": 5, "most_in_a_part": 8} | more))
 
 
 def rows(found):
     return found.to_table().sort_by([("machine", "ascending"), ("controller", "ascending")])
 
 
-def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(tmp_path, small_parts):
+def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(tmp_path):
     done = []
     found = rows(run(plan(), tmp_path, done.append))
     assert done == [0, 8, 16, 20]
@@ -51,7 +46,7 @@ def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(
     assert np.mean(table["rms_m"][le]) < np.mean(table["rms_m"][pd])
 
 
-def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path, small_parts):
+def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
     def dying(plan, wanted):
         yield from here(plan, wanted[:1])
         raise KeyboardInterrupt
@@ -70,7 +65,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path, smal
     assert asked == [1, 2]
 
 
-def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, small_parts, monkeypatch):
+def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, monkeypatch):
     run(plan(8), tmp_path, lambda done: None)
     before = path_of(tmp_path, 0).read_bytes()
     others = [plan(8, seed=6), plan(8, vary=VARY[:1]), plan(8, settle=0.01), plan(8, method="random")]

@@ -11,7 +11,7 @@ from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, re
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.scenario import MOTIONS, parse_motion, parse_motion_table, read_motion
-from experiments.sweeps.plan import Plan
+from experiments.sweeps.plan import MOST_IN_A_PART, Plan
 from experiments.sweeps.samples import Method
 
 FILE = "asked.json"
@@ -33,6 +33,7 @@ class Asked:
     machine: dict[str, Any] | None = None  # what the machines vary about, where it is not the drive
     against: dict[str, dict[str, Any]] = field(default_factory=dict)  # further controllers, by the name of their file
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
+    most_in_a_part: int = MOST_IN_A_PART
 
     @classmethod
     def of(
@@ -73,6 +74,7 @@ class Asked:
         return Plan.of(
             axis, controllers, self._motions(axis), self.vary, self.samples,
             method=self.method, seed=self.seed, load=self.load, settle=self.settle, correlation=self.correlation,
+            most_in_a_part=self.most_in_a_part,
         )  # fmt: skip
 
     def _motions(self, axis: DriveDescription) -> dict[str, Motion]:

@@ -15,6 +15,7 @@ from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Engine
 from experiments.sweeps.plan import Plan
 
+ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
 AGAIN = 3  # times that a part is run again whose worker was lost
 
 
@@ -55,7 +56,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
         here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
         cluster = None if address else LocalCluster(**here)
         try:
-            with Client(address or cluster, timeout="20s") as client:
+            with Client(address or cluster, timeout=ANSWERS_WITHIN) as client:
                 number = {
                     client.submit(_part, text, question, part, pure=False, retries=AGAIN): part for part in wanted
                 }

@@ -46,6 +46,7 @@ class Plan:
     load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
     settle: float = 0.0  # s at the start that do not count
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    most_in_a_part: int = MOST_IN_A_PART  # a power of two
 
     @classmethod
     def of(
@@ -102,7 +103,7 @@ class Plan:
     @property
     def part_size(self) -> int:
         """Machines in a part, a power of two."""
-        return min(MOST_IN_A_PART, 1 << (self.samples - 1).bit_length())
+        return min(self.most_in_a_part, 1 << (self.samples - 1).bit_length())
 
     @property
     def parts(self) -> int:
@@ -179,7 +180,15 @@ class Plan:
         text = hashlib.sha256(
             edition(*(one.__module__ for one in (Plan, costs_of, machines, parse_varied, shares))).encode()
         )
-        asked = [self.method, self.seed, self.samples, self.load, self.settle, [one.text for one in self.varied]]
+        asked = [
+            self.method,
+            self.seed,
+            self.samples,
+            self.part_size,
+            self.load,
+            self.settle,
+            [one.text for one in self.varied],
+        ]
         asked += [{one: dict(others) for one, others in self.correlation.items()}]
         text.update(json.dumps(asked).encode())
         models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
