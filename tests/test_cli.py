@@ -31,7 +31,7 @@ def numbers(folder):
 
 def test_help_names_every_command():
     shown = run("--help").output
-    commands = "demo simulate identify tune sweep convergence reproduce benchmark template keys"
+    commands = "demo simulate identify tune sweep replay convergence reproduce benchmark template keys"
     for command in commands.split():
         assert command in shown
         assert run(command, "--help").exit_code == 0
@@ -78,14 +78,6 @@ def test_convergence_ends_with_3_where_eq_20_diverges(drive_file, tmp_path):
     assert (good.exit_code, bad.exit_code) == (0, 3)
     assert "DIVERGES" in bad.output
     assert numbers(tmp_path / "good")["tables"]["convergence"]["rows"][0][1] == pytest.approx(0.0174, rel=0.01)
-
-
-def test_sweep_writes_one_line_per_machine(drive_file, tmp_path):
-    out = tmp_path / "out"
-    result = run("sweep", drive_file, "--motion", SHORT, "--lanes", 4, "--settle", 0.05, "--out", out)
-    assert result.exit_code == 0
-    assert len((out / "machines.csv").read_text().splitlines()) == 5
-    assert numbers(out)["machines"] == {"total": 4, "diverged": 0}
 
 
 def test_an_expected_error_is_one_line_and_code_2(drive_file):

@@ -301,10 +301,10 @@ def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
     report = Report("axes", None, Console(quiet=True))
     real_axes.real_axes(report, "emps", ["delay"])
     assert list(report.data["tables"]) == ["emps_withheld"]
-    assert report.data["tables"]["emps_withheld"]["rows"] == [["delay", "unknown", "", "", False, 5.0, 5.0, 5.0]]
+    assert report.data["tables"]["emps_withheld"]["rows"] == [["delay", "unknown", "", "", "not", 5.0, 5.0, 5.0]]
     nothing.verdict.beliefs = [Belief("loop_delay", 0.2, False, 0, 3.0, None, [])]  # tried, not found
     real_axes.real_axes(report, "emps", ["delay"])
-    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["", "", False]
+    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["", "", "not"]
     nothing.verdict.beliefs = [Belief("cogging", 0.9, True, 0, 90.0, None, ["loop_delay"])]
     real_axes.real_axes(report, "emps", ["delay"])
     assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["cogging", "loop_delay", True]

@@ -1,4 +1,4 @@
-"""Sweeps, scenarios in one line, the paper's assembly, the EMPS axis and the reports."""
+"""Scenarios in one line, the paper's assembly, the EMPS axis and the reports."""
 
 import json
 import math
@@ -7,66 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive.controllers import PD
-from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.motion import triangular
 from diffdrive.parameters import Sampling
-from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.simulate import simulate
 from experiments import emps, emps_study, paper
 from experiments.report import Report, new_figure
 from experiments.scenario import LOADS, MOTIONS, parse_load, parse_motion
-from experiments.sweep import sweep
 from tuning.replay import closed_loop
 
 RATE = 10_000.0
 SAMPLING = Sampling(substeps=4)
 MOTION = triangular(speed=0.010, stroke=0.002, rounding=0.05, duration=0.3, rate=RATE, first_reversal=0.15)
-
-
-def pd(drive):
-    return PD(paper_tracking(drive, PAPER_KP, PAPER_KD))
-
-
-def test_a_sweep_without_spread_equals_single_simulations():
-    drive = paper_drive(quantised=False)
-    found = sweep(drive, pd(drive), MOTION, sampling=SAMPLING, lanes=5, spread=0.0, settle=0.05, seed=3)
-    assert found.ok.all()
-    for load, rms, peak in zip(found.load, found.rms, found.peak, strict=True):
-        run = simulate(drive, pd(drive), MOTION, load, sampling=SAMPLING)
-        assert rms == pytest.approx(run.rms(0.05), rel=1e-9)
-        assert peak == pytest.approx(run.peak(0.05), rel=1e-9)
-
-
-def test_a_sweep_is_reproducible_and_its_seed_matters():
-    drive = paper_drive()
-    first, again, other = (
-        sweep(drive, pd(drive), MOTION, sampling=SAMPLING, lanes=3, spread=0.05, seed=s) for s in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first.rms, again.rms)
-    assert not np.any(first.rms == other.rms)
-
-
-def test_spread_scatters_the_results_around_the_nominal_machine():
-    drive = paper_drive(quantised=False)
-    wide = sweep(drive, pd(drive), MOTION, sampling=SAMPLING, lanes=128, load=(0.0, 0.0), spread=0.05, settle=0.05)
-    nominal = simulate(drive, pd(drive), MOTION, sampling=SAMPLING).rms(0.05)
-    assert np.median(wide.rms) == pytest.approx(nominal, rel=0.02)
-    assert 0.01 < np.std(wide.rms) / nominal < 0.1
-
-
-def test_a_sweep_reports_the_lanes_that_diverged():
-    drive = paper_drive(quantised=False)
-    unstable = PD(paper_tracking(drive, PAPER_KP, 200 * PAPER_KD))
-    assert not sweep(drive, unstable, MOTION, sampling=SAMPLING, lanes=2).ok.any()
-
-
-@pytest.mark.parametrize("bad", [{"lanes": 0}, {"spread": -0.1}, {"settle": 9.0}, {"load": (5.0, 1.0)}])
-def test_impossible_sweeps_are_refused(bad):
-    drive = paper_drive()
-    with pytest.raises(ParameterError):
-        sweep(drive, pd(drive), MOTION, sampling=SAMPLING, **bad)
 
 
 LINES = {

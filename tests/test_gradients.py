@@ -51,7 +51,8 @@ CONTROLLERS = {
     ),
     "cascade": Cascade(100.0, 2e4, 1e6, 0.9, Feedforward.of(MODEL.plant), 2),
 }
-PARTS = ("PD", "PD+FC", "PD+FF+DOB")  # of others in the list
+# parts of others in the list, or not of the paper: with the long studies
+PARTS = ("PD", "PD+FC", "PD+FF+DOB", "PD+FC+LS")
 SAMPLES = 1801
 DURATION = (SAMPLES - 1) * 1e-4
 

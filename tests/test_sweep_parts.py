@@ -1,6 +1,7 @@
 """A sweep in parts: the same rows however it was run, and whatever was done stays done."""
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 
 from diffdrive import motion
@@ -9,6 +10,7 @@ from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.motion import Limits
 from diffdrive.parameters import Drive, Sampling, Sensor
 from diffdrive.presets import paper_drive
+from diffdrive.simulate import simulate
 from experiments import paper
 from experiments.sweeps.parts import here, path_of, run
 from experiments.sweeps.plan import Plan
@@ -102,3 +104,25 @@ def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
 def test_a_sweep_that_cannot_be_is_refused_before_it_starts(vary, more, says):
     with pytest.raises(DiffdriveError, match=says):
         plan(vary=vary, **more)
+
+
+def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
+    quiet = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(None, 0.0))
+    axis = DriveDescription(quiet, CONTROLLERS["PD"], Sampling(1e4, 4), Limits())
+    asked = Plan.of(axis, CONTROLLERS, MOTIONS, ("load=uniform:0..10 kN", "load.change=fixed:1 kN"), 5, settle=0.01)
+    found = rows(run(asked, tmp_path, lambda done: None)).to_pylist()
+    there = MOTIONS["sine"]
+    for row in found:
+        load = row["load"] + 1e3 * np.clip(there.time, 0.0, 1.0)
+        one = simulate(quiet, CONTROLLERS[row["controller"]], there, load, sampling=axis.sampling)
+        assert row["rms_m"] == pytest.approx(one.rms(0.01), rel=1e-7)
+        assert row["peak_m"] == pytest.approx(one.peak(0.01), rel=1e-7)
+
+
+def test_spread_scatters_the_results_around_the_nominal_machine(tmp_path):
+    vary = ("plant.mass=lognormal:5%", "friction.coulomb_screw=lognormal:5%", "friction.viscous=lognormal:5%")
+    found = rows(run(plan(128, vary=vary), tmp_path, lambda done: None))
+    pd = found.filter(pc.field("controller") == "PD")["rms_m"].to_numpy()
+    nominal = simulate(DRIVE, CONTROLLERS["PD"], MOTIONS["sine"], sampling=AXIS.sampling).rms()
+    assert np.median(pd) == pytest.approx(nominal, rel=0.03)
+    assert 0.005 < np.std(pd) / nominal < 0.1
