@@ -307,7 +307,7 @@ def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
     assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["", "", "not"]
     nothing.verdict.beliefs = [Belief("cogging", 0.9, True, 0, 90.0, None, ["loop_delay"])]
     real_axes.real_axes(report, "emps", ["delay"])
-    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["cogging", "loop_delay", True]
+    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["cogging", "loop_delay", "as a rival"]
 
 
 def test_what_was_diagnosed_of_real_axes_is_kept_when_it_is_interrupted(monkeypatch):
