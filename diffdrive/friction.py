@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.parameters import Drive, Friction, Scalar
+from diffdrive.exponential import fading
+from diffdrive.parameters import Directional, Drive, Friction, Scalar
 
 
 class Bristle(NamedTuple):
@@ -35,20 +36,54 @@ def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
 def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
     """Friction level g(v), N, without the viscous part (eq. (5))."""
     gap = friction.breakaway_gap.towards(velocity)
-    decay = jnp.exp(-jnp.abs(velocity) / friction.stribeck_velocity.towards(velocity))
+    decay = fading(jnp.abs(velocity) / friction.stribeck_velocity.towards(velocity))
     return coulomb(friction, velocity, load) + gap * decay
 
 
 def bristle_at(friction: Friction, velocity: Scalar, deflection: Scalar, load: Scalar) -> Bristle:
     """The coefficients of eq. (4) at this velocity, bristle deflection and load."""
-    stiffness = friction.bristle_stiffness.towards(deflection)
-    level = stribeck_level(friction, velocity, load)
-    return Bristle(
-        stiffness=stiffness,
-        damping=friction.bristle_damping.towards(velocity),
-        viscous=friction.viscous.towards(velocity),
-        level=level,
-        rate=stiffness * jnp.abs(velocity) / level,
+    return under(friction, load).at(velocity, deflection)
+
+
+class Loaded(NamedTuple):
+    """Friction under one load, for many velocities: what does not hang on these is computed once."""
+
+    coulomb: Directional  # F_C, N
+    gap: Directional  # F_S - F_C, N
+    fade: Directional  # 1 / v_s, s/m
+    stiffness: Directional
+    damping: Directional
+    viscous: Directional
+
+    def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
+        """The coefficients of eq. (4) at this velocity and bristle deflection."""
+        speed, stiffness = jnp.abs(velocity), self.stiffness.towards(deflection)
+        stribeck = self.gap.towards(velocity) * fading(speed * self.fade.towards(velocity))
+        level = self.coulomb.towards(velocity) + stribeck
+        return Bristle(
+            stiffness=stiffness,
+            damping=self.damping.towards(velocity),
+            viscous=self.viscous.towards(velocity),
+            level=level,
+            rate=stiffness * speed / level,
+        )
+
+
+def under(friction: Friction, load: Scalar) -> Loaded:
+    """The friction under an applied load (N)."""
+    pressed = friction.initial_load + load
+
+    def coulomb_of(screw: Scalar, guide: Scalar) -> Scalar:
+        return screw + guide * pressed
+
+    screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
+    return Loaded(
+        Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
+        friction.breakaway_gap,
+        Directional(1.0 / slow.positive, 1.0 / slow.negative),
+        friction.bristle_stiffness,
+        friction.bristle_damping,
+        friction.viscous,
     )
 
 
@@ -70,6 +105,7 @@ class Decay(NamedTuple):
     end: Scalar  # exp(-x)
     mean: Scalar  # (1 - exp(-x)) / x
     mean_of_mean: Scalar  # (1 - mean) / x
+    x: Scalar
 
 
 # 1/2! - x/3! + x^2/4! - ...: eight terms leave 1e-17 at x = 0.05
@@ -78,9 +114,16 @@ _SERIES = tuple((-1) ** n / math.factorial(n + 2) for n in range(8))
 
 def decay(x: Scalar) -> Decay:
     """`Decay` at x >= 0, exact to rounding from x = 0 (stick) to any x (traverse), differentiable throughout."""
-    small = x < 0.05
-    inverse = 1.0 / jnp.where(small, 1.0, x)  # keeps the branch not taken, and its derivative, finite
-    end = jnp.exp(-x)
+    return decay_of(x, 1.0)
+
+
+def decay_of(top: Scalar, bottom: Scalar) -> Decay:
+    """`Decay` at x = top / bottom, where bottom > 0: one division for x and 1 / x."""
+    small = top < 0.05 * bottom
+    safe = jnp.where(small, 1.0, top)  # keeps the branch not taken, and its derivative, finite
+    once = 1.0 / (safe * bottom)
+    x, inverse = top * safe * once, bottom * bottom * once
+    end = fading(x)
     mean = (1.0 - end) * inverse
     near = jnp.where(small, x, 0.0)
     series = _SERIES[-1]
@@ -90,6 +133,7 @@ def decay(x: Scalar) -> Decay:
         end=end,
         mean=jnp.where(small, 1.0 - near * series, mean),
         mean_of_mean=jnp.where(small, series, (1.0 - mean) * inverse),
+        x=x,
     )
 
 

@@ -47,8 +47,8 @@ def predict_covariance(covariance: Matrix, ad: Matrix, process_noise: Vector) ->
 
 def gain(covariance: Matrix, measurement_noise: Scalar) -> Vector:
     """K_s = Omega C' (C Omega C' + R)^-1 (paper, eq. (17))."""
-    innovation_variance = covariance[0][0] + measurement_noise
-    return tuple(row / innovation_variance for row in covariance[0])
+    certainty = 1.0 / (covariance[0][0] + measurement_noise)
+    return tuple(row * certainty for row in covariance[0])
 
 
 def update_covariance(covariance: Matrix, k: Vector, measurement_noise: Scalar) -> Matrix:

@@ -88,7 +88,7 @@ class KalmanObserver(FrictionObserver):
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
     ) -> tuple[ObserverState, Estimate]:
         _, velocity, deflection = state.x
-        bristle = bristle_at(self.friction, velocity, deflection, state.load)
+        bristle = lax.optimization_barrier(bristle_at(self.friction, velocity, deflection, state.load))
         ad, bd = state_matrices(self.plant, bristle, velocity, period)
         u = force + self.plant.constant_force
         predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
@@ -101,7 +101,9 @@ class KalmanObserver(FrictionObserver):
         omega = kalman.update_covariance(omega, k, self.tuning.measurement)
 
         before = estimated_friction(self.friction, predicted, state.load)
-        after = estimated_friction(self.friction, updated, state.load)
+        # stages apart, or the compiler computes a stage anew for each of its readers (docs/numerics.md)
+        updated, omega, before = lax.optimization_barrier((updated, omega, before))
+        after = lax.optimization_barrier(estimated_friction(self.friction, updated, state.load))
         load = self.load_estimator.step(state.load, velocity, before, after)
         state = lax.optimization_barrier(ObserverState(updated, omega, load))
         assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.friction import Decay, bristle_at, decay
-from diffdrive.parameters import Drive, Scalar
+from diffdrive.friction import Decay, Loaded, decay_of, under
+from diffdrive.parameters import Directional, Drive, Scalar
 
 
 class PlantState(NamedTuple):
@@ -30,31 +30,42 @@ class PlantState(NamedTuple):
     bristle: Scalar
 
 
-def _mean_velocity(
-    drive: Drive, state: PlantState, slip: Scalar, force: Scalar, load: Scalar, step: float
-) -> tuple[Scalar, Decay]:
-    """Mean velocity over `step` with the friction coefficients taken at velocity `slip`."""
+class _Table(NamedTuple):
+    """The plant under one load: what the substeps of a period share."""
+
+    friction: Loaded
+    resistance: Directional  # viscous friction and damping, N s/m
+    momentum: Scalar  # 2 M / h, N s/m
+    step: float  # h, s
+
+
+def _table(drive: Drive, load: Scalar, step: float) -> _Table:
+    friction, damping = under(drive.friction, load), drive.plant.damping
+    viscous = friction.viscous
+    resistance = Directional(viscous.positive + damping.positive, viscous.negative + damping.negative)
+    return _Table(friction, resistance, 2.0 * drive.plant.mass / step, step)
+
+
+def _mean_velocity(table: _Table, state: PlantState, slip: Scalar, force: Scalar) -> tuple[Scalar, Decay]:
+    """Mean velocity over a substep with the friction coefficients taken at velocity `slip`, under all outer forces."""
     _, velocity, deflection = state
-    bristle = bristle_at(drive.friction, slip, deflection, load)
-    fade = decay(bristle.rate * step)
-    momentum = 2.0 * drive.plant.mass / step
-    resistance = bristle.viscous + drive.plant.damping.towards(slip)
+    bristle, step = table.friction.at(slip, deflection), table.step
+    fade = lax.optimization_barrier(decay_of(bristle.stiffness * jnp.abs(slip) * step, bristle.level))
     yielding = bristle.stiffness * step * fade.mean_of_mean + bristle.damping * fade.mean
-    held = deflection * fade.mean * (bristle.stiffness - bristle.damping * bristle.rate)
-    mean = (momentum * velocity + force + drive.plant.constant_force - held) / (momentum + resistance + yielding)
+    held = deflection * fade.mean * (bristle.stiffness - bristle.damping * (fade.x * (1.0 / step)))
+    resistance = table.resistance.towards(slip)
+    mean = (table.momentum * velocity + force - held) / (table.momentum + resistance + yielding)
     return mean, fade
 
 
-def _first_slip(drive: Drive, state: PlantState, force: Scalar, load: Scalar, step: float) -> Scalar:
+def _first_slip(table: _Table, state: PlantState, force: Scalar) -> Scalar:
     """The velocity at which the first substep takes the friction."""
-    return _mean_velocity(drive, state, state.velocity, force, load, step)[0]
+    return _mean_velocity(table, state, state.velocity, force)[0]
 
 
-def _substep(
-    drive: Drive, state: PlantState, slip: Scalar, force: Scalar, load: Scalar, step: float
-) -> tuple[PlantState, Scalar]:
+def _substep(table: _Table, state: PlantState, slip: Scalar, force: Scalar) -> tuple[PlantState, Scalar]:
     """The state, and the velocity at which the next substep takes the friction."""
-    mean, fade = _mean_velocity(drive, state, slip, force, load, step)
+    (mean, fade), step = _mean_velocity(table, state, slip, force), table.step
     ahead = PlantState(
         position=state.position + step * mean,
         velocity=2.0 * mean - state.velocity,
@@ -77,13 +88,13 @@ def advance(
 
     `ripple` (N) is by how much the force of each substep differs from `force`.
     """
-    step = period / substeps
+    table, force = _table(drive, load, period / substeps), force + drive.plant.constant_force
 
     def body(carry: tuple[PlantState, Scalar], pushed: Any) -> tuple[tuple[PlantState, Scalar], None]:
         state, slip = carry
-        return _substep(drive, state, *_rippled(drive, slip, force, pushed, step), load, step), None
+        return _substep(table, state, *_rippled(table, slip, force, pushed)), None
 
-    begin = (state, _first_slip(drive, state, force, load, step))
+    begin = (state, _first_slip(table, state, force))
     return lax.scan(body, begin, _course(ripple), length=substeps)[0][0]
 
 
@@ -92,12 +103,12 @@ def _course(ripple: Float[Array, " substeps"] | None) -> Any:
     return None if ripple is None else (ripple, jnp.diff(ripple, prepend=0.0))
 
 
-def _rippled(drive: Drive, slip: Scalar, force: Scalar, pushed: Any, step: float) -> tuple[Scalar, Scalar]:
+def _rippled(table: _Table, slip: Scalar, force: Scalar, pushed: Any) -> tuple[Scalar, Scalar]:
     """Slip and force of a substep: the slip was extrapolated under the force of the substep before."""
     if pushed is None:
         return slip, force
     ripple, jump = pushed
-    return slip + jump * step / (2.0 * drive.plant.mass), force + ripple
+    return slip + jump / table.momentum, force + ripple
 
 
 def advance_along(
@@ -114,7 +125,7 @@ def advance_along(
 
     All tangents are carried through one loop; the derivative of the loop would run it anew for each direction.
     """
-    step = period / substeps
+    table, force = _table(drive, load, period / substeps), force + drive.plant.constant_force
 
     def along(function: Any, at: Any, tangents: Any) -> tuple[Any, Any]:
         value, slope = jax.linearize(function, *at)
@@ -122,11 +133,11 @@ def advance_along(
 
     def body(carry: Any, pushed: Any) -> tuple[Any, None]:
         (state, slip), tangents = carry
-        at = (state, *_rippled(drive, slip, force, pushed, step))
+        at = (state, *_rippled(table, slip, force, pushed))
         ahead = [(*tangent, push) for tangent, (_, push) in zip(tangents, directions, strict=True)]
-        return along(lambda *now: _substep(drive, *now, load, step), at, ahead), None
+        return along(lambda *now: _substep(table, *now), at, ahead), None
 
-    slip, slips = along(lambda *now: _first_slip(drive, *now, load, step), (state, force), directions)
+    slip, slips = along(lambda *now: _first_slip(table, *now), (state, force), directions)
     tangents = tuple((tangent, one) for (tangent, _), one in zip(directions, slips, strict=True))
     ((state, _), tangents), _ = lax.scan(body, ((state, slip), tangents), _course(ripple), length=substeps)
     return state, [tangent for tangent, _ in tangents]

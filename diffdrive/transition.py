@@ -15,7 +15,9 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 
+from diffdrive.exponential import fading
 from diffdrive.friction import Bristle
 from diffdrive.parameters import Plant, Scalar
 
@@ -51,27 +53,30 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     q = discriminant * time**2
     apart, turning = q > 0.25, q < -0.25
     root = jnp.sqrt(jnp.where(apart | turning, jnp.abs(q), 1.0))
+    per_root = 1.0 / root
     # real and apart: the slow eigenvalue from det / (m + sqrt D), which does not cancel
     fast = mean_rate * time + jnp.where(apart, root, 0.0)
-    slow_or_mean = jnp.exp(-jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
-    fast_end = jnp.exp(-fast)
+    slow_or_mean = fading(jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
+    fast_end = fading(fast)
     # the rest: half the angle, or q itself, into the series; then double once
-    angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root / (2 * jnp.pi)), 0.0)
+    angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)
     p = jnp.where(apart, 0.0, jnp.where(turning, -(angle**2), q)) / 4
     half_even, half_odd = _series(_EVEN, p), _series(_ODD, p)
-    even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle / root, 1.0)
+    even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle * per_root, 1.0)
     cosh = jnp.where(apart, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)
-    sinh = jnp.where(apart, 0.5 * (slow_or_mean - fast_end) / root, slow_or_mean * odd)
-    return cosh, time * sinh
+    sinh = jnp.where(apart, 0.5 * (slow_or_mean - fast_end) * per_root, slow_or_mean * odd)
+    return lax.optimization_barrier((cosh, time * sinh))
 
 
 def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -> Transition:
     """`Transition` over `time` (s) with the friction coefficients frozen at `velocity` (m/s)."""
     rate = bristle.rate
     drag = bristle.viscous + plant.damping.towards(velocity)
-    a = (bristle.damping + drag) / plant.mass
-    b = (bristle.stiffness - bristle.damping * rate) / plant.mass
-    determinant = (bristle.stiffness + drag * rate) / plant.mass  # a r + b, without the cancellation
+    lightness = 1.0 / plant.mass
+    a = (bristle.damping + drag) * lightness
+    b = (bristle.stiffness - bristle.damping * rate) * lightness
+    determinant = (bristle.stiffness + drag * rate) * lightness  # a r + b, without the cancellation
+    per_determinant = 1.0 / determinant
     m = 0.5 * (a + rate)
     half = 0.5 * (a - rate)
     c, s = _cosh_sinh(m, half**2 - b, determinant, time)
@@ -79,11 +84,11 @@ def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -
     def combine(even: Scalar, odd: Scalar) -> Matrix2:
         return ((even - odd * half, -odd * b), (odd, even + odd * half))
 
-    int_s = (1.0 - c - m * s) / determinant
+    int_s = (1.0 - c - m * s) * per_determinant
     int_c = s + m * int_s
-    int2_s = (time - int_c - m * int_s) / determinant
+    int2_s = (time - int_c - m * int_s) * per_determinant
     int2_c = int_s + m * int2_s
-    return Transition(combine(c, s), combine(int_c, int_s), combine(int2_c, int2_s))
+    return lax.optimization_barrier(Transition(combine(c, s), combine(int_c, int_s), combine(int2_c, int2_s)))
 
 
 def state_matrices(
@@ -92,5 +97,6 @@ def state_matrices(
     """Ad (3 by 3) and Bd (3) of X = [x, v, z] under a constant force (paper, eqs. (8) and (9)), as nested tuples."""
     exponential, integral, double = transition(plant, bristle, velocity, time)
     ad = ((1.0, *integral[0]), (0.0, *exponential[0]), (0.0, *exponential[1]))
-    bd = (double[0][0] / plant.mass, integral[0][0] / plant.mass, integral[1][0] / plant.mass)
+    lightness = 1.0 / plant.mass
+    bd = (double[0][0] * lightness, integral[0][0] * lightness, integral[1][0] * lightness)
     return ad, bd

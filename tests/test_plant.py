@@ -265,7 +265,7 @@ def test_decay_and_its_derivative():
     reverse = [jax.vmap(jax.grad(lambda x, i=i: decay(x)[i]))(jnp.asarray(DECAY_POINTS)) for i in range(3)]
     exact = [exact_decay(x) for x in DECAY_POINTS]
     for i, tolerance in enumerate((1e-14, 1e-14, 1e-13)):
-        np.testing.assert_allclose(values[i], [e[0][i] for e in exact], rtol=tolerance, atol=1e-300)
+        np.testing.assert_allclose(values[i], [e[0][i] for e in exact], rtol=tolerance, atol=1e-30)
     for i, tolerance in enumerate((1e-14, 1e-12, 1e-10)):
-        np.testing.assert_allclose(slopes[i], [e[1][i] for e in exact], rtol=tolerance, atol=1e-300)
-        np.testing.assert_allclose(reverse[i], slopes[i], rtol=tolerance, atol=1e-300)
+        np.testing.assert_allclose(slopes[i], [e[1][i] for e in exact], rtol=tolerance, atol=1e-30)
+        np.testing.assert_allclose(reverse[i], slopes[i], rtol=tolerance, atol=1e-30)
