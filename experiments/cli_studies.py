@@ -105,11 +105,25 @@ def reproduce(out: Out = None) -> None:
 
 
 @studies.command(rich_help_panel=PANEL)
-def benchmark(out: Out = None) -> None:
-    """Time the loop: lanes, recording and gradients, as ratios in one run."""
-    from experiments.benchmark import benchmark as run
+def bench(
+    part: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="single, lanes, sweep, controllers, gradients, effects, growth, start or accuracy; repeatable, "
+            "default all."
+        ),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """How fast is the loop on this machine? Ratios in one run, beside the same step written in C and in numba.
 
-    run(out)
+    C needs gcc, numba the extra `diffdrive[bench]`; what is not there is left out. Takes some minutes.
+    """
+    from experiments.bench.suite import bench as run
+    from experiments.report import Report
+
+    with Report("speed on this machine", out) as report:
+        run(report, tuple(part or ()))
 
 
 @studies.command(rich_help_panel=PANEL)

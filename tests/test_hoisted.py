@@ -23,7 +23,7 @@ from diffdrive.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.simulate import inputs_of, rollout, running_costs, start, step
 from diffdrive.smooth import smooth
-from experiments.benchmark import one_kernel
+from experiments.bench.loops import one_kernel
 
 pytestmark = pytest.mark.skipif(
     jax.default_backend() != "cpu", reason="only XLA's CPU compiler hoists loops into one kernel"

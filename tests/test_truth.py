@@ -16,7 +16,7 @@ from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.parameters import Actuator, Sensor, as_arrays
 from diffdrive.presets import PAPER_KD, PAPER_KP
 from diffdrive.simulate import simulate
-from experiments.benchmark import one_kernel
+from experiments.bench.loops import one_kernel
 from experiments.truth import SCALE, Table, advance, run, truth_log, truth_logs
 
 RATE, LOAD = 10_000.0, 5_000.0

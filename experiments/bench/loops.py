@@ -1,0 +1,122 @@
+"""The loops that are timed: one lane, many lanes, derivatives; each with what the compiler made of it."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.controllers import Controller, Reference
+from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.simulate import Inputs, rollout, running_costs
+from diffdrive.smooth import smooth
+from experiments import paper
+
+# eight parameters that a tuner of PD+FC+LE moves
+EIGHT = (
+    lambda c: c.tracking.gains.kp,
+    lambda c: c.tracking.gains.kd,
+    lambda c: c.observer.tuning.position,
+    lambda c: c.observer.tuning.velocity,
+    lambda c: c.observer.tuning.bristle,
+    lambda c: c.observer.tuning.measurement,
+    lambda c: c.observer.load_estimator.gain,
+    lambda c: c.observer.friction.coulomb_screw.positive,
+)
+
+
+class Loop(NamedTuple):
+    """A compiled function with its arguments."""
+
+    run: Callable[[], Any]
+    compile_seconds: float
+    one_kernel: bool
+    memory: int  # bytes, temporary
+
+
+def one_kernel(text: str) -> bool:
+    """Whether a compiled program runs its loop over time as one native kernel (CPU).
+
+    The mark alone says nothing: the plant's inner loop always carries it. It must stand in the entry computation, and
+    no while-loop beside it.
+    """
+    entry = text[text.index("\nENTRY ") :]
+    return "xla_cpu_small_call" in entry and " while(" not in entry
+
+
+def loop(function: Any, *arguments: Any) -> Loop:
+    """The function compiled for the arguments."""
+    began = time.perf_counter()
+    built = jax.jit(function).lower(*arguments).compile()
+    took = time.perf_counter() - began
+    memory = built.memory_analysis()
+    return Loop(
+        lambda: jax.block_until_ready(built(*arguments)),
+        took,
+        one_kernel(built.as_text()),
+        0 if memory is None else int(memory.temp_size_in_bytes),
+    )
+
+
+def inputs(steps: int, rate: float = 10_000.0) -> Inputs:
+    """The paper's motion for so many steps, again and again if it is shorter, under a load that grows to 8 kN."""
+    there = paper.canonical().motion
+    again = np.arange(steps) % len(there.time)
+    signals = (np.asarray(one)[again] for one in (there.position, there.velocity, there.acceleration))
+    return as_arrays(Inputs(Reference(*signals), np.linspace(0.0, 8e3, steps), np.zeros(steps)))
+
+
+def costs(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> Any:
+    """RMS error as a function of machine, controller and the factor on the load."""
+    counts = jnp.ones(given.load.shape)
+
+    def of(drive: Drive, controller: Controller, factor: Any) -> Any:
+        return running_costs(drive, controller, given._replace(load=factor * given.load), counts, sampling).rms
+
+    return of
+
+
+def single(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> Loop:
+    """One lane with its costs."""
+    models = as_arrays((drive, controller))
+    return loop(costs(drive, controller, given, sampling), *models, jnp.asarray(1.0))
+
+
+def lanes(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int) -> Loop:
+    """Many machines side by side on one core, each with parameters and a load of its own."""
+    machine, control = as_arrays((drive, controller))
+    machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), machine)
+    many = jax.vmap(costs(drive, controller, given, sampling), in_axes=(0, None, 0))
+    return loop(many, machines, control, jnp.linspace(0.5, 1.5, count))
+
+
+def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> dict[str, Loop]:
+    """One lane forward, and its derivatives by eight parameters in several ways."""
+    machine, control = as_arrays(smooth((drive, controller)))
+    at = jnp.log(jnp.stack([part(control) for part in EIGHT]))
+
+    def placed(y: Any) -> Controller:
+        parts: Sequence[Any] = list(jnp.exp(y))
+        return eqx.tree_at(lambda c: [part(c) for part in EIGHT], control, parts)
+
+    def residuals(y: Any) -> Any:
+        return given.reference.position - rollout(machine, placed(y), given, sampling).position
+
+    def rms(y: Any) -> Any:
+        return costs(machine, control, given, sampling)(machine, placed(y), jnp.asarray(1.0))
+
+    def normal(y: Any) -> Any:
+        residual, slope = residuals(y), jax.jacfwd(residuals)(y)
+        return slope.T @ slope, slope.T @ residual
+
+    return {
+        "forward": loop(rms, at),
+        "forward, residuals": loop(residuals, at),
+        "jacfwd, 8 parameters": loop(jax.jacfwd(rms), at),
+        "Jacobian of residuals": loop(jax.jacfwd(residuals), at),
+        "Gauss-Newton": loop(normal, at),
+        "reverse": loop(jax.grad(rms), at),
+    }

@@ -1,0 +1,280 @@
+"""`diffdrive bench`: how fast the tool is on this machine, each figure beside what it is compared with."""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.controllers import Controller
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.load import Ramp
+from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.presets import paper_drive
+from experiments import paper
+from experiments.accuracy import REFERENCE, SUBSTEPS, integrator_errors
+from experiments.bench import clock, cold, in_c, loops
+from experiments.bench.figures import drawn
+from experiments.bench.parameters import row
+from experiments.report import Report
+from experiments.sweeps.engine import costs_of
+from experiments.sweeps.varied import with_effects
+
+RATE = 10_000.0
+SAME = 1e-10  # m: the step by hand and ours
+LANES = (1, 16, 64, 128, 256, 1024)
+MANY = 8192
+CONTROLLERS = ("PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS")
+BARS = {
+    "one lane over numba": ("at most", 1.0),
+    "real-time factor": ("at least", 600.0),
+    "lanes, numba prange over ours": ("at least", 9.0),
+    "jacfwd over forward": ("at most", 1.7),
+    "dearest effect": ("at most", 1.3),
+    "whole catalogue": ("at most", 6.0),
+    "cold start, s": ("at most", 6.0),
+    "warm start, s": ("at most", 3.0),
+}
+
+
+def bench(report: Report, wanted: tuple[str, ...] = ()) -> None:
+    """Every part, or those that are wanted. Raises `ParameterError` for one that there is not."""
+    parts: dict[str, Callable[[Report], dict[str, float]]] = {
+        "single": _single,
+        "lanes": _lanes,
+        "sweep": _sweep,
+        "controllers": _controllers,
+        "gradients": _gradients,
+        "effects": _effects,
+        "growth": _growth,
+        "start": _start,
+        "accuracy": _accuracy,
+    }
+    for name in wanted:
+        if name not in parts:
+            raise ParameterError(f"--part {name}: no such part; known: {', '.join(parts)}")
+    report.values(
+        "machine",
+        cores=os.cpu_count(),
+        devices=len(jax.devices()),
+        kind=jax.devices()[0].device_kind,
+        jax=jax.__version__,
+    )
+    reached: dict[str, float] = {}
+    for name, part in parts.items():
+        if not wanted or name in wanted:
+            reached |= part(report)
+    rows = []
+    for name, value in reached.items():
+        how, bar = BARS[name]
+        rows.append([name, value, how, bar, "yes" if (value <= bar) == (how == "at most") or value == bar else "NO"])
+    report.table("bars", ("figure", "here", "", "bar", "reached"), rows, "Against what it should be")
+    report.figure("bench", drawn(report.data["tables"]))
+
+
+def _model() -> tuple[Drive, Controller]:
+    drive = paper_drive()
+    return drive, paper.controllers(drive)["PD+FC+LE"]
+
+
+@contextlib.contextmanager
+def _others(report: Report, given: Any, sampling: Sampling, count: int) -> Iterator[dict[str, Callable[[], Any]]]:
+    """One lane and `count` lanes in C and in numba, as far as they are installed."""
+    drive, controller = _model()
+    reference, load = np.stack([np.asarray(one) for one in given.reference]), np.asarray(given.load)
+    rows = np.stack([row(drive, controller, factor) for factor in np.linspace(0.5, 1.5, count)])
+    one, steps, threads = row(drive, controller), sampling.plant_steps, os.cpu_count() or 1
+    jobs: dict[str, Callable[[], Any]] = {}
+    with contextlib.ExitStack() as stack:
+        try:
+            c = stack.enter_context(in_c.compiled())
+            jobs["C, one lane"] = lambda: c.roll(one, reference, load, sampling.period, steps)
+        except DiffdriveError as problem:
+            report.say(str(problem))
+        try:
+            from experiments.bench import in_numba
+
+            jobs["numba, one lane"] = lambda: in_numba.roll(one, reference, load, sampling.period, steps)
+            jobs["numba, lanes, one thread"] = lambda: in_numba.sweep(rows, reference, load, sampling.period, steps)
+            jobs["numba, lanes, prange"] = lambda: in_numba.sweep(
+                rows, reference, load, sampling.period, steps, threads
+            )
+        except ImportError:
+            report.say("no numba: pip install 'diffdrive[bench]' to compare with it")
+        yield jobs
+
+
+def _ns(timing: clock.Timing, steps: int, lanes: int = 1) -> float:
+    return 1e9 * timing.best / (steps * lanes)
+
+
+def _single(report: Report) -> dict[str, float]:
+    steps, rows, reached = 20_000, [], {}
+    drive, controller = _model()
+    for substeps in (8, 4):
+        sampling, given = Sampling(RATE, substeps), loops.inputs(steps)
+        with report.working(f"one lane, {substeps} substeps"), _others(report, given, sampling, 1) as others:
+            ours = loops.single(drive, controller, given, sampling)
+            _require_same(others, float(ours.run()), substeps)
+            jobs = {"ours": ours.run} | {name: job for name, job in others.items() if name.endswith("one lane")}
+            told = clock.by_turns(jobs)
+        base = told.get("numba, one lane", told["ours"]).best
+        for name, timing in told.items():
+            each = _ns(timing, steps)
+            rows.append([substeps, name, each, timing.best / base, 1e9 / RATE / each])
+        if substeps == Sampling(RATE).plant_steps:
+            reached = {"real-time factor": 1e9 / RATE / _ns(told["ours"], steps)}
+            if "numba, one lane" in told:
+                reached["one lane over numba"] = told["ours"].best / base
+    report.table(
+        "single", ("substeps", "what", "ns a step", "over numba", "times real time"), rows,
+        "PD+FC+LE, one lane, costs only",
+    )  # fmt: skip
+    return reached
+
+
+def _require_same(others: dict[str, Callable[[], Any]], ours: float, substeps: int) -> None:
+    """The hand-written steps compute what ours computes: else a ratio means nothing."""
+    for name, job in others.items():
+        if name.endswith("one lane") and abs(job()[0][0] - ours) > SAME:
+            raise DiffdriveError(
+                f"{name}: its RMS error differs from ours by more than {SAME:g} m ({substeps} substeps)"
+            )
+
+
+def _lanes(report: Report) -> dict[str, float]:
+    steps, sampling, rows = 2_000, Sampling(RATE), []
+    drive, controller = _model()
+    given = loops.inputs(steps)
+    with report.working("lanes on one core"), _others(report, given, sampling, 64) as others:
+        compiled = {count: loops.lanes(drive, controller, given, sampling, count) for count in LANES}
+        jobs = {str(count): one.run for count, one in compiled.items()}
+        if "numba, lanes, one thread" in others:
+            jobs["numba"] = others["numba, lanes, one thread"]
+        told = clock.by_turns(jobs)
+    base = _ns(told["numba"], steps, 64) if "numba" in told else None
+    for count, one in compiled.items():
+        each = _ns(told[str(count)], steps, count)
+        ratio = None if base is None else base / each
+        rows.append([count, each, ratio, one.compile_seconds, "yes" if one.one_kernel else "NO"])
+    report.table(
+        "lanes", ("lanes", "ns a lane-step", "numba, one thread, over ours", "compile s", "one kernel"), rows,
+        f"PD+FC+LE side by side on one core, {sampling.plant_steps} substeps",
+    )  # fmt: skip
+    return {}
+
+
+def _sweep(report: Report) -> dict[str, float]:
+    """As a sweep runs it: blocks, all devices; against numba on all cores."""
+    steps, sampling = 1_000, Sampling(RATE)
+    drive, controller = _model()
+    given, count = loops.inputs(steps), MANY
+    machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
+    ramp = Ramp(*(jnp.full(count, end) for end in (0.0, 8e3, 0.0, 1.0)))
+    with report.working(f"{count} lanes on all cores"), _others(report, given, sampling, count) as others:
+        jobs = {"ours": lambda: costs_of(machines, ramp, None, controller, given, np.ones(steps), sampling)}
+        if "numba, lanes, prange" in others:
+            jobs["numba prange"] = others["numba, lanes, prange"]
+        told = clock.by_turns(jobs, rounds=3)
+    rows = [[name, _ns(timing, steps, count), timing.best / told["ours"].best] for name, timing in told.items()]
+    report.table(
+        "sweep", ("what", "ns a lane-step", "over ours"), rows, f"{count} machines as `diffdrive sweep` runs them"
+    )
+    return {"lanes, numba prange over ours": rows[1][2]} if len(rows) > 1 else {}
+
+
+def _controllers(report: Report) -> dict[str, float]:
+    """Every controller beside PD, and beside what its arithmetic lets expect."""
+    steps, sampling = 2_000, Sampling(RATE)
+    drive, given = paper_drive(), loops.inputs(2_000)
+    with report.working("controllers"):
+        compiled = {
+            name: loops.lanes(drive, paper.controllers(drive)[name], given, sampling, 64) for name in CONTROLLERS
+        }
+        told = clock.by_turns({name: one.run for name, one in compiled.items()})
+    base = told["PD"].best
+    rows = [
+        [name, _ns(told[name], steps, 64), told[name].best / base, "yes" if one.one_kernel else "NO"]
+        for name, one in compiled.items()
+    ]
+    report.table("controllers", ("controller", "ns a lane-step", "over PD", "one kernel"), rows, "64 lanes, one core")
+    return {}
+
+
+def _gradients(report: Report) -> dict[str, float]:
+    steps, sampling = 20_000, Sampling(RATE, 4)
+    drive, controller = _model()
+    with report.working("derivatives"):
+        compiled = loops.derivatives(drive, controller, loops.inputs(steps), sampling)
+        told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
+    base = told["forward"].best
+    rows = [
+        [
+            name, _ns(told[name], steps), told[name].best / base, one.memory * 50_000 / steps / 2**20,
+            one.compile_seconds, "yes" if one.one_kernel else "NO",
+        ]
+        for name, one in compiled.items()
+    ]  # fmt: skip
+    report.table(
+        "gradients", ("what", "ns a step", "over forward", "MiB at 50,000 steps", "compile s", "one kernel"), rows,
+        "One lane of PD+FC+LE, 4 substeps, eight parameters",
+    )  # fmt: skip
+    return {"jacfwd over forward": told["jacfwd, 8 parameters"].best / base}
+
+
+def _effects(report: Report) -> dict[str, float]:
+    """Each effect of the catalogue in the drive, neutral but there, beside the drive without; then all of them."""
+    steps, sampling = 2_000, Sampling(RATE)
+    drive, controller = _model()
+    given = loops.inputs(steps)
+    with report.working("effects"):
+        compiled = {"none": loops.lanes(drive, controller, given, sampling, 64)}
+        for name in EFFECTS:
+            compiled[name] = loops.lanes(with_effects(drive, [name]), controller, given, sampling, 64)
+        compiled["all"] = loops.lanes(with_effects(drive, EFFECTS), controller, given, sampling, 64)
+        told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
+    base = told["none"].best
+    rows = [
+        [name, _ns(told[name], steps, 64), told[name].best / base, "yes" if one.one_kernel else "NO"]
+        for name, one in compiled.items()
+    ]
+    report.table("effects", ("effect", "ns a lane-step", "over none", "one kernel"), rows, "64 lanes, one core")
+    return {
+        "dearest effect": max(told[name].best for name in EFFECTS) / base,
+        "whole catalogue": told["all"].best / base,
+    }
+
+
+def _growth(report: Report) -> dict[str, float]:
+    """How the cost grows with the number of steps."""
+    sampling, rows = Sampling(RATE), []
+    drive, controller = _model()
+    with report.working("growth with steps"):
+        compiled = {n: loops.single(drive, controller, loops.inputs(n), sampling) for n in (1_000, 10_000, 100_000)}
+        told = clock.by_turns({str(n): one.run for n, one in compiled.items()})
+    for n, one in compiled.items():
+        rows.append([n, _ns(told[str(n)], n), one.compile_seconds, one.memory / 2**20])
+    report.table("growth", ("steps", "ns a step", "compile s", "MiB"), rows, "One lane of PD+FC+LE, costs only")
+    return {}
+
+
+def _accuracy(report: Report) -> dict[str, float]:
+    """What a substep costs in truth."""
+    with report.working("errors of the plant's integrator"):
+        errors = integrator_errors()
+    report.table(
+        "integrator", ("mm/s", *(f"{n} substeps" for n in SUBSTEPS)), errors,
+        f"Largest position error over 1 s, nm, against {REFERENCE} substeps a period (10 kHz, PD, one reversal)",
+    )  # fmt: skip
+    return {}
+
+
+def _start(report: Report) -> dict[str, float]:
+    with report.working("starting in processes of their own"):
+        first, others = cold.starts()
+    report.values("start", cold_s=first, warm_s=others)
+    return {"cold start, s": first, "warm start, s": min(others)}

@@ -1,0 +1,62 @@
+"""The benchmark: jobs by turns, and what it refuses."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive.errors import ParameterError
+from experiments.bench import clock
+from experiments.bench.figures import drawn
+from experiments.cli import app
+
+
+def test_jobs_take_turns_and_the_first_run_does_not_count(monkeypatch):
+    now, done = [0.0], []
+
+    def job(name, takes):
+        def run():
+            done.append(name)
+            now[0] += takes * (100.0 if done.count(name) == 1 else 1.0)  # the first run compiles
+
+        return run
+
+    monkeypatch.setattr(clock.time, "perf_counter", lambda: now[0])
+    told = clock.by_turns({"a": job("a", 1.0), "b": job("b", 2.0)}, rounds=3)
+    assert {name: one.best for name, one in told.items()} == {"a": 1.0, "b": 2.0}
+    assert done[4:] == ["a", "b"] * 3
+
+
+def test_a_short_job_is_run_several_times_in_a_turn(monkeypatch):
+    now, runs = [0.0], [0]
+
+    def run():
+        runs[0] += 1
+        now[0] += clock.LEAST / 10
+
+    monkeypatch.setattr(clock.time, "perf_counter", lambda: now[0])
+    told = clock.by_turns({"short": run}, rounds=2)
+    assert runs[0] == 2 + 2 * 10
+    assert told["short"].median == pytest.approx(clock.LEAST / 10)
+
+
+def test_a_part_that_there_is_not_is_refused():
+    found = CliRunner().invoke(app, ["bench", "--part", "speed"])
+    assert isinstance(found.exception, ParameterError)
+    assert "no such part; known: single" in str(found.exception)
+
+
+def test_growth_is_told_and_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(clock, "ROUNDS", 1)
+    found = CliRunner().invoke(app, ["bench", "--part", "growth", "--out", str(tmp_path)])
+    assert found.exit_code == 0, found.output
+    rows = json.loads((tmp_path / "result.json").read_text())["tables"]["growth"]["rows"]
+    assert [row[0] for row in rows] == [1_000, 10_000, 100_000]
+    assert all(row[1] > 0.0 for row in rows)
+
+
+def test_every_panel_is_drawn():
+    lanes = {"columns": ["lanes", "ns a lane-step"], "rows": [[1, 500.0], [64, 50.0]]}
+    others = {"columns": ["what", "ns", "over PD"], "rows": [["PD", 40.0, 1.0], ["PD+FC", 60.0, 1.5]]}
+    figure = drawn({"lanes": lanes, "controllers": others, "effects": others})
+    assert [axis.get_title() for axis in figure.axes] == ["Lanes on one core", "controllers", "effects"]
