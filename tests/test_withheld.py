@@ -8,6 +8,7 @@ import subprocess
 import sys
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -354,3 +355,14 @@ def test_the_answering_process_runs_from_anywhere_and_outlives_a_case_that_canno
     told = json.loads((tmp_path / "out" / "answers" / "1" / "diagnosis.json").read_text())
     assert told["verdict"] == "error"
     assert "DriveFileError" in told["says"]
+
+
+def test_answers_to_what_was_asked_once_but_is_no_more_are_not_scored(tmp_path, monkeypatch):
+    for name in ("000", "001"):
+        place = tmp_path / "oracle" / name / "diagnosis.json"
+        place.parent.mkdir(parents=True)
+        place.write_text(json.dumps({"verdict": "none", "causes": [], "question": "of an earlier edition"}))
+    monkeypatch.setattr(study, "_ask", lambda *_: None)
+    report = SimpleNamespace(out=tmp_path)
+    told = study._asked_again(report, tmp_path / "cases", "oracle", {"001": [], "002": []}, 1)
+    assert list(told) == ["001"]
