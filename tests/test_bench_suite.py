@@ -2,11 +2,17 @@
 
 import json
 
+import jax
+import jax.numpy as jnp
 import pytest
 from typer.testing import CliRunner
 
 from diffdrive.errors import ParameterError
+from diffdrive.parameters import Sampling
+from diffdrive.presets import paper_drive
+from experiments import paper
 from experiments.bench import clock
+from experiments.bench.arithmetic import of_step, operations
 from experiments.bench.figures import drawn
 from experiments.cli import app
 
@@ -60,3 +66,24 @@ def test_every_panel_is_drawn():
     others = {"columns": ["what", "ns", "over PD"], "rows": [["PD", 40.0, 1.0], ["PD+FC", 60.0, 1.5]]}
     figure = drawn({"lanes": lanes, "controllers": others, "effects": others})
     assert [axis.get_title() for axis in figure.axes] == ["Lanes on one core", "controllers", "effects"]
+
+
+def test_operations_are_counted_through_loops_and_branches():
+    def inner(x, _):
+        return x * 2.0 + 1.0, None
+
+    def outer(x):
+        x = jax.lax.scan(inner, x, None, length=5)[0]
+        return jnp.where(x > 0.0, x / 3.0, 0.0)
+
+    jaxpr = jax.make_jaxpr(outer)(jnp.asarray(1.0)).jaxpr
+    assert operations(jaxpr) == 5 * 2 + 1 + 8 + 1
+
+
+def test_a_substep_is_counted_once_each_and_more_control_is_more_arithmetic():
+    drive = paper_drive()
+    controllers = paper.controllers(drive)
+    one, two, four = (of_step(drive, controllers["PD"], Sampling(1e4, n)) for n in (1, 2, 4))
+    assert four - two == 2 * (two - one) > 0
+    counts = [of_step(drive, controllers[name], Sampling(1e4, 2)) for name in ("PD", "PD+FC", "PD+FC+LE")]
+    assert counts == sorted(counts)
