@@ -1,5 +1,6 @@
 """The closed loop compiles into one native kernel on a CPU; without this every step is ten times slower."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,13 +18,18 @@ from diffdrive.controllers import (
     PDFeedforwardDOB,
 )
 from diffdrive.controllers.base import paper_tracking
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.load import Ramp
 from diffdrive.load_estimator import InnovationLoad
 from diffdrive.observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.simulate import inputs_of, rollout, running_costs, start, step
 from diffdrive.smooth import smooth
+from experiments.bench import loops
 from experiments.bench.loops import one_kernel
+from experiments.sweeps import engine
+from experiments.sweeps.varied import with_effects
 
 pytestmark = pytest.mark.skipif(
     jax.default_backend() != "cpu", reason="only XLA's CPU compiler hoists loops into one kernel"
@@ -102,3 +108,24 @@ def test_the_guard_sees_a_loop_that_is_no_kernel():
         return lax.scan(body, start(drive, controller, inputs.load[0]), inputs)[1]
 
     assert not is_hoisted(solving, drive, controller, inputs())
+
+
+def test_every_derivative_that_is_timed_is_one_kernel():
+    compiled = loops.derivatives(PAPER, CONTROLLERS["PD+FC+LE"], inputs(), Sampling(substeps=2))
+    assert {name: one.one_kernel for name, one in compiled.items()} == dict.fromkeys(compiled, True)
+
+
+def test_the_whole_catalogue_at_once_is_one_kernel():
+    assert loops.single(
+        with_effects(PAPER, EFFECTS), CONTROLLERS["PD+FC+LE"], inputs(), Sampling(substeps=2)
+    ).one_kernel
+
+
+def test_the_blocks_of_a_sweep_are_one_kernel():
+    count = 2 * engine.BLOCK * len(jax.devices())
+    machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(PAPER))
+    varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
+    lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), None)
+    controller = as_arrays(CONTROLLERS["PD+FC+LE"])
+    lowered = engine._costs.lower(lanes, fixed, controller, inputs(), jnp.ones(SAMPLES), Sampling(substeps=2))
+    assert one_kernel(lowered.compile().compiled.as_text())
