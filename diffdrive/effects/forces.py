@@ -8,6 +8,7 @@ from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swing
 from diffdrive.friction import resisting_midway
 from diffdrive.parameters import Drive, Scalar, quantity
+from diffdrive.turning import cosine_sine, doubled, tripled
 
 EDGE = 5e-3  # s, over which a process force sets in and ends
 
@@ -76,10 +77,11 @@ class Cogging(TableEffect):
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The ripple's force."""
-        angle = 2.0 * jnp.pi * middle(seen, period) / self.period
-        force = self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle)
-        force = force + self.cosine2 * jnp.cos(2.0 * angle) + self.sine2 * jnp.sin(2.0 * angle)
-        return state, Acts(force=force + self.cosine6 * jnp.cos(6.0 * angle) + self.sine6 * jnp.sin(6.0 * angle))
+        first = cosine_sine(2.0 * jnp.pi * middle(seen, period) / self.period)
+        second = doubled(*first)
+        sixth = tripled(*second)
+        force = self.cosine * first[0] + self.sine * first[1] + self.cosine2 * second[0] + self.sine2 * second[1]
+        return state, Acts(force=force + self.cosine6 * sixth[0] + self.sine6 * sixth[1])
 
 
 class ProcessForce(TableEffect):
@@ -102,9 +104,10 @@ class ProcessForce(TableEffect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The force in the middle of the coming period."""
         time = seen.time + 0.5 * period
-        angle = 2.0 * jnp.pi * self.frequency * time
-        force = self.mean + self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle)
-        force = force + self.cosine2 * jnp.cos(2.0 * angle) + self.sine2 * jnp.sin(2.0 * angle)
+        first = cosine_sine(2.0 * jnp.pi * self.frequency * time)
+        second = doubled(*first)
+        force = self.mean + self.cosine * first[0] + self.sine * first[1]
+        force = force + self.cosine2 * second[0] + self.sine2 * second[1]
         return state, Acts(force=force * window(time, self.start, self.end))
 
 

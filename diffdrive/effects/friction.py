@@ -8,6 +8,7 @@ from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
 from diffdrive.friction import bristle_at, coulomb, slide
 from diffdrive.parameters import Drive, Scalar, quantity
+from diffdrive.turning import cosine_sine
 
 ELEMENTS = 6  # Maxwell elements of presliding hysteresis
 
@@ -49,8 +50,8 @@ class PositionFriction(TableEffect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The share of the Coulomb friction here."""
         at = middle(seen, period)
-        angle = 2.0 * jnp.pi * at / self.period
-        share = self.slope * (at - self.neutral) + self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle)
+        cosine, sine = cosine_sine(2.0 * jnp.pi * at / self.period)
+        share = self.slope * (at - self.neutral) + self.cosine * cosine + self.sine * sine
         return state, Acts(coulomb=share * coulomb(drive.friction, seen.velocity, seen.load))
 
 

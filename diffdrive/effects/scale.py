@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from diffdrive.effects.base import ScaleEffect
 from diffdrive.parameters import Scalar, quantity
+from diffdrive.turning import cosine_sine, doubled
 
 
 class LeadError(ScaleEffect):
@@ -19,8 +20,8 @@ class LeadError(ScaleEffect):
 
     def error(self, position: Scalar) -> Scalar:
         """The pitch error."""
-        angle = 2.0 * jnp.pi * position / self.lead
-        return self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle) + self.linear * position
+        cosine, sine = cosine_sine(2.0 * jnp.pi * position / self.lead)
+        return self.cosine * cosine + self.sine * sine + self.linear * position
 
 
 class InterpolationError(ScaleEffect):
@@ -35,6 +36,6 @@ class InterpolationError(ScaleEffect):
 
     def error(self, position: Scalar) -> Scalar:
         """The error within a signal period."""
-        angle = 2.0 * jnp.pi * position / self.period
-        first = self.cosine * jnp.cos(angle) + self.sine * jnp.sin(angle)
-        return first + self.cosine2 * jnp.cos(2.0 * angle) + self.sine2 * jnp.sin(2.0 * angle)
+        cosine, sine = cosine_sine(2.0 * jnp.pi * position / self.period)
+        cosine2, sine2 = doubled(cosine, sine)
+        return self.cosine * cosine + self.sine * sine + self.cosine2 * cosine2 + self.sine2 * sine2
