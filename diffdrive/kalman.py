@@ -1,7 +1,9 @@
 """The Kalman filter's covariance algebra for one measured position, in scalars.
 
 Matrices are nested tuples of scalars, so that a control step compiles into one kernel (docs/numerics.md); entries that
-are the Python numbers 0.0 and 1.0 cost nothing. The output matrix is C = [1, 0, ..., 0] throughout.
+are the Python numbers 0.0 and 1.0 cost nothing. A covariance is its upper triangle, row by row: what a compiler cannot
+know to be equal it would compute, carry and, in reverse mode, keep twice. The output matrix is C = [1, 0, ..., 0]
+throughout.
 """
 
 from typing import Any
@@ -10,6 +12,7 @@ from diffdrive.parameters import Scalar
 
 Vector = tuple[Scalar, ...]
 Matrix = tuple[Vector, ...]
+Triangle = tuple[Vector, ...]  # row i from the diagonal on
 
 
 def _is(entry: Any, number: float) -> bool:
@@ -32,32 +35,38 @@ def times(matrix: Matrix, vector: Vector) -> Vector:
     return tuple(dot(row, vector) for row in matrix)
 
 
-def _symmetric(size: int, entry: Any) -> Matrix:
-    """The symmetric matrix whose upper triangle is `entry(i, j)`, each computed once."""
-    upper = {(i, j): entry(i, j) for i in range(size) for j in range(i, size)}
-    return tuple(tuple(upper[min(i, j), max(i, j)] for j in range(size)) for i in range(size))
+def _triangle(size: int, entry: Any) -> Triangle:
+    return tuple(tuple(entry(i, j) for j in range(i, size)) for i in range(size))
 
 
-def predict_covariance(covariance: Matrix, ad: Matrix, process_noise: Vector) -> Matrix:
+def whole(covariance: Triangle) -> Matrix:
+    """The matrix of which this is the upper triangle."""
+    size = len(covariance)
+    return tuple(tuple(covariance[min(i, j)][abs(i - j)] for j in range(size)) for i in range(size))
+
+
+def predict_covariance(covariance: Triangle, ad: Matrix, process_noise: Vector) -> Triangle:
     """Ad Omega Ad' + diag(Q) (paper, eq. (14))."""
-    moved = tuple(times(covariance, row) for row in ad)  # row i: Omega Ad[i]'
+    omega = whole(covariance)
+    moved = tuple(times(omega, row) for row in ad)  # row i: Omega Ad[i]'
     size = len(ad)
-    return _symmetric(size, lambda i, j: dot(ad[j], moved[i]) + (process_noise[i] if i == j else 0.0))
+    return _triangle(size, lambda i, j: dot(ad[j], moved[i]) + (process_noise[i] if i == j else 0.0))
 
 
-def gain(covariance: Matrix, measurement_noise: Scalar) -> Vector:
+def gain(covariance: Triangle, measurement_noise: Scalar) -> Vector:
     """K_s = Omega C' (C Omega C' + R)^-1 (paper, eq. (17))."""
     certainty = 1.0 / (covariance[0][0] + measurement_noise)
     return tuple(row * certainty for row in covariance[0])
 
 
-def update_covariance(covariance: Matrix, k: Vector, measurement_noise: Scalar) -> Matrix:
+def update_covariance(covariance: Triangle, k: Vector, measurement_noise: Scalar) -> Triangle:
     """(I - K C) Omega (I - K C)' + K R K', the Joseph form (paper, eq. (15))."""
-    omega = covariance
-    spread = omega[0][0] + measurement_noise
-    return _symmetric(len(k), lambda i, j: omega[i][j] - k[i] * omega[0][j] - k[j] * omega[0][i] + k[i] * k[j] * spread)
+    first, spread = covariance[0], covariance[0][0] + measurement_noise
+    return _triangle(
+        len(k), lambda i, j: covariance[i][j - i] - k[i] * first[j] - k[j] * first[i] + k[i] * k[j] * spread
+    )
 
 
-def diagonal(variances: Vector) -> Matrix:
+def diagonal(variances: Vector) -> Triangle:
     """The diagonal matrix of these variances; the zeros are arrays of the same type, as a scan's carry needs."""
-    return tuple(tuple(v if i == j else 0.0 * v for j in range(len(variances))) for i, v in enumerate(variances))
+    return _triangle(len(variances), lambda i, j: variances[i] if i == j else 0.0 * variances[i])

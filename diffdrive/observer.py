@@ -32,7 +32,7 @@ class ObserverState(NamedTuple):
     """Estimated [x, v, z], its covariance and the estimated load (N)."""
 
     x: kalman.Vector
-    covariance: kalman.Matrix
+    covariance: kalman.Triangle
     load: Scalar
 
 

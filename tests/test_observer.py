@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from diffdrive import load, motion
 from diffdrive.controllers import PD, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
+from diffdrive.kalman import whole
 from diffdrive.load_estimator import FixedLoad, InnovationLoad
 from diffdrive.observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.parameters import Sampling, as_arrays
@@ -124,7 +125,7 @@ def test_observer_is_the_textbook_filter(log, name):
         return state, (state, estimate)
 
     _, (states, estimates) = jax.jit(lambda log: lax.scan(body, observer.init(jnp.zeros(())), log))(log)
-    x, covariance = np.array(states.x).T, np.moveaxis(np.array(states.covariance), -1, 0)
+    x, covariance = np.array(states.x).T, np.moveaxis(np.array(whole(states.covariance)), -1, 0)
     for k, sample in enumerate(zip(*log, strict=True)):
         friction = oracle.step(*sample)
         if k in (0, 1, 10, 100, 700, 1000, 1999):
@@ -144,7 +145,7 @@ def covariances(observer, log):
 
     # a load estimate that runs away would leave the model: only the covariance is looked at, at the recorded positions
     state, _ = lax.scan(body, observer.init(jnp.zeros(())), log)
-    return jnp.stack([jnp.stack(row) for row in state.covariance])
+    return jnp.stack([jnp.stack(row) for row in whole(state.covariance)])
 
 
 DECADES = st.floats(-20, -6).map(lambda exponent: 10.0**exponent)
@@ -152,14 +153,13 @@ DECADES = st.floats(-20, -6).map(lambda exponent: 10.0**exponent)
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(q=st.tuples(DECADES, DECADES, DECADES), weight=st.floats(-3, 6), r=st.floats(-20, -10), four=st.booleans())
-def test_covariance_stays_symmetric_and_positive(log, q, weight, r, four):
+def test_covariance_stays_positive(log, q, weight, r, four):
     drive = paper_drive()
     if four:
         observer = LoadStateObserver(drive.plant, drive.friction, LoadStateTuning(*q, 10.0**weight, 10.0**r))
     else:
         observer = KalmanObserver(drive.plant, drive.friction, Tuning(*q, 10.0**r))
     omega = np.asarray(covariances(as_arrays(observer), log))
-    np.testing.assert_array_equal(omega, omega.T)
     size = np.sqrt(np.diag(omega))
     assert np.all(size > 0)
     assert np.linalg.eigvalsh(omega / np.outer(size, size)).min() > -1e-9

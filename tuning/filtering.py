@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive import plant
-from diffdrive.kalman import Matrix, diagonal, gain, predict_covariance, update_covariance
+from diffdrive.kalman import Matrix, Triangle, diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.prediction import Gains, Lanes, acting_force, moving
 
@@ -60,7 +60,7 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
     jolt = (process * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
-    def body(carry: tuple[plant.PlantState, Matrix], at: tuple[Scalar, Scalar, Scalar]) -> Any:
+    def body(carry: tuple[plant.PlantState, Triangle], at: tuple[Scalar, Scalar, Scalar]) -> Any:
         state, covariance = carry
         measured, force, load = at
         innovation = measured - state.position
