@@ -12,9 +12,10 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 
 from diffdrive.exponential import fading
-from diffdrive.parameters import Directional, Drive, Friction, Scalar
+from diffdrive.parameters import Directional, Friction, Scalar
 
 
 class Bristle(NamedTuple):
@@ -144,12 +145,13 @@ def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) 
 
 
 def resisting_midway(
-    drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar, step: float
+    friction: Loaded, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
 ) -> tuple[Scalar, Scalar]:
     """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
-    at = bristle_at(drive.friction, velocity, bristle, load)
-    fade = decay(0.5 * at.rate * step)
+    at = friction.at(velocity, bristle)
+    fade = lax.optimization_barrier(decay_of(0.5 * step * at.stiffness * jnp.abs(velocity), at.level))
     shift = 0.5 * step * fade.mean * velocity
     half = fade.end * bristle + shift
-    force = friction_force(at, velocity, half) + drive.plant.damping.towards(velocity) * velocity
+    bristle_velocity = velocity - fade.x * (2.0 / step) * half
+    force = at.stiffness * half + at.damping * bristle_velocity + (at.viscous + damping.towards(velocity)) * velocity
     return force, fade.end * half + shift

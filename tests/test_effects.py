@@ -19,7 +19,7 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration, PositionSpring, ProcessForce, window
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFriction, PreslidingHysteresis, ViscousDrift
 from diffdrive.effects.machine import FrictionAsymmetry, FrictionShape, PayloadMass
-from diffdrive.effects.oscillator import Oscillator, swing
+from diffdrive.effects.oscillator import Oscillator, swinging
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DriveFileError, ParameterError
@@ -119,7 +119,7 @@ def test_an_oscillator_is_stepped_exactly():
         return [q[1], push - 2 * damping * angular * q[1] - angular**2 * q[0]]
 
     found = scipy.integrate.solve_ivp(rates, (0, 0.13), [1e-3, -0.2], method="DOP853", rtol=1e-12, atol=1e-15)
-    ours = swing(Oscillator(1e-3, -0.2), push, angular, damping, 0.13)
+    ours = swinging(angular, damping, 0.13).step(Oscillator(1e-3, -0.2), push)
     np.testing.assert_allclose([float(ours.deflection), float(ours.rate)], found.y[:, -1], rtol=1e-9)
 
 

@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
-from diffdrive.effects.oscillator import Oscillator, swing
-from diffdrive.friction import resisting_midway
+from diffdrive.effects.oscillator import Oscillator, swinging
+from diffdrive.friction import resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
 from diffdrive.turning import cosine_sine, doubled, tripled
 
@@ -133,7 +133,8 @@ class FrameVibration(TableEffect):
         # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
         rising = (1.0 + self.ratio) * (seen.force - seen.friction) + seen.pushes(drive)
         halfway = seen.velocity + 0.5 * period * rising / drive.plant.mass
-        resisting = resisting_midway(drive, halfway, seen.bristle, seen.load, period)[0]
+        friction = under(drive.friction, seen.load)
+        resisting = resisting_midway(friction, drive.plant.damping, halfway, seen.bristle, period)[0]
         push = -self.ratio * (seen.force - resisting) / drive.plant.mass
-        ahead = swing(state, push, 2.0 * jnp.pi * self.frequency, self.damping, period)
+        ahead = swinging(2.0 * jnp.pi * self.frequency, self.damping, period).step(state, push)
         return ahead, Acts(force=-drive.plant.mass * (ahead.rate - state.rate) / period)

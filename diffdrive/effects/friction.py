@@ -3,10 +3,11 @@
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+from jax import lax
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
-from diffdrive.friction import bristle_at, coulomb, slide
+from diffdrive.friction import bristle_at, coulomb, decay_of, slide
 from diffdrive.parameters import Drive, Scalar, quantity
 from diffdrive.turning import cosine_sine
 
@@ -100,16 +101,13 @@ class FrictionDwell(TableEffect):
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The gap grown with age."""
-        rate = _mean_speed(seen.velocity, ending(seen, drive, period)) / self.slip
-
-        def older(age: Scalar, time: float) -> Scalar:
-            x = rate * time
-            fade = jnp.exp(-x)
-            return age * fade + time * jnp.where(x < 1e-6, 1.0 - 0.5 * x, (1.0 - fade) / jnp.where(x < 1e-6, 1.0, x))
-
+        half = 0.5 * period
+        speed = _mean_speed(seen.velocity, ending(seen, drive, period))
+        fade = lax.optimization_barrier(decay_of(half * speed, self.slip))  # the age's equation is a bristle's
+        gained = half * fade.mean
+        middle = fade.end * state + gained
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
-        middle = older(state, 0.5 * period)
-        return older(state, period), Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
+        return fade.end * middle + gained, Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
 
 
 class PreslidingHysteresis(TableEffect):

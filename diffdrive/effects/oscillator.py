@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from diffdrive.exponential import fading
 from diffdrive.parameters import Scalar
+from diffdrive.turning import cosine_sine
 
 
 class Oscillator(NamedTuple):
@@ -22,15 +24,29 @@ class Oscillator(NamedTuple):
         return cls(jnp.zeros(()), jnp.zeros(()))
 
 
-def swing(state: Oscillator, push: Scalar, angular: Scalar, damping: Scalar, time: Scalar) -> Oscillator:
-    """The state `time` (s) later under a constant `push` (m/s^2); `angular` in rad/s, damping ratio below 1."""
+class Swinging(NamedTuple):
+    """What a step of one oscillator needs, computed once for many steps."""
+
+    cosine: Scalar  # both faded
+    sine: Scalar  # over its angular frequency, s
+    fading: Scalar  # 1/s
+    square: Scalar  # of the undamped angular frequency, 1/s^2
+    softness: Scalar  # its inverse
+
+    def step(self, state: Oscillator, push: Scalar) -> Oscillator:
+        """The state one step later under a constant `push` (m/s^2)."""
+        rest = push * self.softness
+        from_rest = state.deflection - rest
+        return Oscillator(
+            rest + self.cosine * from_rest + self.sine * (state.rate + self.fading * from_rest),
+            self.cosine * state.rate - self.sine * (self.fading * state.rate + self.square * from_rest),
+        )
+
+
+def swinging(angular: Scalar, damping: Scalar, time: Scalar) -> Swinging:
+    """Steps of `time` (s); `angular` in rad/s, damping ratio below 1."""
     ratio = jnp.minimum(damping, 0.999)
-    turning, fading = angular * jnp.sqrt(1.0 - ratio**2), ratio * angular
-    fade = jnp.exp(-fading * time)
-    cosine, sine = fade * jnp.cos(turning * time), fade * jnp.sin(turning * time) / turning
-    rest = push / angular**2
-    from_rest = state.deflection - rest
-    return Oscillator(
-        rest + cosine * from_rest + sine * (state.rate + fading * from_rest),
-        cosine * state.rate - sine * (fading * state.rate + angular**2 * from_rest),
-    )
+    turning, rate = angular * jnp.sqrt(1.0 - ratio**2), ratio * angular
+    cosine, sine = cosine_sine(turning * time)
+    fade = fading(rate * time)
+    return Swinging(fade * cosine, fade * sine / turning, rate, angular**2, 1.0 / angular**2)

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
-from diffdrive.effects.oscillator import Oscillator, swing
-from diffdrive.friction import coulomb, resisting_midway
+from diffdrive.effects.oscillator import Oscillator, swinging
+from diffdrive.friction import coulomb, resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
 
 LONGEST_SUBSTEP = 25e-6  # s
@@ -53,26 +53,29 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     parts = 1 if seen.ripple is None else len(seen.ripple)
     count = parts * max(1, round(period / (parts * LONGEST_SUBSTEP)))
     h = period / count
-    pushed = seen.pushes(drive)
+    pushed, friction, damping = seen.pushes(drive), under(drive.friction, seen.load), drive.plant.damping
+    # by products: divisions cost as much as the rest of the balance
+    per_motor, per_table = 1.0 / (s * mass), 1.0 / ((1.0 - s) * mass)
+    contact = swinging(angular, screw.damping, h)
 
     def substep(carry: Any, ripple: Any) -> tuple[Any, None]:
         (q, bristle), velocity, rising, deflection, pulled, resisted = carry
         middle = velocity + 0.5 * h * rising
-        table, deflection = resisting_midway(drive, middle, deflection, seen.load, h)
-        own, bristle = resisting_midway(drive, middle + q.rate, bristle, seen.load, h)
+        table, deflection = resisting_midway(friction, damping, middle, deflection, h)
+        own, bristle = resisting_midway(friction, damping, middle + q.rate, bristle, h)
         force = seen.force if ripple is None else seen.force + ripple
-        push = (force - (1.0 - r) * own) / (s * mass) + (r * table - pushed) / ((1.0 - s) * mass)
+        push = (force - (1.0 - r) * own) * per_motor + (r * table - pushed) * per_table
         inside = jnp.clip(q.deflection, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest
-        there = swing(Oscillator(q.deflection - inside, q.rate), push, angular, screw.damping, h)
+        there = contact.step(Oscillator(q.deflection - inside, q.rate), push)
         touching = (q.deflection != inside) | (half <= 0.0)
         free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
         deflected = jnp.where(touching, there.deflection + inside, free.deflection)
         ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
-        pull = reduced * (push - (ahead.rate - q.rate) / h)
-        rising = (pull - r * table + pushed) / ((1.0 - s) * mass)
+        pull = reduced * (push - (ahead.rate - q.rate) * (1.0 / h))
+        rising = (pull - r * table + pushed) * per_table
         velocity = velocity + h * rising
-        carry = (Motor(ahead, bristle), velocity, rising, deflection, pulled + pull / count, resisted + table / count)
+        carry = (Motor(ahead, bristle), velocity, rising, deflection, pulled + pull, resisted + table)
         return lax.optimization_barrier(carry), None
 
     zero = jnp.zeros_like(seen.velocity)
@@ -80,6 +83,7 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     begin = (motor, seen.velocity, rising, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
     (motor, *_, pulled, resisted), _ = lax.scan(substep, begin, ripple, length=count)
+    pulled, resisted = pulled / count, resisted / count  # means over the period
     return motor, Acts(force=(pulled - r * resisted + pushed) / (1.0 - s) - seen.force - pushed + resisted)
 
 
