@@ -22,7 +22,7 @@ from experiments.withheld.score import score
 from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
-from tuning.diagnosis.diagnose import _confirmed, _upheld, _within, diagnose, logged_of
+from tuning.diagnosis.diagnose import _confirmed, _denied, _upheld, _within, diagnose, logged_of
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
@@ -202,10 +202,25 @@ def test_a_log_that_cannot_tell_makes_every_cause_unsure():
     assert "log a longer motion" in doubted.says
 
 
+def rung(deviance, scatter=0.0, moved=1.0):
+    """What the held-out logs say of a model, piece by piece, and how far it moves a nominal parameter."""
+    pieces = deviance / 50 + scatter * np.random.default_rng(0).choice([-1.0, 1.0], 50) * (deviance != 0.0)
+    return SimpleNamespace(unlikely=pieces, fitted=SimpleNamespace(u=np.full(len(NAMES), moved)))
+
+
+def test_a_model_is_denied_by_more_than_chance_and_more_than_a_little():
+    assert _denied(rung(50.0), rung(0.0), 500.0)
+    assert not _denied(rung(10.0), rung(0.0), 100.0)
+    assert not _denied(rung(50.0), rung(0.0), 5000.0)  # beside what it explains it is little
+    assert not _denied(rung(50.0, scatter=8.0), rung(0.0), 500.0)  # some pieces say so, others the contrary
+    assert not _denied(rung(50.0), rung(0.0, moved=20.0), 500.0)  # by numbers that cannot be
+    assert _denied(rung(50.0, moved=20.0), rung(0.0, moved=20.0), 500.0)
+
+
 @pytest.mark.parametrize(("held_out", "confidence"), [(-500.0, 0.9), (50.0, 0.5)])
 def test_a_cause_that_foresees_held_out_logs_worse_is_not_believed(held_out, confidence):
     verdict = Verdict("effect", [Belief("cogging", 0.9, True, 0, 500.0, None, [])], 0.0, "cogging explains the gap")
-    rungs = [SimpleNamespace(deviance=one) for one in (100.0, 0.0, held_out)]
+    rungs = [rung(one) for one in (100.0, 0.0, held_out)]
     judged = _confirmed(verdict, rungs)
     assert judged.verdict == ("effect" if held_out < 0.0 else "unknown")
     assert judged.beliefs[0].confidence == confidence
@@ -215,7 +230,7 @@ def test_a_cause_that_foresees_held_out_logs_worse_is_not_believed(held_out, con
 def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out, stays):
     fits = [SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(added=k)) for k in range(len(held_out))]
     rounds = [Round(fits[k], [], [fits[k + 1]], 1, 0.0) for k in range(2)]
-    rungs = [SimpleNamespace(deviance=one) for one in (100.0, *held_out)]
+    rungs = [rung(one) for one in (100.0, *held_out)]
     elsewhere = Explanation(fits[0], rounds[:1], fits[2])
     found, left = _upheld(Explanation(fits[0], rounds, fits[2], elsewhere), rungs)
     assert found.best is fits[stays]

@@ -30,8 +30,9 @@ from tuning.diagnosis.following import in_parts
 from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
+from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
-from tuning.diagnosis.search import WORTH, Progress, Round, recalibrated
+from tuning.diagnosis.search import IMPOSSIBLE, WORTH, Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Verdict, judge
@@ -45,6 +46,7 @@ ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 SAME_RATE = 1e-3  # relative
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
+SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,7 @@ def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Ru
     for number in range(1, found.best.model.added):
         without, more = rungs[number + 1], rungs[number + 2]
         gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
-        if more.deviance - without.deviance > max(WORTH, DENIED * gained):
+        if _denied(more, without, gained):
             believed, withdrawn = found.rounds[:number], found.rounds[number:]
             rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
             fewer = found.rounds[number].before  # against which what another way found with more effects is no rival
@@ -190,12 +192,22 @@ def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Ru
     return found, rungs
 
 
+def _denied(more: Rung, fewer: Rung, gained: float) -> bool:
+    """Whether the held-out logs are foreseen worse with more effects: by more than chance, and than a little.
+
+    Numbers that no machine of this drive file can have may foresee a little better: they deny nothing.
+    """
+    if strain(fewer.fitted) > IMPOSSIBLE >= strain(more.fitted):
+        return False
+    worse = more.unlikely - fewer.unlikely
+    return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
+
+
 def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
     """No sure cause that foresees the held-out logs worse than the recalibrated drive does."""
-    worse = rungs[-1].deviance - rungs[1].deviance
     gained = sum(one.gain for one in verdict.beliefs if one.found)
     names = " and ".join(one.effect for one in verdict.beliefs if one.found)
-    if not names or worse < max(WORTH, DENIED * gained):
+    if not names or not _denied(rungs[-1], rungs[1], gained):
         return verdict
     says = f"{names} would explain the logs that were fitted, but foresees those held out worse than without"
     beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]

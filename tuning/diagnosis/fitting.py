@@ -49,11 +49,17 @@ NEAR = np.array(  # times the last process forces are tried after a step
 )
 FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3, 3.0)])
 MOST_STEPS, TRIALS = 25, 6
+WHITE = np.geomspace(LEAST, 0.3, 14)  # N, where nothing lasting is missing: what an integrator's error looks like
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 ENOUGH = 0.5  # of cost, that a step must gain
 SETTLING = 3  # passes after the last step: what a passing course gained is no evidence
 FAR = 100.0  # of cost: a step that gains more is still on its way
+
+
+def quiet(process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "w 2"]:
+    """These process forces (N) with any small sudden one: it matters, and the cost is rough in it."""
+    return np.stack([np.full(WHITE.size, process[0]), WHITE], axis=1)
 
 
 class Fitted(NamedTuple):
@@ -110,7 +116,9 @@ def answered(
     return answers(track, linear, forcing, off, period) * counts[..., None]
 
 
-class _Point(NamedTuple):
+class Point(NamedTuple):
+    """A hypothesis at some values of its parameters."""
+
     u: Vector
     process: Float[np.ndarray, " 2"]
     own: Drive
@@ -134,7 +142,7 @@ class Fitter:
         self.counts = np.asarray(logged.lanes.counts)
         self.given = (logged.noise, logged.lanes, logged.sampling)
 
-    def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> _Point:
+    def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> Point:
         """The hypothesis at u."""
         effects = model.effects(u)
         loose, coupled = model.apart(effects)
@@ -142,9 +150,9 @@ class Fitter:
         acting = exposed(self.logged, own, loose, course)
         track = _follow(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given, course)
         cost = float(track.deviance) + float(u @ u)
-        return _Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
+        return Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
 
-    def with_process(self, point: _Point, model: Model, processes: np.ndarray) -> _Point:
+    def with_process(self, point: Point, model: Model, processes: np.ndarray) -> Point:
         """The same point under the likeliest of these process forces, its effects along its own track."""
         processes = np.clip(processes, LEAST, MOST)
         filled = np.pad(processes, ((0, -len(processes) % len(NEAR)), (0, 0)), mode="edge")  # one program for all
@@ -158,11 +166,11 @@ class Fitter:
         best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]
         return self.at(model, point.u, best, point.onward)
 
-    def slopes(self, point: _Point) -> Slopes:
+    def slopes(self, point: Point) -> Slopes:
         """What small changes do to the table over each period."""
         return slopes_of(point.drive, point.acting, point.track, self.logged.lanes, self.logged.sampling)
 
-    def residuals(self, point: _Point) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Residuals, and the weights of those of their Jacobian."""
         track = point.track
         unit = 1.0 / np.sqrt(float(track.size))
@@ -170,7 +178,7 @@ class Fitter:
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
         return kept * residual, kept
 
-    def jacobian(self, model: Model, point: _Point, linear: Slopes | None = None, free: Any = True) -> np.ndarray:
+    def jacobian(self, model: Model, point: Point, linear: Slopes | None = None, free: Any = True) -> np.ndarray:
         """Of the residuals, [m, k]; what is not `free` may be left out."""
         logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
         if model.coupled:
@@ -191,8 +199,8 @@ class Fitter:
         return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
 
     def _step(
-        self, model: Model, point: _Point, damping: float, free: Vector, jacobian: np.ndarray
-    ) -> tuple[_Point, float]:
+        self, model: Model, point: Point, damping: float, free: Vector, jacobian: np.ndarray
+    ) -> tuple[Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""
         residual, jacobian = self.residuals(point)[0], jacobian * free
         hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.u
@@ -204,7 +212,7 @@ class Fitter:
             damping = 10.0 * damping
         return point, damping
 
-    def _updated(self, jacobian: np.ndarray, before: _Point, ahead: _Point) -> np.ndarray:
+    def _updated(self, jacobian: np.ndarray, before: Point, ahead: Point) -> np.ndarray:
         """The Jacobian after a step, by the secant along it (Broyden 1965)."""
         step = ahead.u - before.u
         off = self.residuals(ahead)[0] - self.residuals(before)[0] - jacobian @ step
@@ -231,7 +239,7 @@ class Fitter:
             jacobian, residual, hessian, steps, self._second(model, point),
         )  # fmt: skip
 
-    def _second(self, model: Model, point: _Point) -> float:
+    def _second(self, model: Model, point: Point) -> float:
         """What the second encoder says of a point."""
         if self.twist is None:
             return 0.0
@@ -241,22 +249,22 @@ class Fitter:
 
     def sought(
         self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None
-    ) -> tuple[_Point, int]:
+    ) -> tuple[Point, int]:
         """Where `fit` ends, and after how many steps: at the least, and on from there if quite another noise gains."""
         free = np.ones(model.size) if free is None else free
         point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, FIRST)
         point, steps = self._down(model, point, most, free, BOLDNESS)
-        if steps == most or point.process[0] < MISSED:
+        if steps == most:
             return point, steps
-        other = self.with_process(point, model, FIRST)
+        other = self.with_process(point, model, FIRST if point.process[0] >= MISSED else quiet(point.process))
         if point.cost - other.cost < ENOUGH:
             return point, steps
         point, more = self._down(model, other, most - steps, free, 1.0)
         return point, steps + more
 
-    def _down(self, model: Model, point: _Point, most: int, free: Vector, boldness: float) -> tuple[_Point, int]:
+    def _down(self, model: Model, point: Point, most: int, free: Vector, boldness: float) -> tuple[Point, int]:
         """To where no step gains any more, in at most so many, and how many it took.
 
         As long as there is much to gain the filter's process force is taken as so many times smaller.
@@ -297,6 +305,6 @@ class Fitter:
                 idle = idle + 1 if gained > 0.0 else 2
         return point, most
 
-    def _trusting(self, model: Model, point: _Point, boldness: float) -> _Point:
+    def _trusting(self, model: Model, point: Point, boldness: float) -> Point:
         """The same hypothesis in a filter that has less of a process force to blame."""
         return self.at(model, point.u, np.maximum(point.process / boldness, LEAST), point.onward)

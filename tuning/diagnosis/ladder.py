@@ -13,12 +13,14 @@ from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation
-from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter
+from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter, quiet
+from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.threads import in_parallel
 
 TRAINED = 0.6  # of a single log
+PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
 
 
@@ -31,7 +33,12 @@ class Rung(NamedTuple):
     interval: tuple[float, float]  # N
     shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
     loop: LoopGap | None
-    deviance: float  # -2 log probability of the held-out logs, up to a constant shared by the rungs
+    unlikely: Float[np.ndarray, " pieces"]  # -2 log probability of each piece of what is held out, as `deviance`
+
+    @property
+    def deviance(self) -> float:
+        """-2 log probability of what is held out, up to a constant shared by the rungs."""
+        return float(np.sum(self.unlikely))
 
 
 class Split(NamedTuple):
@@ -65,6 +72,15 @@ def _at_control(fitter: Fitter, counts: Float[np.ndarray, "lanes n"], log: int) 
     """The weights of one log's pieces, at every control period."""
     mine = [lane for lane, owner in enumerate(fitter.logged.owner) if owner == log]
     return np.repeat(counts[mine], fitter.logged.thinning, axis=1)
+
+
+def _unlikely(track: Track, counts: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, " pieces"]:
+    """The track's deviance, less the number of samples, in pieces of time."""
+    size, scatter = float(track.size), np.asarray(track.scatter)
+    squares = np.minimum((np.asarray(track.innovation) / scatter) ** 2, LOST**2)
+    each = counts * (squares / size - 1.0 + np.log(size) + 2.0 * np.log(scatter))
+    begins = np.arange(0, counts.shape[1], max(1, round(PIECE * rate)))
+    return np.add.reduceat(each, begins, axis=1)[np.add.reduceat(counts, begins, axis=1) > 0]
 
 
 def climb(
@@ -104,7 +120,7 @@ def climb(
         (name, one), gap, squares = asked
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
         there = test.at(one.model, one.u, one.process, one.track.course)
-        foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST]))
+        foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST, quiet(one.process)]))
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         loop = None
@@ -115,6 +131,6 @@ def climb(
             counts = [_at_control(fitter, parts.test, log) for log in parts.logs]
             loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
-        return Rung(name, one, gap, gap.interval(rate), shrink, loop, foreseen.cost - float(one.u @ one.u))
+        return Rung(name, one, gap, gap.interval(rate), shrink, loop, _unlikely(foreseen.track, parts.test, rate))
 
     return in_parallel(rung, list(zip(fits, gaps, drawn, strict=True))), parts

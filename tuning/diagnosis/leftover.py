@@ -36,7 +36,7 @@ def lost_samples(fitted: Fitted) -> int:
 
 def missing(fitter: Fitter, fitted: Fitted) -> float:
     """What a fit leaves unexplained, of cost."""
-    return max(lacking(fitter, fitted), 0.0) + BLOWS * lost_samples(fitted)
+    return max(lacking(fitter, fitted), 0.0) + BLOWS * max(lost_samples(fitted) - FEW_LOST, 0)
 
 
 def complete(fitter: Fitter, fitted: Fitted) -> bool:

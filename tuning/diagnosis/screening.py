@@ -20,7 +20,7 @@ from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_acts
 from tuning.diagnosis.evolving import evolved
-from tuning.diagnosis.fitting import Fitted, Fitter, answered
+from tuning.diagnosis.fitting import Fitted, Fitter, Point, answered
 from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import (
     Member,
@@ -35,7 +35,11 @@ from tuning.diagnosis.priors import Parameter
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, under other process forces too
+LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
+
+
+Values = dict[str, Vector]
 
 
 class Screened(NamedTuple):
@@ -114,7 +118,8 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate that is not there by degrees, or the best that a search finds.
 
-    About the nominal parameters too, as long as recalibration may have gone astray to make up for what is missing.
+    About the nominal parameters too, as long as recalibration may have gone astray to make up for what is missing; and
+    with what is free already moved to make way: what recalibration has made up for is worse with the effect at first.
     """
     model = joined(fitted.model, candidate)
     astray = not fitted.model.added or strain(fitted) >= STRAINED
@@ -129,11 +134,34 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
         for calibration in starts:
             u = np.r_[calibration, begin(model, values)]
             found.append((fitter.at(model, u, fitted.process, fitted.track.course), values))
+        if not model.coupled:
+            found += _made_way(fitter, fitted, model, found[-1])
     found.sort(key=lambda one: one[0].cost)
     likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
     there, values = min(likely, key=lambda one: one[0].cost)
     gain, rest = fitted.cost - there.cost, there.u[: fitted.u.size]
     return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, processes)
+
+
+def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Values]) -> list[tuple[Point, Values]]:
+    """The effect at those values beside the parameters that were free moved to the first order's best, and of a single
+    parameter the amount as well: along the secant to what the effect does `at` a point where all else is as fitted.
+    """
+    point, values = at
+    d = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    cross = fitted.jacobian.T @ d
+    making_way = solved(fitted.hessian, cross)
+    bent, slope = d @ d - cross @ making_way, d @ fitted.residual - cross @ left
+    amounts = {1.0}
+    if len(values) == 1 and bent > 0.0 and np.isfinite(slope):
+        amounts.add(float(np.clip(-slope / bent, LITTLE, MUCH)))
+    told = []
+    for amount in sorted(amounts):
+        scaled = {name: amount * value for name, value in values.items()}
+        u = np.r_[fitted.u - limited(left + amount * making_way), begin(model, scaled)]
+        told.append((fitter.at(model, u, fitted.process, fitted.track.course), scaled))
+    return told
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:
