@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.signal import chirp as scipy_chirp
 
 from diffdrive.errors import MotionError
 
@@ -351,6 +349,8 @@ def chirp(
         raise MotionError(
             f"chirp: {max(from_frequency, to_frequency):g} Hz is beyond half of the rate {rate:g} Hz: lower it"
         )
+    from scipy.signal import chirp as scipy_chirp  # half a second to import
+
     wave = [
         scipy_chirp(time, from_frequency, duration, to_frequency, method="linear", phi=phi) for phi in (0.0, 90.0)
     ]  # cos(angle), cos(angle + 90 deg) = -sin(angle)
@@ -389,5 +389,7 @@ def from_array(time: Sequence[float], position: Sequence[float], *, name: str = 
     _require_samples(name, t, position=x)
     mean = (t[-1] - t[0]) / (len(t) - 1)
     grid = t[0] + mean * np.arange(len(t))
+    from scipy.interpolate import make_interp_spline  # a quarter of a second to import
+
     spline = make_interp_spline(grid, x, k=3)
     return Motion(grid - grid[0], x, spline.derivative(1)(grid), spline.derivative(2)(grid), name)

@@ -13,9 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-import matplotlib.figure
-import matplotlib.ticker
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -122,7 +119,7 @@ class Report:
                 writer.writerow(columns)
                 writer.writerows(rows)
 
-    def figure(self, name: str, figure: matplotlib.figure.Figure) -> None:
+    def figure(self, name: str, figure: Any) -> None:
         """Save a figure as PNG."""
         if self.out is not None:
             figure.savefig(self.out / f"{name}.png", dpi=130)
@@ -206,13 +203,18 @@ def new_figure(
     rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.0, share_x: bool = True
 ) -> Any:
     """A figure and its axes ([rows, columns] squeezed), drawn without a display and without global state."""
+    import matplotlib as mpl  # a third of a second to import, and no figure is drawn without a folder to write it to
+    from matplotlib.figure import Figure
+
     with mpl.rc_context({"axes.grid": True, "grid.alpha": 0.3}):
-        figure = matplotlib.figure.Figure(figsize=(width, height * rows), layout="constrained")
+        figure = Figure(figsize=(width, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, sharex="col" if share_x else False)
     return figure, axes
 
 
 def plain_logarithmic(axis: Any) -> None:
     """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten."""
-    axis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%g"))
-    axis.set_minor_formatter(matplotlib.ticker.LogFormatter(labelOnlyBase=False))
+    from matplotlib.ticker import FormatStrFormatter, LogFormatter
+
+    axis.set_major_formatter(FormatStrFormatter("%g"))
+    axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
