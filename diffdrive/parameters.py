@@ -32,6 +32,13 @@ class Quantity(NamedTuple):
     directional: bool
     optional: bool
 
+    @property
+    def range(self) -> tuple[float, float]:
+        """The lowest and the highest value, or what they must stay off."""
+        lows = [bound for bound in (self.above, self.at_least) if bound is not None]
+        highs = [bound for bound in (self.below, self.at_most) if bound is not None]
+        return max(lows, default=-np.inf), min(highs, default=np.inf)
+
     def broken_by(self, numbers: Any) -> list[str]:
         """The bounds that not all of these numbers keep, in words."""
         bounds = (
@@ -217,6 +224,12 @@ def _values(value: Any) -> Iterator[tuple[str, Any]]:
         yield "", value
 
 
+def _told(numbers: np.ndarray) -> str:
+    """One number, or the range of many."""
+    low, high = float(np.min(numbers)), float(np.max(numbers))
+    return f"{low:.6g} to {high:.6g}" if low < high else f"{low:.12g}"
+
+
 def check(module: Any, path: str = "") -> None:
     """Raise `ParameterError` naming every parameter below `module` that is not finite or out of its range.
 
@@ -234,9 +247,11 @@ def check(module: Any, path: str = "") -> None:
                 continue
             numbers = np.asarray(number, dtype=float)
             if not np.all(np.isfinite(numbers)):
-                problems.append(f"{name}{where} must be finite, got {number!r}")
+                problems.append(f"{name}{where} must be finite, got {_told(numbers)}")
                 continue
-            problems += [f"{name}{where} must be {bound}, got {number!r}" for bound in declared.broken_by(numbers)]
+            problems += [
+                f"{name}{where} must be {bound}, got {_told(numbers)}" for bound in declared.broken_by(numbers)
+            ]
     if problems:
         raise ParameterError("; ".join(problems))
 

@@ -21,8 +21,8 @@ _XLA_FLAGS = (
 _WORTH_KEEPING = 0.1  # s of compilation
 
 
-def configure() -> None:
-    """Double precision, hoisted loops, one CPU device per core; what the user has set in the environment stays."""
+def configure(devices: int | None = None) -> None:
+    """Double precision, hoisted loops, one CPU device per core or so many; what the environment sets stays."""
     flags = os.environ.get("XLA_FLAGS", "").split()
     names = {flag.split("=")[0] for flag in flags}
     flags += [flag for flag in _XLA_FLAGS if flag.split("=")[0] not in names]
@@ -31,7 +31,7 @@ def configure() -> None:
     if "JAX_NUM_CPU_DEVICES" not in os.environ and "--xla_force_host_platform_device_count" not in names:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
-            jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+            jax.config.update("jax_num_cpu_devices", devices or os.cpu_count() or 1)
 
 
 def keep_compiled() -> None:

@@ -8,21 +8,22 @@ import numpy as np
 import pytest
 from sound_log import DRIVE, RATE, logged, two_sines
 
-from diffdrive.effects.actuator import ForceGain
+from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
 from tuning.diagnosis import evolving
+from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.curvature import FARTHEST
 from tuning.diagnosis.explain import _further
-from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.fitting import LEAST, Fitter, quiet
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
-from tuning.diagnosis.screening import _directions, begin, joined, screen
+from tuning.diagnosis.screening import _directions, begin, joined, screen, tried
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
     WORTH,
@@ -348,3 +349,36 @@ def test_a_machine_has_one_screw(sound):
     assert known["backlash"].excludes(known["compliance"])
     assert known["compliance"].excludes(known["compliance"])
     assert not known["compliance"].excludes(known["cogging"])
+
+
+@pytest.mark.parametrize("delay", [0.15, 0.25])
+def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_way_for_it(delay):
+    fitter = fitter_of(LoopDelay(delay))
+    base = recalibrated(fitter, TOLERANCE)
+    late = next(one for one in catalogue(fitter, base) if one.effect is LoopDelay)
+    found = tried(fitter, base, late)
+    model = joined(base.model, late)
+    least = min(float(point["delay"][0]) for point in looked_for(base, late))
+    beside = fitter.at(
+        model, np.r_[base.u, begin(model, {"delay": np.array([least])})], base.process, base.track.course
+    )
+    assert base.cost - beside.cost < 0.0  # where nothing makes way, the least of the grid explains nothing
+    assert found.evidence > 100.0
+    assert found.values["delay"][0] == pytest.approx(delay, rel=0.6)
+
+
+def test_a_filter_under_a_rough_cost_tries_every_small_sudden_force(sound, monkeypatch):
+    fitter, base = sound
+    model, tried_for = base.model, []
+    plain = Fitter.with_process
+
+    def watched(self, point, model, processes):
+        tried_for.append(np.asarray(processes))
+        return plain(self, point, model, processes)
+
+    monkeypatch.setattr(Fitter, "with_process", watched)
+    fitter.sought(model, base.u, base.process, base.track.course, 3)
+    sudden = quiet(base.process)
+    assert sudden[0, 1] == LEAST
+    assert np.all(sudden[:, 0] == base.process[0])
+    assert any(one.shape == sudden.shape and np.allclose(one, sudden) for one in tried_for)

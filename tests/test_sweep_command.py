@@ -104,11 +104,11 @@ def test_a_second_run_computes_nothing_and_another_sweep_is_refused(swept, drive
     assert run(*same).exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "parts").iterdir()} == stamps
     assert json.loads((out / "result.json").read_text())["results"] == before["results"]
-    asked = (out / "asked.json").read_bytes()
+    before = {name: (out / name).read_bytes() for name in ("asked.json", "result.json")}
     other = run(*same, "--seed", 1)
     assert other.exit_code != 0
     assert "is of another sweep" in str(other.exception)
-    assert (out / "asked.json").read_bytes() == asked
+    assert {name: (out / name).read_bytes() for name in before} == before
 
 
 def test_machines_that_diverge_are_counted_and_the_code_is_3(drives, tmp_path):
@@ -121,6 +121,25 @@ def test_machines_that_diverge_are_counted_and_the_code_is_3(drives, tmp_path):
     told = json.loads((tmp_path / "result.json").read_text())["results"][0]
     assert told["diverged"] == 8
     assert told["quantiles"]["peak_m"]["0.5"]["value"] == "inf"
+    again = run("replay", tmp_path, "--machine", 3, "--out", tmp_path / "again")
+    assert again.exit_code == 3, again.output
+    assert json.loads((tmp_path / "again" / "result.json").read_text())["as_in_the_sweep"] == {"to_the_last_bit": True}
+
+
+def test_what_decides_over_divergence_is_said(drives, tmp_path):
+    text = (drives / "plain.toml").read_text()
+    kd = float(text.split("kd = ")[1].split()[0])
+    (tmp_path / "hard.toml").write_text(text.replace("kd = ", f"kd = {40 * kd} # "))
+    vary = ("--vary", "plant.mass=uniform:-90%..+300%", "--vary", "friction.viscous=lognormal:2%")
+    result = run(
+        "sweep", tmp_path / "hard.toml", *vary, "--motion", MOTION, "--samples", 256, "--settle", 0, "--out", tmp_path
+    )
+    assert result.exit_code == 3, result.output
+    told = json.loads((tmp_path / "result.json").read_text())
+    assert 0 < told["results"][0]["diverged"] < 256
+    rows = told["tables"]["divergence"]["rows"]
+    assert [row[2] for row in rows] == ["plant.mass"]
+    assert rows[0][5] > rows[0][6]  # light machines diverge
 
 
 @pytest.mark.parametrize(
@@ -132,7 +151,8 @@ def test_machines_that_diverge_are_counted_and_the_code_is_3(drives, tmp_path):
         (("--method", "grid"), "is no method"),
         (("--tolerance", "2 N"), "--tolerance"),
         (("--vary", "plant.mas=lognormal:3%"), "is no quantity"),
-        (("--samples", "0"), ""),
+        (("--samples", "0"), "--samples"),
+        (("--tolerance", "2"), "give it with its unit"),
         (("--identified", "absent.toml"), "no such file"),
         (("--load", "-90 kN"), "lifts the table"),
     ],

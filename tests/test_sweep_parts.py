@@ -12,7 +12,7 @@ from diffdrive.parameters import Drive, Sampling, Sensor
 from diffdrive.presets import paper_drive
 from diffdrive.simulate import simulate
 from experiments import paper
-from experiments.sweeps.parts import here, path_of, run
+from experiments.sweeps.parts import here, missing, path_of, run
 from experiments.sweeps.plan import Plan
 
 PAPER = paper_drive()
@@ -56,7 +56,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
     whole = rows(run(plan(), tmp_path / "whole", lambda done: None))
     with pytest.raises(KeyboardInterrupt):
         run(plan(), tmp_path / "cut", lambda done: None, dying)
-    (path_of(tmp_path / "cut", 1).with_suffix(".half")).write_bytes(b"cut off in the middle of writing")
+    (tmp_path / "cut" / ".part-000001.parquet").write_bytes(b"cut off in the middle of writing")
     asked = []
 
     def counting(plan, wanted):
@@ -91,9 +91,6 @@ def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
 @pytest.mark.parametrize(
     ("vary", "more", "says"),
     [
-        (("plant.mass=normal:60 kg",), {}, "plant.mass must be above 0 kg"),
-        (("load=uniform:-20..0 kN",), {}, "lifts the table off its guides"),
-        (("load=uniform:-10..0 kN", "load.change=uniform:-10..0 kN"), {}, "lifts the table off its guides"),
         (("plant.mass=normal:2%", "plant.mass=normal:3%"), {}, "given more than once"),
         (("friction.viscous=normal:2%", "friction.viscous.positive=normal:3%"), {}, "stands for both directions"),
         (VARY, {"samples": 0}, "at least one machine"),
@@ -104,6 +101,46 @@ def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
 def test_a_sweep_that_cannot_be_is_refused_before_it_starts(vary, more, says):
     with pytest.raises(DiffdriveError, match=says):
         plan(vary=vary, **more)
+
+
+def test_a_motion_of_another_rate_is_refused():
+    slow = {"sine": motion.sine(amplitude=1e-3, frequency=2.0, duration=0.5, rate=1e3)}
+    with pytest.raises(ParameterError, match="sine: is sampled at 1000 Hz, the controller runs at 10000 Hz"):
+        Plan.of(AXIS, CONTROLLERS, slow, VARY, 8)
+
+
+GAP = ("friction.coulomb_screw=uniform:20..60", "friction.breakaway_gap=uniform:-400..0", "load=uniform:0..1 kN")
+
+
+@pytest.mark.parametrize(
+    ("vary", "says"),
+    [
+        (("plant.mass=normal:60 kg",), r"plant\.mass must be above 0 kg, got -\d"),
+        (("load=uniform:-20..0 kN",), "lifts the table off its guides"),
+        (("load=uniform:-10..0 kN", "load.change=uniform:-10..0 kN"), "lifts the table off its guides"),
+        (GAP, "makes the breakaway friction"),  # each of them alone is possible
+    ],
+)
+def test_a_machine_that_cannot_be_is_named_before_the_first_one_runs(tmp_path, vary, says):
+    asked = plan(vary=vary)
+    with pytest.raises(ParameterError, match=rf"machine \d+ cannot be: .*{says}") as told:
+        run(asked, tmp_path, lambda done: None)
+    assert not list(tmp_path.iterdir())
+    number = int(str(told.value).split("machine ")[1].split()[0])
+    with pytest.raises(ParameterError, match="cannot be"):
+        asked.require_possible([number // 8])
+    if number % 8:
+        asked._possible(np.arange(number // 8 * 8, number), 0.0)  # those before it can be
+
+
+def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(tmp_path):
+    whole = rows(run(plan(), tmp_path, lambda done: None))
+    path_of(tmp_path, 1).write_bytes(b"cut off")
+    assert missing(plan(), tmp_path) == [1]
+    assert rows(run(plan(), tmp_path, lambda done: None)).equals(whole)
+    path_of(tmp_path, 7).write_bytes(path_of(tmp_path, 2).read_bytes())
+    with pytest.raises(ParameterError, match=r"part-000007\.parquet: is of another sweep"):
+        missing(plan(), tmp_path)
 
 
 def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):

@@ -22,13 +22,19 @@ SHARE = (np.arange(20_000) + 0.5) / 20_000
         ("plant.mass=uniform:90..110 kg", "is", 90.0, 100.0, 110.0, 20 / np.sqrt(12)),
         ("plant.mass=normal:2%", "times", 0.92, 1.0, 1.08, 0.02),
         ("plant.mass=normal:2 kg", "plus", -8.0, 0.0, 8.0, 2.0),
+        ("plant.mass=normal:+5%..3%", "times", 0.93, 1.05, 1.17, 0.03),
+        ("plant.mass=lognormal:-10%..3%", "times", 0.9 * np.exp(-0.12), 0.9, 0.9 * np.exp(0.12), 0.027),
+        ("plant.mass=triangular:-10%..0%..20%", "times", 0.9, None, 1.2, np.sqrt(0.07 / 18)),
+        ("effects.cogging.cosine=normal:2 N", "plus", -8.0, 0.0, 8.0, 2.0),
+        ("plant.constant_force=normal:3 N", "plus", -12.0, 0.0, 12.0, 3.0),
+        ("load=normal:1 kN", "plus", -4e3, 0.0, 4e3, 1e3),
         ("plant.mass=normal:95..2 kg", "is", 87.0, 95.0, 103.0, 2.0),
         ("plant.mass=lognormal:3%", "times", np.exp(-0.12), 1.0, np.exp(0.12), 0.03),
         ("plant.mass=lognormal:90 kg..3%", "is", 90 * np.exp(-0.12), 90.0, 90 * np.exp(0.12), 2.7),
-        ("friction.viscous=loguniform:50%..200%", "times", 0.5, 1.0, 2.0, np.log(4.0) / np.sqrt(12)),
+        ("friction.viscous=loguniform:-50%..+100%", "times", 0.5, 1.0, 2.0, np.log(4.0) / np.sqrt(12)),
         ("load=triangular:0..2..10 kN", "is", 0.0, None, 10e3, np.sqrt((100 + 4 - 20) / 18) * 1e3),
         ("effects.backlash.gap=uniform:0..10 um", "is", 0.0, 5e-6, 1e-5, 1e-5 / np.sqrt(12)),
-        ("plant.mass=fixed:5%", "times", 1.05, 1.05, 1.05, 0.0),
+        ("plant.mass=fixed:+5%", "times", 1.05, 1.05, 1.05, 0.0),
         ("friction.coulomb_screw.negative=fixed:70", "is", 70.0, 70.0, 70.0, 0.0),
     ],
 )
@@ -44,6 +50,12 @@ def test_a_distribution_is_the_one_that_was_written(text, how, low, middle, high
         assert varied.of(np.array([0.5]))[0] == pytest.approx(middle, abs=1e-12)
     spread = np.std(np.log(values)) if "loguniform" in text else np.std(values)
     assert spread == pytest.approx(deviation, rel=0.01, abs=1e-12)
+
+
+def test_a_normal_quantity_ends_where_it_must():
+    values = parse_varied("friction.coulomb_screw=normal:10..10 N", DRIVE).of(SHARE)
+    assert np.min(values) >= 0.0
+    assert stats.kstest(values, stats.truncnorm(-1.0, FARTHEST, 10.0, 10.0).cdf).statistic < 1e-3
 
 
 def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
@@ -65,7 +77,12 @@ def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
         ("plant.mass=loguniform:0..3 kg", "above zero"),
         ("plant.mass=normal:-2%", "deviation must be above zero"),
         ("plant.mass=normal:nan%", "plant.mass"),
-        ("plant.mass=uniform:5%..7 kg", "plant.mass"),
+        ("plant.mass=uniform:5%..7 kg", "mixes percent and kg"),
+        ("plant.mass=uniform:95%..105%", r"'95%' needs a sign: .* as -5%\.\.\+5%"),
+        ("plant.mass=triangular:-5%..1%..3%", "'1%' needs a sign"),
+        ("plant.mass=normal:5%..3%", "needs a sign"),
+        ("plant.mass=lognormal:3", "300 % of a logarithm is too wide"),
+        ("plant.mass=normal:-60..3 kg", "must be"),
         ("effects.backlash.gap=uniform:0..3 N", "effects.backlash.gap"),
     ],
 )

@@ -37,9 +37,16 @@ def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
     texts, together = varying(PAPER_DRIVE, [], None, path)
     assert texts == ("plant.mass=lognormal:101 kg..0.4%", "plant.constant_force=normal:3 N..0.5 N")
     assert together == {"plant.mass": {"plant.constant_force": -0.9}}
+    # what is given for itself goes before it, and hangs on nothing
+    own = "plant.constant_force=normal:1 N"
+    texts, together = varying(PAPER_DRIVE, [own], None, path)
+    assert texts == (own, "plant.mass=lognormal:101 kg..0.4%")
+    assert together == {"plant.mass": {}}
 
 
-@pytest.mark.parametrize("text", ["mass = 3", "[vary\n", "vary = 3", "\xff"])
+@pytest.mark.parametrize(
+    "text", ["mass = 3", "[vary\n", "vary = 3", "\xff", "correlation = 3\n[vary]\n", "[vary]\n[correlation.a]\nb = []"]
+)
 def test_another_file_is_no_uncertainty(tmp_path, text):
     path = tmp_path / "odd.toml"
     path.write_text(text, encoding="latin-1")
@@ -52,7 +59,7 @@ def test_another_file_is_no_uncertainty(tmp_path, text):
 def test_tolerances_are_lengths_above_zero():
     assert tolerance_of(None) is None
     assert tolerance_of("2um") == pytest.approx(2e-6)
-    for bad in ("0", "-1um", "3 N"):
+    for bad in ("0", "-1um", "3 N", "2", "0.000002"):
         with pytest.raises(DiffdriveError, match="--tolerance"):
             tolerance_of(bad)
 

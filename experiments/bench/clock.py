@@ -18,12 +18,13 @@ class Timing(NamedTuple):
     rounds: int
 
 
-def by_turns(jobs: Mapping[str, Callable[[], Any]], rounds: int = ROUNDS) -> dict[str, Timing]:
+def by_turns(jobs: Mapping[str, Callable[[], Any]], rounds: int | None = None) -> dict[str, Timing]:
     """Time each job; the first run of each, which may compile, does not count."""
     repeats = {}
     for name, job in jobs.items():
         job()
         repeats[name] = max(1, round(LEAST / max(_seconds(job, 1), 1e-9)))
+    rounds = rounds or ROUNDS
     told: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(rounds):
         for name, job in jobs.items():

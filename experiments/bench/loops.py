@@ -14,6 +14,7 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout, running_costs
 from diffdrive.smooth import smooth
 from experiments import paper
+from tuning.least_squares import levenberg_marquardt
 
 # eight parameters that a tuner of PD+FC+LE moves
 EIGHT = (
@@ -26,6 +27,8 @@ EIGHT = (
     lambda c: c.observer.load_estimator.gain,
     lambda c: c.observer.friction.coulomb_screw.positive,
 )
+
+AWAY = 0.2  # of a logarithm, how far from there a search begins
 
 
 class Loop(NamedTuple):
@@ -93,14 +96,64 @@ def lanes(drive: Drive, controller: Controller, given: Inputs, sampling: Samplin
     return loop(many, machines, control, jnp.linspace(0.5, 1.5, count))
 
 
+class _Eight(NamedTuple):
+    """A smooth machine under a controller of eight free parameters, given as logarithms."""
+
+    machine: Drive
+    control: Controller
+    at: Any
+
+    @classmethod
+    def of(cls, drive: Drive, controller: Controller) -> "_Eight":
+        machine, control = as_arrays(smooth((drive, controller)))
+        return cls(machine, control, jnp.log(jnp.stack([part(control) for part in EIGHT])))
+
+    def placed(self, y: Any) -> Controller:
+        parts: Sequence[Any] = list(jnp.exp(y))
+        return eqx.tree_at(lambda c: [part(c) for part in EIGHT], self.control, parts)
+
+
+def reverse(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int) -> dict[str, Loop]:
+    """Many lanes forward, and in reverse mode: each with a load of its own, all under the same eight parameters."""
+    eight, factors = _Eight.of(drive, controller), jnp.linspace(0.5, 1.5, count)
+    of = costs(eight.machine, eight.control, given, sampling)
+
+    def each(y: Any) -> Any:
+        return jax.vmap(lambda factor: of(eight.machine, eight.placed(y), factor))(factors)
+
+    return {"forward": loop(each, eight.at), "reverse": loop(jax.grad(lambda y: jnp.mean(each(y))), eight.at)}
+
+
+def tuner(
+    drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, steps: int
+) -> tuple[Loop, Callable[[], Any], int]:
+    """One pass that gives residuals and Jacobian; and a search of so many steps as `diffdrive tune` makes it, with how
+    many it takes.
+    """
+    eight = _Eight.of(drive, controller)
+
+    def residuals(y: Any, args: Any) -> Any:
+        machine, reference = args
+        return reference - rollout(machine, eight.placed(y), given, sampling).position
+
+    def along(y: Any, args: Any) -> Any:
+        return jax.vmap(lambda way: jax.jvp(lambda y: residuals(y, args), (y,), (way,)), out_axes=(None, 0))(
+            jnp.eye(len(y))
+        )
+
+    args = (eight.machine, given.reference.position)
+    start = np.asarray(eight.at) + AWAY * (-1.0) ** np.arange(len(EIGHT))
+
+    def search() -> Any:
+        return levenberg_marquardt(residuals, start, args, max_steps=steps, tolerance=1e-15, enough=0.0)
+
+    return loop(along, jnp.asarray(start), args), search, search().steps
+
+
 def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> dict[str, Loop]:
     """One lane forward, and its derivatives by eight parameters in several ways."""
-    machine, control = as_arrays(smooth((drive, controller)))
-    at = jnp.log(jnp.stack([part(control) for part in EIGHT]))
-
-    def placed(y: Any) -> Controller:
-        parts: Sequence[Any] = list(jnp.exp(y))
-        return eqx.tree_at(lambda c: [part(c) for part in EIGHT], control, parts)
+    eight = _Eight.of(drive, controller)
+    machine, control, at, placed = eight.machine, eight.control, eight.at, eight.placed
 
     def residuals(y: Any) -> Any:
         return given.reference.position - rollout(machine, placed(y), given, sampling).position

@@ -27,14 +27,18 @@ from experiments.sweeps.varied import with_effects
 
 RATE = 10_000.0
 SAME = 1e-10  # m: the step by hand and ours
-LANES = (1, 16, 64, 128, 256, 1024)
+LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
 MANY = 8192
+SWEPT = (128, 1024, 16384)
 CONTROLLERS = ("PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS")
 BARS = {
     "one lane over numba": ("at most", 1.0),
     "real-time factor": ("at least", 600.0),
     "lanes, numba prange over ours": ("at least", 9.0),
     "jacfwd over forward": ("at most", 1.7),
+    "reverse over forward, 64 lanes": ("at most", 4.5),
+    "reverse, MB a lane at 50,000 steps": ("at most", 6.0),
+    "tuner's iteration over jacfwd": ("at most", 2.0),
     "controller over its arithmetic": ("at most", 1.5),
     "dearest effect": ("at most", 1.3),
     "whole catalogue": ("at most", 6.0),
@@ -51,6 +55,8 @@ def bench(report: Report, wanted: tuple[str, ...] = ()) -> None:
         "sweep": _sweep,
         "controllers": _controllers,
         "gradients": _gradients,
+        "reverse": _reverse,
+        "tuner": _tuner,
         "effects": _effects,
         "growth": _growth,
         "start": _start,
@@ -157,6 +163,7 @@ def _lanes(report: Report) -> dict[str, float]:
         jobs = {str(count): one.run for count, one in compiled.items()}
         if "numba, lanes, one thread" in others:
             jobs["numba"] = others["numba, lanes, one thread"]
+            _require_alike(np.asarray(jobs["numba"]())[:, 0], np.asarray(compiled[64].run()))
         told = clock.by_turns(jobs)
     base = _ns(told["numba"], steps, 64) if "numba" in told else None
     for count, one in compiled.items():
@@ -171,22 +178,40 @@ def _lanes(report: Report) -> dict[str, float]:
 
 
 def _sweep(report: Report) -> dict[str, float]:
-    """As a sweep runs it: blocks, all devices; against numba on all cores."""
+    """As a sweep runs it: blocks, all devices; against numba on all cores, the same machines under the same loads."""
     steps, sampling = 1_000, Sampling(RATE)
     drive, controller = _model()
-    given, count = loops.inputs(steps), MANY
-    machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
-    ramp = Ramp(*(jnp.full(count, end) for end in (0.0, 8e3, 0.0, 1.0)))
-    with report.working(f"{count} lanes on all cores"), _others(report, given, sampling, count) as others:
-        jobs = {"ours": lambda: costs_of(machines, ramp, None, controller, given, np.ones(steps), sampling)}
+    given, none = loops.inputs(steps), np.zeros(steps)
+    length = (steps - 1) * sampling.period
+
+    def swept(count: int) -> Callable[[], Any]:
+        machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
+        top = float(given.load[-1]) * np.linspace(0.5, 1.5, count)
+        ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
+        unloaded = given._replace(load=jnp.asarray(none))
+        return lambda: costs_of(machines, ramp, None, controller, unloaded, np.ones(steps), sampling)
+
+    with report.working(f"{MANY} lanes on all cores"), _others(report, given, sampling, MANY) as others:
+        jobs = {f"ours, {count} lanes": swept(count) for count in (MANY, *SWEPT)}
         if "numba, lanes, prange" in others:
-            jobs["numba prange"] = others["numba, lanes, prange"]
+            prange = jobs[f"numba prange, {MANY} lanes"] = others["numba, lanes, prange"]
+            _require_alike(np.asarray(prange())[:, 0], jobs[f"ours, {MANY} lanes"]().rms)
         told = clock.by_turns(jobs, rounds=3)
-    rows = [[name, _ns(timing, steps, count), timing.best / told["ours"].best] for name, timing in told.items()]
+    each = {name: _ns(timing, steps, int(name.split()[-2])) for name, timing in told.items()}
+    ours = each[f"ours, {MANY} lanes"]
     report.table(
-        "sweep", ("what", "ns a lane-step", "over ours"), rows, f"{count} machines as `diffdrive sweep` runs them"
-    )
-    return {"lanes, numba prange over ours": rows[1][2]} if len(rows) > 1 else {}
+        "sweep", ("what", "ns a lane-step", "over ours"), [[name, ns, ns / ours] for name, ns in each.items()],
+        "Machines as `diffdrive sweep` runs them, on all cores",
+    )  # fmt: skip
+    numba = each.get(f"numba prange, {MANY} lanes")
+    return {} if numba is None else {"lanes, numba prange over ours": numba / ours}
+
+
+def _require_alike(others: np.ndarray, ours: np.ndarray) -> None:
+    """Lane by lane the same errors: else a ratio means nothing."""
+    off = float(np.max(np.abs(others - ours)))
+    if not off <= SAME:
+        raise DiffdriveError(f"numba: its RMS errors differ from ours by up to {off:g} m, more than {SAME:g} m")
 
 
 def _controllers(report: Report) -> dict[str, float]:
@@ -240,6 +265,47 @@ def _gradients(report: Report) -> dict[str, float]:
         "One lane of PD+FC+LE, 4 substeps, eight parameters",
     )  # fmt: skip
     return {"jacfwd over forward": told["jacfwd, 8 parameters"].best / base}
+
+
+def _reverse(report: Report) -> dict[str, float]:
+    """Reverse mode over a block of lanes: time, and what it keeps."""
+    steps, sampling, count = 5_000, Sampling(RATE, 4), 64
+    drive, controller = _model()
+    with report.working("reverse mode over lanes"):
+        compiled = loops.reverse(drive, controller, loops.inputs(steps), sampling, count)
+        told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
+    ratio = told["reverse"].best / told["forward"].best
+    kept = {name: one.memory / count * 50_000 / steps / 1e6 for name, one in compiled.items()}
+    rows = [
+        [name, _ns(told[name], steps, count), told[name].best / told["forward"].best, kept[name],
+         "yes" if one.one_kernel else "NO"]
+        for name, one in compiled.items()
+    ]  # fmt: skip
+    report.table(
+        "reverse", ("what", "ns a lane-step", "over forward", "MB a lane at 50,000 steps", "one kernel"), rows,
+        f"{count} lanes of PD+FC+LE, 4 substeps: the mean error, and its gradient by eight parameters",
+    )  # fmt: skip
+    return {"reverse over forward, 64 lanes": ratio, "reverse, MB a lane at 50,000 steps": kept["reverse"]}
+
+
+def _tuner(report: Report) -> dict[str, float]:
+    """An iteration of the search that `diffdrive tune` makes, beside one pass for residuals and Jacobian."""
+    steps, sampling = 50_000, Sampling(RATE, 4)
+    drive, controller = _model()
+    with report.working("the tuner's iteration"):
+        given = loops.inputs(steps)
+        (one_pass, few, less), (_, many, more) = (loops.tuner(drive, controller, given, sampling, n) for n in (2, 6))
+        told = clock.by_turns({"pass": one_pass.run, "few": few, "many": many}, rounds=3)
+    each = (told["many"].median - told["few"].median) / max(more - less, 1)
+    rows = [
+        ["residuals and Jacobian", told["pass"].median, 1.0],
+        ["iteration", each, each / told["pass"].median],
+    ]
+    report.table(
+        "tuner", ("what", "s", "over the pass"), rows,
+        f"Levenberg-Marquardt on {steps} residuals of one lane, eight parameters ({more} steps less {less})",
+    )  # fmt: skip
+    return {"tuner's iteration over jacfwd": each / told["pass"].median}
 
 
 def _effects(report: Report) -> dict[str, float]:

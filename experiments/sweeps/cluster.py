@@ -5,7 +5,9 @@ itself, and every batch system has a launcher for it. It is the package's extra 
 """
 
 import functools
+import os
 from collections.abc import Iterator
+from typing import Any
 
 import pyarrow as pa
 
@@ -20,22 +22,33 @@ AGAIN = 3  # times that a part is run again whose worker was lost
 
 
 @functools.lru_cache(maxsize=1)
-def _plan(text: str) -> Plan:
+def _plan(text: str, devices: int | None) -> Plan:
     """The plan from its text, once in a process and not once in each of its parts."""
-    configure()
+    configure(devices)
     keep_compiled()
     return from_text(text).plan()
 
 
-def _part(text: str, question: str, part: int) -> pa.Table:
+def _part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
     """One part, on whichever machine this runs."""
-    plan = _plan(text)
+    plan = _plan(text, devices)
     if plan.question() != question:
         raise ParameterError(
-            "a worker has another edition of diffdrive than the program that asks: install the same one on every "
-            "machine of the cluster"
+            "a worker has another edition of diffdrive, jax, numpy or scipy than the program that asks: install the "
+            "same ones on every machine of the cluster"
         )
     return plan.costs(part)
+
+
+def _client(address: str | None, cluster: Any) -> Any:
+    from distributed import Client
+
+    try:
+        return Client(address or cluster, timeout=ANSWERS_WITHIN)
+    except (OSError, TimeoutError) as problem:
+        if address is None:
+            raise
+        raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
 
 
 def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> Engine:
@@ -45,7 +58,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
     where nobody answers at the address.
     """
     try:
-        from distributed import Client, LocalCluster, as_completed
+        from distributed import LocalCluster, as_completed
     except ImportError:
         raise ParameterError("several workers need Dask: pip install 'diffdrive[cluster]'") from None
 
@@ -55,18 +68,17 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
         text, question = to_text(asked), plan.question()
         here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
         cluster = None if address else LocalCluster(**here)
+        # workers of one machine share its cores; one of a cluster has its machine for itself
+        devices = None if address else max(1, (os.cpu_count() or 1) // workers)
         try:
-            with Client(address or cluster, timeout=ANSWERS_WITHIN) as client:
+            with _client(address, cluster) as client:
                 number = {
-                    client.submit(_part, text, question, part, pure=False, retries=AGAIN): part for part in wanted
+                    client.submit(_part, text, question, devices, part, pure=False, retries=AGAIN): part
+                    for part in wanted
                 }
                 for future in as_completed(number):
                     yield number[future], future.result()
                     future.release()
-        except (OSError, TimeoutError) as problem:
-            if address is None:
-                raise
-            raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
         finally:
             if cluster is not None:
                 cluster.close()

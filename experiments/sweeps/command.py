@@ -17,13 +17,14 @@ from experiments.sweeps.asked import Asked, keep, read_asked
 from experiments.sweeps.parts import Engine, here, kept, missing, run
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.replay import SIGNALS, costs_again, machine_of, run_of, traces
-from experiments.sweeps.sensitivity import FEWEST, Influence, influences
+from experiments.sweeps.sensitivity import FEWEST, Influence, influences, influences_on_event
 from experiments.sweeps.summary import ERRORS, SHARES, Group, Interval, compared, exceedance, groups, quantile, worst
 
 PARTS = "parts"
 TOLD = 5  # worst machines that are named
 Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
 
+TOGETHER = "; quantities hang together, so that shares overlap, and one may have its share through another"
 STUCK = 0.5  # share of the time at the force limit from which an axis is too weak
 
 
@@ -40,9 +41,10 @@ def sweep_drive(
         raise ParameterError(f"--record {unknown[0]}: no such signal; known: {', '.join(SIGNALS)}")
     plan = asked.plan()
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
+    if out is not None:
+        missing(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
     with Report(title, out) as report, _folder(out) as folder:
         if out is not None:
-            missing(plan, folder)  # before anything is written: what is there may be of another sweep
             keep(asked, out)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
@@ -103,6 +105,7 @@ def _tell(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | 
     )
     _compare(report, [one for one, _ in found], by)
     _blame(report, plan, found, by)
+    _blame_for_divergence(report, plan, [one for one, _ in found])
     report.table(
         "worst",
         ("motion", "controller", "machines, the worst first"),
@@ -163,15 +166,37 @@ def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
             ("motion", "controller", "quantity", "share, %", "+-", "um where low", "um where high"),
             rows,
             f"What drives the spread: share of the variance of the logarithm of the {ERRORS[by]}, and its mean in the "
-            "lowest and highest sixth",
+            "lowest and highest sixth" + (TOGETHER if plan.correlation else ""),
         )
     elif plan.varied:
         report.say(f"No sensitivities: they take {FEWEST} machines that did not diverge and are not all alike.")
 
 
+def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) -> None:
+    """Machines that diverged have no share in the errors' spread: what decides over that is told apart."""
+    rows = [
+        [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 100 * each.low, 100 * each.high]
+        for one in found
+        if one.diverged.any()
+        for each in influences_on_event(list(plan.units), _values(plan, one), one.diverged, plan.seed)
+        if each.share > each.uncertain
+    ]
+    if rows:
+        report.table(
+            "divergence",
+            ("motion", "controller", "quantity", "share, %", "+-", "% diverge where low", "% diverge where high"),
+            rows,
+            "What decides whether a machine diverges; those that do are not in the shares above"
+            + (TOGETHER if plan.correlation else ""),
+        )
+
+
+def _values(plan: Plan, group: Group) -> np.ndarray:
+    return np.stack([group.column(name) for name in plan.units], axis=1)
+
+
 def _influences(plan: Plan, group: Group, by: str) -> list[Influence]:
-    names = list(plan.units)
-    return influences(names, np.stack([group.column(name) for name in names], axis=1), group.error(by), plan.seed)
+    return influences(list(plan.units), _values(plan, group), group.error(by), plan.seed)
 
 
 def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
@@ -219,12 +244,15 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         report.values("run", status=simulated.status.message)
         report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
         told = kept(plan, folder / PARTS, number, controller, motion)
-        if told is not None:
-            report.values("as_in_the_sweep", to_the_last_bit=told == (float(costs.rms[0]), float(costs.peak[0])))
+        if told is None:
+            report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
+        else:
+            again = [float(costs.rms[0]), float(costs.peak[0])]
+            report.values("as_in_the_sweep", to_the_last_bit=np.array_equal(told, again, equal_nan=True))
         if report.out is not None:
             write_run(report.out / "run.csv", simulated)
             # the gains are the axis's; observers and feed-forwards in a file take the file's own model
             tables = drive_tables(plan.axis_of(machine.drive))
             write_drive(report.out / "machine.toml", parse_drive(tables, f"machine {number}"))
             report.figure("run", run_figure(simulated))
-    return simulated.status.ok
+    return int(costs.steps_finite[0]) == len(plan.motions[motion].time)  # as the sweep counts it

@@ -24,7 +24,7 @@ def path_of(folder: Path, part: int) -> Path:
 def keep(table: pa.Table, path: Path, question: str) -> None:
     """Write a part, whole or not at all, with the question that it answers."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    half = path.with_suffix(".half")
+    half = path.with_name(f".{path.name}")  # whoever reads the folder as a dataset passes over it
     pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), half)
     half.replace(path)
 
@@ -34,17 +34,28 @@ def missing(plan: Plan, folder: Path) -> list[int]:
 
     Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
     """
-    question, left = plan.question().encode(), []
-    for part in range(plan.parts):
-        path = path_of(folder, part)
-        if not path.exists():
-            left.append(part)
-        elif (pq.read_schema(path).metadata or {}).get(QUESTION) != question:
+    question = plan.question().encode()
+    wanted = {path_of(folder, part): part for part in range(plan.parts)}
+    for path in sorted(folder.glob("part-*.parquet")):
+        asked = _question(path)
+        if asked is None and path in wanted:
+            continue  # damaged: it is run again
+        if asked != question or path not in wanted:
             raise ParameterError(
-                f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies or seed: "
-                "give another folder, or remove this one"
+                f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies, number of "
+                "machines or seed, or in the edition of diffdrive, jax, numpy or scipy: give another folder, or remove "
+                "this one"
             )
-    return left
+        del wanted[path]
+    return sorted(wanted.values())
+
+
+def _question(path: Path) -> bytes | None:
+    """The question that a part answers; None where nothing can be read."""
+    try:
+        return (pq.read_schema(path).metadata or {}).get(QUESTION, b"")
+    except (OSError, pa.ArrowInvalid):
+        return None
 
 
 def here(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
@@ -56,6 +67,7 @@ def here(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
 def run(plan: Plan, folder: Path, done: Done, engine: Engine = here) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
     question, left = plan.question(), missing(plan, folder)
+    plan.require_possible(left)
     finished = plan.samples - sum(len_of(plan, part) for part in left)
     done(finished)
     for part, table in engine(plan, left):
@@ -68,7 +80,7 @@ def run(plan: Plan, folder: Path, done: Done, engine: Engine = here) -> ds.Datas
 def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) -> tuple[float, float] | None:
     """RMS and peak error (m) of one run of the sweep in `folder`; None where it is not there, or of another edition."""
     path = path_of(folder, number // plan.part_size)
-    if not path.exists() or (pq.read_schema(path).metadata or {}).get(QUESTION) != plan.question().encode():
+    if _question(path) != plan.question().encode():
         return None
     wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
     rows = pq.read_table(path, columns=["rms_m", "peak_m"], filters=wanted).to_pylist()

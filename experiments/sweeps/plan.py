@@ -2,9 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib.metadata import version
 from typing import Any
 
 import jax
@@ -26,7 +27,7 @@ from experiments.sweeps.machines import Values, machines
 from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
 
-MOST_IN_A_PART = 8192  # machines: a few seconds of work, a megabyte of results
+MOST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen devices
 
 
 @dataclass(frozen=True)
@@ -68,29 +69,49 @@ class Plan:
             raise ParameterError(f"sweep: at least one machine is needed, got {samples}")
         for name, motion in motions.items():
             require_within(motion, axis.limits)
+            if abs(motion.rate / axis.sampling.rate - 1.0) > 1e-6:
+                raise ParameterError(
+                    f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
+                    "make them equal"
+                )
             if not 0.0 <= plan.settle < motion.duration:
                 raise ParameterError(
                     f"sweep: settle = {plan.settle:g} s leaves nothing of {name} ({motion.duration:g} s)"
                 )
-        plan._require_possible()
+        if not 0 <= plan.seed < 2**63:
+            raise ParameterError(f"sweep: seed must be from 0 to 2^63 - 1, got {plan.seed}")
         root_of(plan.correlation, names)
         return plan
 
-    def _require_possible(self) -> None:
-        """No machine at either end of any quantity is impossible: hours later would be late."""
-        count = len(self.varied)
-        ends = np.full((2 * count + 1, count), 0.5)
-        for k in range(count):
-            ends[2 * k : 2 * k + 2, k] = 0.0, 1.0
-        machine, ramp, _ = machines(self.axis.drive, self.varied, ends)
-        below = min(float(np.min(self.loads(motion))) for motion in self.motions.values())
-        lowest = below + float(jnp.min(ramp.load) + jnp.minimum(jnp.min(ramp.change), 0.0))
-        preload = float(jnp.min(machine.friction.initial_load))
-        if not lowest > -preload:
+    def require_possible(self, parts: Iterable[int]) -> None:
+        """Every machine of these parts can be: hours later would be late. Raises `ParameterError` that names one."""
+        least = min(float(np.min(self.loads(motion))) for motion in self.motions.values())
+        for part in parts:
+            numbers = self.numbers(part)
+            try:
+                self._possible(numbers, least)
+            except ParameterError as problem:
+                raise ParameterError(f"sweep: machine {self._first(numbers, least)} cannot be: {problem}") from None
+
+    def _possible(self, numbers: np.ndarray, least: float) -> None:
+        machine, ramp, _, _ = self.machines(numbers)
+        lowest = least + ramp.load + jnp.minimum(ramp.change, 0.0)
+        if jnp.any(lowest <= -machine.friction.initial_load):
             raise ParameterError(
-                f"sweep: a load of {lowest:g} N lifts the table off its guides: it must stay above minus the initial "
-                f"load, {-preload:g} N"
+                f"a load of {float(jnp.min(lowest)):g} N lifts the table off its guides: it must stay above minus the "
+                "initial load"
             )
+
+    def _first(self, numbers: np.ndarray, least: float) -> int:
+        """The first machine of these that cannot be, where one is."""
+        while len(numbers) > 1:
+            half = numbers[: len(numbers) // 2]
+            try:
+                self._possible(half, least)
+                numbers = numbers[len(half) :]
+            except ParameterError:
+                numbers = half
+        return int(numbers[0])
 
     def loads(self, motion: Motion) -> np.ndarray:
         """The load (N) that every machine has along a motion, beside what varies."""
@@ -181,6 +202,7 @@ class Plan:
             edition(*(one.__module__ for one in (Plan, costs_of, machines, parse_varied, shares))).encode()
         )
         asked = [
+            [version(package) for package in ("jax", "jaxlib", "numpy", "scipy")],  # on which the last bits hang
             self.method,
             self.seed,
             self.samples,

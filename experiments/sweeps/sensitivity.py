@@ -20,33 +20,46 @@ class Influence(NamedTuple):
     """One quantity."""
 
     name: str
-    share: float  # of the variance of the logarithm of the error: 0 to 1
+    share: float  # of the variance: 0 to 1
     uncertain: float  # half-width of its 95 % interval
-    low: float  # geometric mean of the errors (m) where the quantity is low
+    low: float  # mean where the quantity is low: of errors the geometric one (m), of events how often they happen
     high: float  # where it is high
 
 
 def influences(
     names: Sequence[str], values: Float[np.ndarray, "n d"], errors: Float[np.ndarray, " n"], seed: int = 0
 ) -> list[Influence]:
-    """Every quantity, the strongest first. Machines without a finite error (m) are left out.
+    """Every quantity's on the logarithm of the error, the strongest first. Errors (m) that are not finite are left out.
 
     Empty where nothing varies, where there are too few machines, or where their errors are all the same.
     """
+    good = np.isfinite(errors) & (errors > 0.0)
+    found = _shares(names, values[good], np.log(errors[good]), seed)
+    return [one._replace(low=float(np.exp(one.low)), high=float(np.exp(one.high))) for one in found]
+
+
+def influences_on_event(
+    names: Sequence[str], values: Float[np.ndarray, "n d"], happened: np.ndarray, seed: int = 0
+) -> list[Influence]:
+    """Every quantity's on whether something happened to a machine, as `influences`."""
+    return _shares(names, values, happened.astype(float), seed)
+
+
+def _shares(names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.ndarray, seed: int) -> list[Influence]:
     from SALib.analyze import rbd_fast  # takes two seconds to import
 
-    good = np.isfinite(errors) & (errors > 0.0)
-    inputs, outputs = values[good], np.log(errors[good])
     if len(outputs) < FEWEST or np.ptp(outputs) == 0.0:
         return []
     varies = np.ptp(inputs, axis=0) > 0.0
     names, inputs = [name for name, one in zip(names, varies, strict=True) if one], inputs[:, varies]
+    if not names:
+        return []
     problem = {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
     found = rbd_fast.analyze(problem, inputs, outputs, num_resamples=RESAMPLES, seed=seed)
     told = []
     for k, name in enumerate(names):
         order = np.argsort(inputs[:, k], kind="stable")
         few = max(1, round(SIXTH * len(order)))
-        low, high = (float(np.exp(np.mean(outputs[part]))) for part in (order[:few], order[-few:]))
+        low, high = (float(np.mean(outputs[part])) for part in (order[:few], order[-few:]))
         told.append(Influence(name, float(np.clip(found["S1"][k], 0.0, 1.0)), float(found["S1_conf"][k]), low, high))
     return sorted(told, key=lambda one: -one.share)

@@ -65,7 +65,7 @@ def _end(value: float) -> float | None:
 
 
 def quantile(values: Values, share: float) -> Interval:
-    """A quantile and the order statistics that enclose it (of independent machines: of Sobol's it is less sure)."""
+    """A quantile and the order statistics that enclose it as for independent machines."""
     ends = stats.quantile_test(values, p=share).confidence_interval(LEVEL)
     return Interval(
         float(np.quantile(values, share, method="inverted_cdf")), _end(float(ends.low)), _end(float(ends.high))

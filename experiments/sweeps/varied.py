@@ -4,7 +4,7 @@ import dataclasses
 import difflib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from experiments.scenario import number, numbers
 
 # Beside what the drive file holds: a load that changes linearly between two times, and is constant outside.
 LOAD = {"load": "N", "load.change": "N", "load.from": "s", "load.to": "s"}
+# Numbers in percent are offsets from the drive file's value, and need a sign but for a range's last: -5%..+5%.
 KINDS = {
     "uniform": "LOW..HIGH, every value alike",
     "loguniform": "LOW..HIGH, every order of magnitude alike",
@@ -28,6 +29,7 @@ KINDS = {
 NUMBERS = {
     "uniform": (2,), "loguniform": (2,), "triangular": (3,), "normal": (1, 2), "lognormal": (1, 2), "fixed": (1,),
 }  # fmt: skip
+WIDEST = 1.0  # deviation of a logarithm: already a factor of 55 at four of them, wider is a slip of the pen
 FARTHEST = 4.0  # standard deviations: no sample is decided by a machine that nobody will see
 
 Values = Float[np.ndarray, " n"]
@@ -47,8 +49,8 @@ class Varied:
     of: Callable[[Values], Values]
 
 
-def _normal(share: Values) -> Values:
-    return np.asarray(stats.truncnorm.ppf(share, -FARTHEST, FARTHEST))
+def _normal(share: Values, low: float = -FARTHEST, high: float = FARTHEST) -> Values:
+    return np.asarray(stats.truncnorm.ppf(share, low, high))
 
 
 def _uniform(low: float, high: float) -> Callable[[Values], Values]:
@@ -63,8 +65,8 @@ def _triangular(low: float, mode: float, high: float) -> Callable[[Values], Valu
     return lambda share: np.asarray(stats.triang.ppf(share, (mode - low) / (high - low), low, high - low))
 
 
-def _shape(kind: str, given: list[float]) -> Callable[[Values], Values]:
-    """The distribution of a kind."""
+def _shape(kind: str, given: list[float], bounds: tuple[float, float]) -> Callable[[Values], Values]:
+    """The distribution of a kind; a normal one ends where the quantity does."""
     if kind == "uniform":
         return _uniform(*given)
     if kind == "loguniform":
@@ -75,7 +77,8 @@ def _shape(kind: str, given: list[float]) -> Callable[[Values], Values]:
         return lambda share: np.full(share.shape, given[0])
     middle, deviation = given
     if kind == "normal":
-        return lambda share: middle + deviation * _normal(share)
+        low, high = (float(np.clip((bound - middle) / deviation, -FARTHEST, FARTHEST)) for bound in bounds)
+        return lambda share: middle + deviation * _normal(share, low, high)
     return lambda share: middle * np.exp(deviation * _normal(share))
 
 
@@ -86,16 +89,26 @@ def with_effects(drive: Drive, names: Iterable[str]) -> Drive:
     return dataclasses.replace(drive, effects=(*drive.effects, *(EFFECTS[name]() for name in wanted)))
 
 
-def known_quantities(drive: Drive) -> dict[str, tuple[str, bool]]:
-    """Unit of every quantity that may vary, and whether the drive has a value of it that is not zero.
+class Known(NamedTuple):
+    """A quantity that may vary."""
+
+    unit: str
+    there: bool  # the drive has a value of it
+    scales: bool  # one that is not zero
+    bounds: tuple[float, float] = (-np.inf, np.inf)  # which it may not leave
+
+
+def known_quantities(drive: Drive) -> dict[str, Known]:
+    """Every quantity that may vary.
 
     A quantity per direction stands for both sides together, or for one of them with `.positive` or `.negative`. Effects
     that the drive file has not are there as well.
     """
-    known = {name: (unit, False) for name, unit in LOAD.items()}
+    known = {name: Known(unit, True, False) for name, unit in LOAD.items()}
     for name, declared, value in quantities(with_effects(drive, EFFECTS)):
         sides = [] if value is None else [value.positive, value.negative] if declared.directional else [value]
-        known[name] = (declared.unit, bool(sides) and all(float(one) != 0.0 for one in sides))
+        scales = bool(sides) and all(float(one) != 0.0 for one in sides)
+        known[name] = Known(declared.unit, bool(sides), scales, declared.range)
         if declared.directional:
             known |= {f"{name}.{side}": known[name] for side in ("positive", "negative")}
     return known
@@ -112,33 +125,45 @@ def parse_varied(text: str, drive: Drive) -> Varied:
     if not equals or name not in known:
         near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
         raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")
-    unit, has_value = known[name]
-    where = f"vary {name}"
+    unit, where = known[name].unit, f"vary {name}"
     if kind not in KINDS:
         kinds = "; ".join(f"{key}:{what}" for key, what in KINDS.items())
         raise ParameterError(f"{where}: '{kind}' is no distribution; known: {kinds}")
     parts = [part.strip() for part in values.split("..")]
     if len(parts) not in NUMBERS[kind] or not all(parts):
         raise ParameterError(f"{where}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
-    relative = all(part.endswith("%") for part in parts)
-    alone = kind in ("normal", "lognormal") and len(parts) == 1
-    if (relative or alone) and not has_value:
+    how, given = _given(kind, parts, unit, where)
+    if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].there):
         raise ParameterError(
             f"{where}: the drive file has no value for it, or zero, to be relative to: give all numbers in {unit}"
         )
-    if kind == "lognormal":
-        middle = [] if alone else [number(parts[0], unit, where)]
-        given = [*(middle or [1.0]), _share(parts[-1], where)]
-        how: Literal["is", "plus", "times"] = "times" if alone else "is"
-    elif relative:
-        about = {"loguniform": 0.0}.get(kind, 1.0)
-        given = [about + _share(part, where) for part in parts]
-        given, how = ([1.0, given[0] - 1.0] if alone else given), "times"
-    else:
-        given = numbers(";".join(parts), unit, where)
-        given, how = ([0.0, *given] if alone else given), "plus" if alone else "is"
     _require_sensible(kind, given, where)
-    return Varied(name, unit, text, how, _shape(kind, given))
+    low, high = known[name].bounds
+    if how == "is" and kind == "normal" and not low - FARTHEST * given[1] < given[0] < high + FARTHEST * given[1]:
+        raise ParameterError(f"{where}: nothing of {values} is from {low:g} to {high:g}, where it must be")
+    bounds = (low, high) if how == "is" else (-np.inf, np.inf)
+    return Varied(name, unit, text, how, _shape(kind, given, bounds))
+
+
+def _given(kind: str, parts: list[str], unit: str, where: str) -> tuple[Literal["is", "plus", "times"], list[float]]:
+    """How the numbers of a kind meet the drive file's value, and the numbers, a single deviation with its middle."""
+    places, deviation = (parts[:-1], parts[-1]) if kind in ("normal", "lognormal") else (parts, None)
+    shares = [part.endswith("%") for part in places]
+    relative = all(shares) and (bool(places) or kind == "lognormal" or str(deviation).endswith("%"))
+    if any(shares) and not relative:
+        raise ParameterError(f"{where}: '{'..'.join(parts)}' mixes percent and {unit}: give all in one of them")
+    for part in places[: max(1, len(places) - 1)]:
+        if relative and part[0] not in "+-" and part != "0%":
+            raise ParameterError(
+                f"{where}: '{part}' needs a sign: percents are offsets from the drive file's value, as -5%..+5%"
+            )
+    if relative:
+        given = [1.0 + _share(part, where) for part in places] or [1.0]
+        return "times", given if deviation is None else [*given, _share(deviation, where)]
+    if kind == "lognormal":
+        return "is", [*numbers(places[0], unit, where), _share(parts[-1], where)]
+    given = numbers(";".join(parts), unit, where)
+    return ("is", given) if places else ("plus", [0.0, *given])
 
 
 def _share(text: str, where: str) -> float:
@@ -157,3 +182,6 @@ def _require_sensible(kind: str, given: list[float], where: str) -> None:
         raise ParameterError(f"{where}: {kind} needs numbers above zero, got {given[0]:g}")
     if kind in ("normal", "lognormal") and not given[-1] > 0.0:
         raise ParameterError(f"{where}: the deviation must be above zero, got {given[-1]:g}")
+    if kind == "lognormal" and given[-1] > WIDEST:
+        wide = f"a deviation of {100 * given[-1]:g} % of a logarithm is too wide"
+        raise ParameterError(f"{where}: {wide}; write 3% or 0.03")

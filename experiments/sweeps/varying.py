@@ -20,28 +20,41 @@ def varying(
 ) -> tuple[tuple[str, ...], Correlation]:
     """The texts of `varied.parse_varied` for a drive file, and the correlations between them.
 
-    Where nothing is given, all parameters of plant and friction vary by a little.
+    What is given for itself goes before what was identified, and both before the spread. Where nothing is given, all
+    parameters of plant and friction vary by a little.
     """
     texts, correlation = list(vary), {}
     if identified is not None:
-        known, correlation = read_uncertainty(identified)
-        texts += known
+        known, together = read_uncertainty(identified)
+        own = _names(texts)
+        texts += [text for text in known if not _names([text]) & own]
+        left = _names(texts) - own
+        correlation = {
+            one: {other: value for other, value in others.items() if other in left}
+            for one, others in together.items()
+            if one in left
+        }
     if spread is not None or not texts:
         texts += _spread(drive, spread or DEFAULT_SPREAD, texts)
     return tuple(texts), correlation
 
 
+def _names(texts: Sequence[str]) -> set[str]:
+    """The quantities of these texts; one of a direction counts as its pair, too."""
+    names = {text.partition("=")[0].strip() for text in texts}
+    return names | {name.removesuffix(".positive").removesuffix(".negative") for name in names}
+
+
 def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
     """Every plant and friction parameter of the drive file that is not varied yet; both directions alike."""
     percent = spread if spread.endswith("%") else f"{100.0 * number(spread, '1', '--spread'):.12g}%"
-    taken = {text.partition("=")[0].strip() for text in there}
-    taken |= {name.removesuffix(".positive").removesuffix(".negative") for name in taken}
+    taken = _names(there)
     axis = read_drive(drive).drive
     known = known_quantities(axis)
     return [
         f"{name}=lognormal:{percent}"
         for name, _, _ in quantities(axis)
-        if name.startswith(("plant.", "friction.")) and name not in taken and known[name][1]
+        if name.startswith(("plant.", "friction.")) and name not in taken and known[name].scales
     ]
 
 
@@ -50,10 +63,11 @@ def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
     try:
         told = tomllib.loads(path.read_text(encoding="utf-8"))
         vary = [f"{name}={text}" for name, text in told["vary"].items()]
-        return vary, told.get("correlation", {})
+        together = told.get("correlation", {})
+        return vary, {one: {other: float(value) for other, value in of.items()} for one, of in together.items()}
     except FileNotFoundError:
         raise ParameterError(f"{path}: no such file; `diffdrive identify --out FOLDER` writes it") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, AttributeError) as problem:
+    except (OSError, KeyError, AttributeError, TypeError, ValueError) as problem:
         raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
 
 
@@ -61,6 +75,8 @@ def tolerance_of(text: str | None) -> float | None:
     """A tolerance in m, above zero."""
     if text is None:
         return None
+    if not text.strip()[-1:].isalpha():
+        raise ParameterError(f"--tolerance {text}: give it with its unit, as 2um")
     value = number(text, "m", "--tolerance")
     if not value > 0.0:
         raise ParameterError(f"--tolerance {text}: must be above zero")
