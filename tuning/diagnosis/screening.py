@@ -36,6 +36,7 @@ from tuning.diagnosis.priors import Parameter
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, under other process forces too
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
+GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
 
 
@@ -128,14 +129,16 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     if candidate.searched:
         best, process = evolved(fitted, model, candidate, before)
         points, processes = [best], np.vstack([processes, process])
-    starts = [before, fitted.u] if astray else [before]
-    found = []
-    for values in points:
-        for calibration in starts:
-            u = np.r_[calibration, begin(model, values)]
-            found.append((fitter.at(model, u, fitted.process, fitted.track.course), values))
-        if not model.coupled:
-            found += _made_way(fitter, fitted, model, found[-1])
+
+    def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:
+        u = np.r_[calibration, begin(model, values)]
+        return fitter.at(model, u, fitted.process, fitted.track.course), values
+
+    found = [tried_from(fitted.u, values) for values in points]
+    if not model.coupled:
+        found.append(_made_way(fitter, fitted, model, min(found, key=lambda one: one[0].cost)))
+    if astray:
+        found += [tried_from(before, values) for values in points]
     found.sort(key=lambda one: one[0].cost)
     likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
     there, values = min(likely, key=lambda one: one[0].cost)
@@ -143,9 +146,11 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, processes)
 
 
-def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Values]) -> list[tuple[Point, Values]]:
-    """The effect at those values beside the parameters that were free moved to the first order's best, and of a single
-    parameter the amount as well: along the secant to what the effect does `at` a point where all else is as fitted.
+def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Values]) -> tuple[Point, Values]:
+    """The effect, and what was free before moved to make way for it, after two steps of a fit.
+
+    They begin where the first order points, along the secant to what the effect does `at` a point where all else is as
+    fitted: at its values there or, of a single parameter, at the amount that explains most.
     """
     point, values = at
     d = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
@@ -156,12 +161,14 @@ def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Val
     amounts = {1.0}
     if len(values) == 1 and bent > 0.0 and np.isfinite(slope):
         amounts.add(float(np.clip(-slope / bent, LITTLE, MUCH)))
-    told = []
+    begun = []
     for amount in sorted(amounts):
         scaled = {name: amount * value for name, value in values.items()}
         u = np.r_[fitted.u - limited(left + amount * making_way), begin(model, scaled)]
-        told.append((fitter.at(model, u, fitted.process, fitted.track.course), scaled))
-    return told
+        begun.append(fitter.at(model, u, fitted.process, fitted.track.course))
+    best = min(begun, key=lambda one: one.cost)
+    there, _ = fitter.sought(model, best.u, best.process, best.course, GLANCE)
+    return there, model.values(there.u)[-1]
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:
