@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from sound_log import DRIVE
 
+from diffdrive.parameters import Sampling
 from tuning.diagnosis import explain, leftover, verdict
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, Explanation, _better, _enough, _other_first
@@ -14,10 +15,10 @@ from tuning.diagnosis.leftover import lacking, unexplained
 from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _led_on, _ranked, to_its_end
 
 
-def hypothesis(*effects, evidence, strain=0.0, coupled=False):
+def hypothesis(*effects, evidence, strain=0.0, coarse=False):
     """A fit as far as the search looks at it."""
     members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
-    model = SimpleNamespace(members=members, added=len(effects), coupled=coupled, possible=lambda u: True)
+    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, possible=lambda u: True)
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
 
 
@@ -88,6 +89,8 @@ def test_impossible_parameters_are_explained_by_what_brings_them_back():
         assert names(looked)[0] == "cogging"
         assert (looked.rivals, looked.allowance) == (len(fits), 0.0)
     assert names(_ranked(before, None, [], [gain, cogging])) == ["cogging", "force_gain"]
+    dwell = hypothesis("friction_dwell", evidence=-9000.0, strain=9.0)  # far more than those parameters explained
+    assert names(_ranked(before, believed, [], [dwell, gain]))[0] == "friction_dwell"
 
 
 @pytest.mark.parametrize(
@@ -136,13 +139,14 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
     fitted = SimpleNamespace(
         model=None, u=None, own=DRIVE.drive, process=np.array([1.0, 0.1]), cost=3.0, track=SimpleNamespace(course=5.0)
     )
-    assert lacking(SimpleNamespace(at=at), fitted) == 7.0
+    logged = SimpleNamespace(sampling=Sampling(1e3, 10))
+    assert lacking(SimpleNamespace(at=at, logged=logged), fitted) == 7.0
 
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, ended):
     monkeypatch.setattr(explain, "complete", lambda *_: True)
-    best = hypothesis("backlash", evidence=-1e4, coupled=True, strain=4.5)
+    best = hypothesis("backlash", evidence=-1e4, coarse=True, strain=4.5)
     fits = [hypothesis("cogging", evidence=-2e4, strain=4.2)]
     assert _enough(None, best, 1e4, ended, fits) == SLIGHTER * 1e4
     assert _enough(None, best, 10.0, True, fits) == RELIEF

@@ -34,6 +34,11 @@ class Candidate(NamedTuple):
         return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
 
     @property
+    def coarse(self) -> bool:
+        """Whether its details differ from machine to machine, so that the right kind of effect leaves some of it."""
+        return self.coupled or self.effect is friction.FrictionDwell
+
+    @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
         alike = (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)

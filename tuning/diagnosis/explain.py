@@ -6,14 +6,17 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
+from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, strain, unexplained
+from tuning.diagnosis.model import Vector
 from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, WORTH, Progress, Round, apart_from, look, to_its_end
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
-SLIGHTER = 0.12  # in place of SLIGHT beside a coupled effect, whose details differ from machine to machine
+SLIGHTER = 0.12  # in place of SLIGHT beside an effect whose details differ from machine to machine
 RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2
@@ -42,22 +45,36 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
     if not fits:
         return None
     best = fits[0]
-    there = fitter.at(before.model, best.u[: before.u.size], best.process, best.track.course)
-    there = fitter.with_process(there, before.model, np.vstack([best.process * NEAR, before.process * NEAR]))
+    processes = np.vstack([best.process * NEAR, before.process * NEAR])
+    begun = [fitter.at(before.model, u, best.process, best.track.course) for u in _without(before, best)]
+    there = min((fitter.with_process(one, before.model, processes) for one in begun), key=lambda one: one.cost)
     if before.cost - there.cost < WORTH:
         return None
     further = fitter.fit(before.model, there.u, there.process, there.track.course)
     return further if further.evidence < before.evidence and further.model.possible(further.u) else None
 
 
+def _without(before: Fitted, best: Fitted) -> list[Vector]:
+    """What `before` has free where a fit with one effect more ended: as it is, and moved to do without the effect."""
+    count = before.u.size
+    found, own = best.u[:count], best.jacobian[:, :count]
+    known = {one.name: one for one in best.model.members[-1].candidate.parameters}
+    amounts = np.array([known[name].amplitude for _, name, _ in best.model.slots[count - len(NAMES) :]])
+    if not amounts.any():
+        return [found]
+    taken = best.residual - best.jacobian[:, count:] @ (amounts * best.u[count:])
+    step = -solved(own.T @ own + np.eye(count), own.T @ taken + found)
+    return [found, found + limited(step)]
+
+
 def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
     """The evidence that one more effect must bring beside the `best`, which `gained` some."""
     if fits and strain(best) >= STRAINED > strain(fits[0]):
         return WORTH
-    if ended and not best.model.coupled:
+    if ended and not best.model.coarse:
         return RELIEF
-    enough = max(RELIEF if ended else WORTH, (SLIGHTER if best.model.coupled else SLIGHT) * gained)
-    if fits and not best.model.coupled and complete(fitter, fits[0]):
+    enough = max(RELIEF if ended else WORTH, (SLIGHTER if best.model.coarse else SLIGHT) * gained)
+    if fits and not best.model.coarse and complete(fitter, fits[0]):
         return min(enough, RESOLVING)
     return enough
 
@@ -73,10 +90,10 @@ def explain(
     """
 
     def whole(base: Fitted, one: Fitted) -> bool:
-        return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coupled else LEFT)
+        return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coarse else LEFT)
 
     def over(base: Fitted, one: Fitted) -> bool:
-        return whole(base, one) if one.model.coupled else complete(fitter, one)
+        return whole(base, one) if one.model.coarse else complete(fitter, one)
 
     def standing(base: Fitted, one: Fitted) -> tuple[bool, ...]:
         return over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE

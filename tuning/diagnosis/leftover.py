@@ -5,7 +5,7 @@ import numpy as np
 from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.following import LOST
+from tuning.diagnosis.following import LASTING, LOST
 
 LACKING = 30.0  # of cost
 LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
@@ -20,10 +20,13 @@ RELEVANT = 3e-4  # of the friction
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
-    A force of `RELEVANT` of the friction is allowed: the simulator's own steps make as much. The effects are stepped
-    along the same course in both: where one remembers when the table stood still, that makes a difference of its own.
+    A force of `RELEVANT` of the friction is allowed, and a sudden one that comes to as much over as long: the
+    simulator's own steps make as much. The effects are stepped along the same course in both: where one remembers when
+    the table stood still, that makes a difference of its own.
     """
-    least = np.minimum(fitted.process, RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0)))
+    relevant = RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0))
+    sudden = relevant * np.sqrt(max(LASTING * fitter.logged.sampling.rate, 1.0))
+    least = np.minimum(fitted.process, [relevant, sudden])
     none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
     return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 
@@ -52,14 +55,14 @@ def power_left(base: Fitted, fitted: Fitted) -> float:
 def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     """Share of what the recalibrated drive is missing that a fit leaves.
 
-    The details of a coupled effect differ from machine to machine: they leave little force, plain as it may be to see.
+    The details of a coarse effect differ from machine to machine: they leave little force, plain as it may be to see.
     Where the filter was lost in blows, it is those that count. A filter that runs away explains nothing.
     """
     before, after = max(missing(fitter, base), 1.0), missing(fitter, fitted)
     if not np.isfinite(after):
         return 1.0
     share = after / before if np.isfinite(before) else power_left(base, fitted)
-    if fitted.model.coupled:
+    if fitted.model.coarse:
         share = min(share, power_left(base, fitted))
         if BLOWS * lost_samples(base) > MOSTLY * before:
             share = min(share, lost_samples(fitted) / lost_samples(base))

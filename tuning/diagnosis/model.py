@@ -112,6 +112,11 @@ class Model:
         """Whether an effect is stepped within the filter."""
         return any(member.candidate.coupled for member in self.members)
 
+    @property
+    def coarse(self) -> bool:
+        """Whether an effect's details differ from machine to machine."""
+        return any(member.candidate.coarse for member in self.members)
+
     def values(self, u: Vector) -> list[dict[str, Vector]]:
         """For each member, its parameters by name: one value for each log."""
         found = [dict(member.fixed) for member in self.members]

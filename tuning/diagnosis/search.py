@@ -149,11 +149,13 @@ def look(
 
 def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], fits: Sequence[Fitted]) -> Round:
     """The fits of a round by evidence; those that bring impossible parameters back go ahead of all that do not, unless
-    one that needs no impossible parameters clearly explains more.
+    one that needs no impossible parameters clearly explains more, or the best more than those parameters ever did.
     """
     every = _best_of_each(fits, _name)
     relieving = _best_of_each(_relieving(before, believed, fits), _name)
     if believed is None or not relieving or _clearly(every[0], relieving[0]):
+        return Round(before, screened, every, len(every), 0.0)
+    if relieving[0].evidence - every[0].evidence > max(believed.cost - before.cost, SETTLED):
         return Round(before, screened, every, len(every), 0.0)
     named = {_name(one) for one in relieving}
     others = [one for one in every if _name(one) not in named]

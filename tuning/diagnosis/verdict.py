@@ -107,7 +107,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     effects = best.model.added
     lacks = not complete(fitter, base)
     share = unexplained(fitter, base, best) if lacks else 0.0
-    left = share / (ROUGHLY if best.model.coupled else LEFT)
+    left = share / (ROUGHLY if best.model.coarse else LEFT)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
