@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
 from diffdrive.observer import Estimate
 from diffdrive.parameters import Directional, Drive, Plant, Scalar, quantity
@@ -73,21 +74,21 @@ class LastError(NamedTuple):
     """The error one period ago (m), and whether there was one."""
 
     error: Scalar
-    known: Scalar
+    known: Bool[Array, ""]
 
     @classmethod
     def none(cls) -> "LastError":
         """Before the first sample."""
-        return cls(jnp.zeros(()), jnp.zeros(()))
+        return cls(jnp.zeros(()), jnp.zeros((), bool))
 
     def or_now(self, error: Scalar) -> Scalar:
         """The last error, at the first sample this one."""
-        return self.known * self.error + (1.0 - self.known) * error
+        return jnp.where(self.known, self.error, error)
 
     @staticmethod
     def after(error: Scalar) -> "LastError":
         """Remember this error."""
-        return LastError(error, jnp.ones(()))
+        return LastError(error, jnp.ones((), bool))
 
 
 class Tracking(eqx.Module):
