@@ -6,6 +6,7 @@ is held against what the effect of that name changes in the simulator.
 
 import dataclasses
 
+import equinox as eqx
 import numpy as np
 import pytest
 from sound_log import RATE, described, logged
@@ -17,6 +18,7 @@ from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFrict
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.motion import from_array
+from experiments.withheld import machine
 from experiments.withheld.draw import KNOWN
 from experiments.withheld.machine import Faults, Kind, Told, run
 
@@ -87,12 +89,13 @@ def named(effect):
     return " + ".join(one.name for one in effect) if isinstance(effect, tuple) else effect.name
 
 
-def wrong(faults):
+def wrong(faults, noise=0.0):
     """Position and command of the machine that is not the simulator."""
     flat = np.zeros(len(TIME))
+    rough = noise * np.random.default_rng(0).standard_normal(len(TIME))
     kind = Kind(elastic="stiffness" in faults, lagging="lag" in faults)
     gains = (float(PLAIN.controller.tracking.gains.kp), float(PLAIN.controller.tracking.gains.kd))
-    told = Told(MOTION.position, flat, flat, flat, flat)
+    told = Told(MOTION.position, flat, rough, flat, flat)
     return np.stack(run(PLAIN.drive, Faults(**faults), kind, gains, 1e-12, told, RATE))
 
 
@@ -123,3 +126,14 @@ def test_a_fault_is_the_effect_of_its_name(faults, effect, most, sound):
     for theirs, ours in zip(wrong(faults) - sound[0], simulated(*effects) - sound[1], strict=True):
         assert np.linalg.norm(theirs) > 0.0
         assert np.linalg.norm(theirs - ours) < most * np.linalg.norm(theirs)
+
+
+def test_the_instant_at_which_a_late_command_arrives_is_not_blurred(monkeypatch):
+    """A step across it is off by nanometres, which a diagnosis would take for an effect."""
+    plain, found = machine._run.__wrapped__, []
+    for tolerance in (1e-8, 1e-11):
+        monkeypatch.setattr(machine, "TOLERANCE", tolerance)
+        anew = eqx.filter_jit(lambda *given: plain(*given))
+        monkeypatch.setattr(machine, "_run", anew)
+        found.append(wrong({"delay": 0.17}, noise=3e-8)[0])
+    assert np.max(np.abs(found[0] - found[1])) < 2e-10  # 1.2e-8 by steps across it

@@ -243,7 +243,9 @@ def _run(
             begin = jax.tree.map(jnp.divide, state, scales)
             found = diffrax.diffeqsolve(
                 scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, begin, args,
-                stepsize_controller=control, max_steps=MOST_STEPS, throw=False,
+                # a step across the instant at which a late command arrives would blur it by nanometres
+                stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=switch[None]),
+                max_steps=MOST_STEPS, throw=False,
                 saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
             )  # fmt: skip
             return jax.tree.map(lambda y, scale: y[-1] * scale, found.ys, scales)
