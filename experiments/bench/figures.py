@@ -8,7 +8,7 @@ from experiments.report import new_figure, plain_logarithmic
 def drawn(tables: dict[str, Any]) -> Any:
     """What was measured, a panel for each part that was run and has one."""
     panels = [name for name in ("lanes", "controllers", "gradients", "effects") if name in tables]
-    figure, axes = new_figure(max(1, len(panels)), 1, width=9.0, height=3.2, share_x=False)
+    figure, axes = new_figure(max(1, len(panels)), 1, width=9.0, height=4.2, share_x=False)
     every = [axes] if len(panels) <= 1 else list(axes)
     for axis, name in zip(every, panels, strict=False):
         rows = tables[name]["rows"]
