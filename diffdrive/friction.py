@@ -11,6 +11,7 @@ deflection: then force and bristle rate stay continuous through v = 0 and z = 0 
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -109,8 +110,15 @@ class Decay(NamedTuple):
     x: Scalar
 
 
-# 1/2! - x/3! + x^2/4! - ...: eight terms leave 1e-17 at x = 0.05
-_SERIES = tuple((-1) ** n / math.factorial(n + 2) for n in range(8))
+# 1/2! - x/3! + x^2/4! - ..., and 1/3! - x/4! + ...: eight terms leave 1e-17 at x = 0.05
+_SECOND, _THIRD = (tuple((-1) ** n / math.factorial(n + order) for n in range(8)) for order in (2, 3))
+
+
+def _series(coefficients: tuple[float, ...], x: Scalar) -> Scalar:
+    total: Scalar = coefficients[-1]
+    for term in reversed(coefficients[:-1]):
+        total = term + x * total
+    return total
 
 
 def decay(x: Scalar) -> Decay:
@@ -118,24 +126,41 @@ def decay(x: Scalar) -> Decay:
     return decay_of(x, 1.0)
 
 
+@jax.custom_jvp
 def decay_of(top: Scalar, bottom: Scalar) -> Decay:
     """`Decay` at x = top / bottom, where bottom > 0: one division for x and 1 / x."""
+    return _decay_and_slope(top, bottom)[0]
+
+
+@decay_of.defjvp
+def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Decay, Decay]:
+    (top, bottom), (top_along, bottom_along) = primals, tangents
+    fade, slope, per_bottom = _decay_and_slope(top, bottom)
+    along = (top_along - fade.x * bottom_along) * per_bottom
+    return fade, Decay(*(one * along for one in slope))
+
+
+def _decay_and_slope(top: Scalar, bottom: Scalar) -> tuple[Decay, Decay, Scalar]:
+    """The decay, its derivative by x, and 1 / bottom.
+
+    The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives: a
+    derivative of the series term by term would cost each tangent as much as the series itself.
+    """
     small = top < 0.05 * bottom
     safe = jnp.where(small, 1.0, top)  # keeps the branch not taken, and its derivative, finite
     once = 1.0 / (safe * bottom)
-    x, inverse = top * safe * once, bottom * bottom * once
+    per_bottom, inverse = safe * once, bottom * bottom * once
+    x = top * per_bottom
     end = fading(x)
-    mean = (1.0 - end) * inverse
     near = jnp.where(small, x, 0.0)
-    series = _SERIES[-1]
-    for term in reversed(_SERIES[:-1]):
-        series = term + near * series
-    return Decay(
-        end=end,
-        mean=jnp.where(small, 1.0 - near * series, mean),
-        mean_of_mean=jnp.where(small, series, (1.0 - mean) * inverse),
-        x=x,
-    )
+    series = _series(_SECOND, near)
+    far = (1.0 - end) * inverse
+    mean = jnp.where(small, 1.0 - near * series, far)
+    second = jnp.where(small, series, (1.0 - far) * inverse)
+    slope = jnp.where(small, second - mean, (end - mean) * inverse)
+    second_slope = jnp.where(small, 2.0 * _series(_THIRD, near) - second, -(slope + second) * inverse)
+    moved = Decay(end=-end, mean=slope, mean_of_mean=second_slope, x=jnp.ones_like(x))
+    return Decay(end=end, mean=mean, mean_of_mean=second, x=x), moved, per_bottom
 
 
 def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:

@@ -7,6 +7,7 @@ the measurement at k and on the force applied up to k, so there is no algebraic 
 """
 
 import warnings
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -125,6 +126,22 @@ def step(
 recomputed = partial(jax.checkpoint, prevent_cse=False)
 
 
+def _scanned(body: Callable[[Any, Any], tuple[Any, Any]], begin: Any, inputs: Any, kept: int) -> tuple[Any, Any]:
+    """`lax.scan` that in reverse mode keeps the carry of each `kept`-th step and computes the steps between again."""
+    if kept == 1:
+        return lax.scan(recomputed(body), begin, inputs)
+    if not isinstance(kept, int) or kept < 1:
+        raise ParameterError(f"kept must be a whole number from 1 on, got {kept!r}")
+    whole = len(jax.tree.leaves(inputs)[0]) // kept * kept
+    chunks = jax.tree.map(lambda signal: signal[:whole].reshape(-1, kept, *signal.shape[1:]), inputs)
+    state, frames = lax.scan(recomputed(lambda state, at: lax.scan(body, state, at, unroll=kept)), begin, chunks)
+    frames = jax.tree.map(lambda signal: signal.reshape(whole, *signal.shape[2:]), frames)
+    if whole == len(jax.tree.leaves(inputs)[0]):
+        return state, frames
+    state, last = lax.scan(recomputed(body), state, jax.tree.map(lambda signal: signal[whole:], inputs))
+    return state, jax.tree.map(lambda some, rest: jnp.concatenate([some, rest]), frames, last)
+
+
 def rollout(
     drive: Drive,
     controller: Controller,
@@ -133,27 +150,28 @@ def rollout(
     key: Array | None = None,
     every: int = 1,
     begin: LoopState | None = None,
+    kept: int = 1,
 ) -> Frame:
     """Roll the loop over `inputs` ([n] each) and record each `every`-th frame: arrays of shape [n // every].
 
     Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
-    `begin` is the state to begin from (see `start`); by default at rest where the reference begins.
+    `begin` is the state to begin from (see `start`); by default at rest where the reference begins. In reverse mode the
+    state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile (docs/numerics.md).
     """
     require_double_precision()
     drive = acting.altered(drive, drive.effects)
 
-    @recomputed
     def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
         return step(drive, controller, sampling, key, state, at)
 
     begin = start(drive, controller, inputs.reference.position[0]) if begin is None else begin
     if every == 1:
-        return lax.scan(body, begin, inputs)[1]
+        return _scanned(body, begin, inputs, kept)[1]
 
     def block(state: LoopState, chunk: Inputs) -> tuple[LoopState, Frame]:
-        state, frame = body(state, jax.tree.map(lambda signal: signal[0], chunk))
+        state, frame = recomputed(body)(state, jax.tree.map(lambda signal: signal[0], chunk))
         rest = jax.tree.map(lambda signal: signal[1:], chunk)
-        state, _ = lax.scan(lambda s, at: (body(s, at)[0], None), state, rest)
+        state, _ = _scanned(lambda s, at: (body(s, at)[0], None), state, rest, kept)
         return state, frame
 
     blocks = len(inputs.load) // every
@@ -180,17 +198,17 @@ def running_costs(
     sampling: Sampling,
     key: Array | None = None,
     ramp: Ramp | None = None,
+    kept: int = 1,
 ) -> Costs:
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
 
-    `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor.
+    `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `kept`: as `rollout`.
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
     require_double_precision()
     drive = acting.altered(drive, drive.effects)
 
-    @recomputed
     def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
         state, last, (square, largest, change, missed, limited, finite) = carry
         now, count = at
@@ -217,8 +235,8 @@ def running_costs(
     estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, at_first)[1].estimate)
     missed = None if estimate is None or estimate.load is None else zero
     sums = (zero, zero, zero, missed, zero, jnp.zeros((), jnp.uint32))
-    (_, _, (square, largest, change, missed, limited, finite)), _ = lax.scan(
-        body, (begin, zero, sums), (inputs, counts)
+    (_, _, (square, largest, change, missed, limited, finite)), _ = _scanned(
+        body, (begin, zero, sums), (inputs, counts), kept
     )
     total = jnp.sum(counts)
     return Costs(

@@ -12,8 +12,9 @@ from the same two functions, since A is regular (det A = a r + b > 0):
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -37,11 +38,27 @@ _EVEN = tuple(1.0 / math.factorial(2 * n) for n in range(11))
 _ODD = tuple(1.0 / math.factorial(2 * n + 1) for n in range(11))
 
 
+_ODD_SLOPE = tuple(n * term for n, term in enumerate(_ODD))[1:]
+
+
 def _series(coefficients: tuple[float, ...], p: Scalar) -> Scalar:
     total: Scalar = coefficients[-1]
     for term in reversed(coefficients[:-1]):
         total = term + p * total
     return total
+
+
+@jax.custom_jvp
+def _even_odd(p: Scalar) -> tuple[Scalar, Scalar]:
+    """cosh(sqrt p) and sinh(sqrt p) / sqrt p; p < 0 gives their circular sisters."""
+    return _series(_EVEN, p), _series(_ODD, p)
+
+
+@_even_odd.defjvp
+def _even_odd_along(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Any, Any]:
+    (p,), (along,) = primals, tangents
+    even, odd = _even_odd(p)
+    return (even, odd), (0.5 * odd * along, _series(_ODD_SLOPE, p) * along)
 
 
 def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, time: Scalar) -> tuple[Scalar, Scalar]:
@@ -61,7 +78,7 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     # the rest: half the angle, or q itself, into the series; then double once
     angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)
     p = jnp.where(apart, 0.0, jnp.where(turning, -(angle**2), q)) / 4
-    half_even, half_odd = _series(_EVEN, p), _series(_ODD, p)
+    half_even, half_odd = _even_odd(p)
     even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle * per_root, 1.0)
     cosh = jnp.where(apart, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)
     sinh = jnp.where(apart, 0.5 * (slow_or_mean - fast_end) * per_root, slow_or_mean * odd)

@@ -199,3 +199,30 @@ def test_the_force_limit_is_reached():
         frames = rollout(*as_arrays((drive, CONTROLLERS[LIMITED_PD])), reversing(), Sampling())
         assert np.mean(np.abs(frames.force) > 97.0) > 0.05
         assert np.mean(np.abs(frames.command) > 110.0) > 0.05
+
+
+def by_the_gain(kept, every, samples=SAMPLES):
+    """The tracking error and its slope by kp, reverse mode keeping the state of each `kept`-th step; compiled."""
+    drive, controller = as_arrays(smooth((DRIVE, CONTROLLERS["PD+FC+LE"])))
+    inputs = jax.tree.map(lambda signal: signal[:samples], reversing())
+
+    def cost(kp):
+        tuned = eqx.tree_at(lambda c: c.tracking.gains.kp, controller, kp)
+        frames = rollout(drive, tuned, inputs, Sampling(), jax.random.key(0), every, kept=kept)
+        wanted = inputs.reference.position[: len(frames.position) * every : every]
+        return metrics.rms(wanted - frames.position)
+
+    return jax.jit(jax.value_and_grad(cost)).lower(jnp.asarray(PAPER_KP)).compile()
+
+
+@pytest.mark.parametrize(("kept", "every"), [(2, 1), (3, 5)])
+def test_how_many_steps_reverse_mode_keeps_changes_no_gradient(kept, every):
+    """A remainder in both: 1801 steps in pairs, the 4 between two recorded ones in threes."""
+    at = jnp.asarray(PAPER_KP)
+    np.testing.assert_allclose(by_the_gain(kept, every)(at), by_the_gain(1, every)(at), rtol=1e-9)
+
+
+def test_every_second_step_kept_takes_half_the_memory():
+    memory = [by_the_gain(kept, 1, 1800).memory_analysis().temp_size_in_bytes / 1800 * 50_000 for kept in (1, 2)]
+    assert memory[1] < 0.65 * memory[0]
+    assert memory[1] < 6e6  # bytes of 50,000 steps

@@ -28,6 +28,8 @@ EIGHT = (
     lambda c: c.observer.friction.coulomb_screw.positive,
 )
 
+PAIRS = "reverse, every second step kept"
+
 AWAY = 0.2  # of a logarithm, how far from there a search begins
 
 
@@ -72,12 +74,13 @@ def inputs(steps: int, rate: float = 10_000.0) -> Inputs:
     return as_arrays(Inputs(Reference(*signals), np.linspace(0.0, 8e3, steps), np.zeros(steps)))
 
 
-def costs(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> Any:
+def costs(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, kept: int = 1) -> Any:
     """RMS error as a function of machine, controller and the factor on the load."""
     counts = jnp.ones(given.load.shape)
 
     def of(drive: Drive, controller: Controller, factor: Any) -> Any:
-        return running_costs(drive, controller, given._replace(load=factor * given.load), counts, sampling).rms
+        now = given._replace(load=factor * given.load)
+        return running_costs(drive, controller, now, counts, sampling, kept=kept).rms
 
     return of
 
@@ -116,12 +119,16 @@ class _Eight(NamedTuple):
 def reverse(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int) -> dict[str, Loop]:
     """Many lanes forward, and in reverse mode: each with a load of its own, all under the same eight parameters."""
     eight, factors = _Eight.of(drive, controller), jnp.linspace(0.5, 1.5, count)
-    of = costs(eight.machine, eight.control, given, sampling)
 
-    def each(y: Any) -> Any:
+    def each(y: Any, kept: int) -> Any:
+        of = costs(eight.machine, eight.control, given, sampling, kept)
         return jax.vmap(lambda factor: of(eight.machine, eight.placed(y), factor))(factors)
 
-    return {"forward": loop(each, eight.at), "reverse": loop(jax.grad(lambda y: jnp.mean(each(y))), eight.at)}
+    def backwards(kept: int) -> Loop:
+        return loop(jax.grad(lambda y: jnp.mean(each(y, kept))), eight.at)
+
+    forward = loop(lambda y: each(y, 1), eight.at)
+    return {"forward": forward, "reverse": backwards(1), PAIRS: backwards(2)}
 
 
 def tuner(
@@ -158,8 +165,8 @@ def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: S
     def residuals(y: Any) -> Any:
         return given.reference.position - rollout(machine, placed(y), given, sampling).position
 
-    def rms(y: Any) -> Any:
-        return costs(machine, control, given, sampling)(machine, placed(y), jnp.asarray(1.0))
+    def rms(y: Any, kept: int = 1) -> Any:
+        return costs(machine, control, given, sampling, kept)(machine, placed(y), jnp.asarray(1.0))
 
     def normal(y: Any) -> Any:
         residual, slope = residuals(y), jax.jacfwd(residuals)(y)
@@ -172,4 +179,5 @@ def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: S
         "Jacobian of residuals": loop(jax.jacfwd(residuals), at),
         "Gauss-Newton": loop(normal, at),
         "reverse": loop(jax.grad(rms), at),
+        PAIRS: loop(jax.grad(lambda y: rms(y, 2)), at),
     }

@@ -274,7 +274,7 @@ def _reverse(report: Report) -> dict[str, float]:
     with report.working("reverse mode over lanes"):
         compiled = loops.reverse(drive, controller, loops.inputs(steps), sampling, count)
         told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
-    ratio = told["reverse"].best / told["forward"].best
+    ratio = told[loops.PAIRS].best / told["forward"].best
     kept = {name: one.memory / count * 50_000 / steps / 1e6 for name, one in compiled.items()}
     rows = [
         [name, _ns(told[name], steps, count), told[name].best / told["forward"].best, kept[name],
@@ -285,7 +285,7 @@ def _reverse(report: Report) -> dict[str, float]:
         "reverse", ("what", "ns a lane-step", "over forward", "MB a lane at 50,000 steps", "one kernel"), rows,
         f"{count} lanes of PD+FC+LE, 4 substeps: the mean error, and its gradient by eight parameters",
     )  # fmt: skip
-    return {"reverse over forward, 64 lanes": ratio, "reverse, MB a lane at 50,000 steps": kept["reverse"]}
+    return {"reverse over forward, 64 lanes": ratio, "reverse, MB a lane at 50,000 steps": kept[loops.PAIRS]}
 
 
 def _tuner(report: Report) -> dict[str, float]:
