@@ -15,6 +15,7 @@ from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, re
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
+from diffdrive.logs.plausibility import Finding, examine
 from diffdrive.motion import Motion
 from diffdrive.parameters import Directional, Drive
 from experiments.checked_logs import parse_loads, read_checked
@@ -24,18 +25,20 @@ from experiments.payoff import in_words, payoff
 from experiments.report import Report, plain
 from experiments.tuning_cases import Plan
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.diagnose import UNSURE, Diagnosis, deviations, diagnose, parameters
+from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.explain import MOST_EFFECTS
 from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.held_out import HIDDEN, closed
+from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
-from tuning.diagnosis.verdict import Belief
+from tuning.diagnosis.verdict import UNSURE, Belief
+from tuning.estimates import NORMAL
 
-HIDDEN = 1.05  # times the floor
 NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
+Fatal = list[tuple[str, Finding]]  # what is wrong with which log
 FINDING = ("log", "severity", "channel", "found", "mend")
-ABOUT_THE_COMMAND = {"loop_delay", "force_gain"}  # effects that are what a fatal finding on the command is about
 
 
 def diagnose_logs(
@@ -65,18 +68,18 @@ def diagnose_logs(
     description = read_drive(drive)
     description = dataclasses.replace(description, mapping=description.mapping.overridden(columns, units))
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
-        logs, findings = _read(report, paths, description, loads)
+        logs, findings, fatal = _read(report, paths, description, loads)
         with report.stages() as progress:
             found = diagnose(
                 description.drive, description.controller, logs,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        sure, found = found, _doubted(found, findings)
+        found, strange = _doubted(found, fatal), _strange(found, fatal)
         beside = {"logs": [log.name for log in logs], "findings": findings}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _save(report, as_json(found, NOT_YET) | beside, None)
         with report.working("looking for the motion that would decide"):
-            offer = next_experiment(found, description) if found is sure else _mended_first(findings)
+            offer = _mended_first(strange) if strange else next_experiment(found, description)
         told = as_json(found, offer) | beside
         tell(report, told)
         if report.out is not None:
@@ -94,8 +97,8 @@ def diagnose_logs(
 
 def _read(
     report: Report, paths: Sequence[Path], description: DriveDescription, loads: Sequence[str]
-) -> tuple[tuple[Log, ...], list[dict[str, str]]]:
-    """The logs, and what is wrong with them: nothing is refused here, a fatal finding lowers the confidence instead."""
+) -> tuple[tuple[Log, ...], list[dict[str, str]], Fatal]:
+    """The logs, and what is wrong with them, in words and where it is fatal: that lowers the confidence, no more."""
     quiet = Report("reading", None, Console(quiet=True))  # what it says of forcing is not for this command
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
         logs = read_checked(
@@ -111,29 +114,36 @@ def _read(
         report.table("findings", FINDING, rows, "What the logs would mislead about, or limit")
     if fatal:
         report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, and is believed accordingly.")
-    return logs, [dict(zip(FINDING, row, strict=True)) for row in rows if row[1] != "note"]
+    told = [dict(zip(FINDING, row, strict=True)) for row in rows if row[1] != "note"]
+    if not fatal:
+        return logs, told, []
+    return logs, told, [(log.name, one) for log in logs for one in examine(log, description) if one.severity == "fatal"]
 
 
-def _doubted(found: Diagnosis, findings: Sequence[dict[str, str]]) -> Diagnosis:
-    """No sure verdict from logs with a fatal finding, unless what was found is what that is about."""
-    fatal = [one for one in findings if one["severity"] == "fatal"]
+def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
+    """The fatal findings that nothing that was found resembles."""
     named = {one.effect for one in found.verdict.beliefs if one.found}
-    if not fatal or (named & ABOUT_THE_COMMAND and all(one["channel"] == "command" for one in fatal)):
+    return [(log, one) for log, one in fatal if one.resembles not in named]
+
+
+def _doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
+    """No sure verdict from logs with a fatal finding; where that resembles what was found, it may be either's."""
+    if not fatal:
         return found
-    first = fatal[0]
-    says = (
-        f"{found.verdict.says}; but the log checks say of {first['log']}: {first['found']}. No confidence is above "
-        f"{UNSURE} before that is mended: {first['mend']}"
-    )
-    beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in found.verdict.beliefs]
-    verdict = found.verdict._replace(verdict="unknown", beliefs=beliefs, says=says)
-    return dataclasses.replace(found, verdict=verdict)
+    strange = _strange(found, fatal)
+    log, first = (strange or fatal)[0]
+    told = f"the log checks say of {log}: {first.found}"
+    if strange:
+        told = f"but {told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
+        return dataclasses.replace(found, verdict=found.verdict.doubted(told))
+    told = f"whether the {first.resembles} is the machine's or the log's these logs cannot tell: {told}"
+    return dataclasses.replace(found, verdict=found.verdict.and_says(told))
 
 
-def _mended_first(findings: Sequence[dict[str, str]]) -> Experiment:
+def _mended_first(strange: Fatal) -> Experiment:
     """No motion tells anything while what logs it is wrong."""
-    fatal = next(one for one in findings if one["severity"] == "fatal")
-    return Experiment("", [], 0.0, f"before any motion, mend {fatal['log']}: {fatal['mend']}")
+    log, first = strange[0]
+    return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.mend}")
 
 
 def _save(report: Report, told: dict[str, Any], augmented: str | None) -> None:
@@ -190,7 +200,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "where": [one._asdict() for one in found.where],
         "causes": [cause(found, one) for one in found.verdict.beliefs],
         "recalibrated": list(_recalibrated(found)),
-        "ladder": [_rung(one, found.floor) for one in found.rungs],
+        "ladder": [_rung(one) for one in found.rungs],
         "closed": _closed(found),
         "lacks": [one._asdict() for one in found.lacks],
         "next_experiment": offer._asdict(),
@@ -235,9 +245,18 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
         "units": {name: units[name] for name in numbers},
         "gap_before": before and before.force.rms,
         "gap_after": rung and rung.force.rms,
-        "held_out": rung and {"shrink": rung.shrink[0], "interval": rung.shrink[1:], "judged_on": found.split.says},
+        "held_out": rung and before and _own_shrink(found, before, rung),
         "indistinguishable_from": belief.alternatives,
     }
+
+
+def _own_shrink(found: Diagnosis, before: Rung, after: Rung) -> dict[str, Any]:
+    """What one effect takes off the gap beyond the floor that the rung before it leaves; no share of nothing."""
+    gone = closed(before, after, found.logged.sampling.rate)
+    judged = {"judged_on": found.split.says}
+    if gone is None:
+        return {"shrink": None, "interval": None} | judged
+    return {"shrink": gone.share, "interval": [gone.low, gone.high]} | judged
 
 
 def _recalibrated(found: Diagnosis) -> Iterator[dict[str, Any]]:
@@ -250,7 +269,7 @@ def _recalibrated(found: Diagnosis) -> Iterator[dict[str, Any]]:
         for name, nominal, unit in _nominal(found.logged.drive, parameter):
             row: dict[str, Any] = {"parameter": name, "unit": unit, "drive_file": nominal}
             for key, one in fits.items():
-                at = one.u[k] + 1.96 * spreads[key][k] * np.array([0.0, -1.0, 1.0])
+                at = one.u[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
                 value, *interval = (nominal * np.exp(one.model.tolerance * at)).tolist()
                 row |= {key: value, f"{key}_interval": interval}
             yield row
@@ -268,13 +287,13 @@ def _nominal(drive: Drive, parameter: str) -> list[tuple[str, float, str]]:
     return [(f"{field}.{way}", float(getattr(value, way)), unit) for way in ways]
 
 
-def _rung(rung: Rung, floor: float) -> dict[str, Any]:
+def _rung(rung: Rung) -> dict[str, Any]:
     unknown = "not simulated in closed loop: the controller or the reference is not known"
     return {
         "model": rung.name,
         "force_rms_N": rung.force.rms,
         "force_interval_N": rung.interval,
-        "force_floor_N": floor,
+        "force_floor_N": rung.floor,
         "shrink": rung.shrink[0],
         "shrink_interval": rung.shrink[1:],
         "position_rms_m": _in_loop(rung, "position_rms"),
@@ -288,24 +307,22 @@ def _rung(rung: Rung, floor: float) -> dict[str, Any]:
 
 def _closed(found: Diagnosis) -> dict[str, Any]:
     """How much of the force's mean square that recalibration leaves beyond the floor is gone with what was found."""
-    before, after, floor = found.rungs[1].force, found.rungs[-1].force, found.floor
+    before, after, gone = found.rungs[1].force, found.rungs[-1].force, found.closed
     if len(found.rungs) == 2:
         return {"share": None, "interval": None, "says": "No effect was added."}
-    on = f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor"
-    if before.rms < HIDDEN * floor:
+    on = (
+        f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor "
+        f"{found.floor:.3g} N"
+    )
+    if gone is None:
         says = (
-            f"{on} {floor:.3g} N. Recalibration hides the gap, but with a nominal parameter moved by "
+            f"{on}. Recalibration hides the gap, but with a nominal parameter moved by "
             f"{strain(found.explanation.base):.0f} standard deviations, against {strain(found.found):.1f} with it"
         )
         return {"share": None, "interval": None, "says": says}
-    rate, least = found.logged.sampling.rate, (HIDDEN**2 - 1.0) * floor**2
-    squares = [np.r_[one.rms**2, one.drawn(rate)] for one in (before, after)]
-    beyond = [np.maximum(one - floor**2, bound) for one, bound in zip(squares, (least, 0.0), strict=True)]
-    shares = 1.0 - beyond[1] / beyond[0]
-    low, high = (float(one) for one in np.percentile(shares[1:], [2.5, 97.5]))
-    percent = f"{100 * shares[0]:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-    says = f"{on} {floor:.3g} N: {percent} of what was left beyond the floor is gone"
-    return {"share": float(shares[0]), "interval": [low, high], "says": says}
+    percent = f"{100 * gone.share:.0f} % ({100 * gone.low:.0f} to {100 * gone.high:.0f})"
+    says = f"{on}: {percent} of what was left beyond the floor is gone"
+    return {"share": gone.share, "interval": [gone.low, gone.high], "says": says}
 
 
 def augmented_drive(found: Diagnosis) -> Drive:

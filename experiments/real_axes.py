@@ -25,6 +25,7 @@ from experiments.report import Report
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.registration import registered
+from tuning.inverse_dynamics import DYNAMICS
 
 TRUSTED = 0.02  # tolerance of a published model's parameters
 IDENTIFIED = 0.005  # of a drive that was identified from the same log
@@ -148,8 +149,11 @@ def _without(report: Report, records: Records, term: str, case: Withheld, contro
     estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
     report.say(f"EMPS without its {term}:")
     found = _diagnosed(report, case.nominal, controller, estimation, 2, case.tolerance)
-    full = force_error(registered(case.full, records["pulses"].log), records["pulses"].log)
-    without, added = (force_error(registered(one, pulses), pulses) for one in (case.nominal, augmented_drive(found)))
+    real = records["pulses"].log
+    full = force_error(registered(case.full, real), real)
+    without, added = (
+        force_error(registered(one, pulses), pulses, DYNAMICS, real) for one in (case.nominal, augmented_drive(found))
+    )
     causes = [one for one in found.verdict.beliefs if one.found]
     effects, rivals = [one.effect for one in causes], [name for one in causes[:1] for name in one.alternatives]
     named = _named(case.names, effects, rivals)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -22,13 +21,11 @@ from experiments.withheld.score import score
 from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
-from tuning.diagnosis.diagnose import _confirmed, _denied, _upheld, _within, diagnose, logged_of
-from tuning.diagnosis.explain import Explanation
+from tuning.diagnosis.diagnose import _within, diagnose, logged_of
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
-from tuning.diagnosis.search import Round
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Belief, Verdict
 from tuning.diagnosis.where import localise
@@ -200,43 +197,6 @@ def test_a_log_that_cannot_tell_makes_every_cause_unsure():
     assert doubted.verdict == "unknown"
     assert [one.confidence for one in doubted.beliefs] == [0.5, 0.1]
     assert "log a longer motion" in doubted.says
-
-
-def rung(deviance, scatter=0.0, moved=1.0):
-    """What the held-out logs say of a model, piece by piece, and how far it moves a nominal parameter."""
-    pieces = deviance / 50 + scatter * np.random.default_rng(0).choice([-1.0, 1.0], 50) * (deviance != 0.0)
-    return SimpleNamespace(unlikely=pieces, fitted=SimpleNamespace(u=np.full(len(NAMES), moved)))
-
-
-def test_a_model_is_denied_by_more_than_chance_and_more_than_a_little():
-    assert _denied(rung(50.0), rung(0.0), 500.0)
-    assert not _denied(rung(10.0), rung(0.0), 100.0)
-    assert not _denied(rung(50.0), rung(0.0), 5000.0)  # beside what it explains it is little
-    assert not _denied(rung(50.0, scatter=8.0), rung(0.0), 500.0)  # some pieces say so, others the contrary
-    assert not _denied(rung(50.0), rung(0.0, moved=20.0), 500.0)  # by numbers that cannot be
-    assert _denied(rung(50.0, moved=20.0), rung(0.0, moved=20.0), 500.0)
-
-
-@pytest.mark.parametrize(("held_out", "confidence"), [(-500.0, 0.9), (50.0, 0.5)])
-def test_a_cause_that_foresees_held_out_logs_worse_is_not_believed(held_out, confidence):
-    verdict = Verdict("effect", [Belief("cogging", 0.9, True, 0, 500.0, None, [])], 0.0, "cogging explains the gap")
-    rungs = [rung(one) for one in (100.0, 0.0, held_out)]
-    judged = _confirmed(verdict, rungs)
-    assert judged.verdict == ("effect" if held_out < 0.0 else "unknown")
-    assert judged.beliefs[0].confidence == confidence
-
-
-@pytest.mark.parametrize(("held_out", "stays"), [((0.0, -500.0, -900.0), 2), ((0.0, -500.0, -400.0), 1)])
-def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out, stays):
-    fits = [SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(added=k)) for k in range(len(held_out))]
-    rounds = [Round(fits[k], [], [fits[k + 1]], 1, 0.0) for k in range(2)]
-    rungs = [rung(one) for one in (100.0, *held_out)]
-    elsewhere = Explanation(fits[0], rounds[:1], fits[2])
-    found, left = _upheld(Explanation(fits[0], rounds, fits[2], elsewhere), rungs)
-    assert found.best is fits[stays]
-    assert (found.other is elsewhere) == (stays == 2)  # two effects are no rival of the one that is left
-    assert len(left) == stays + 2
-    assert [one.enough == np.inf for one in found.rounds] == [False, stays < 2]  # and is not believed any more
 
 
 def gap_with(force, surprise, velocity, position):

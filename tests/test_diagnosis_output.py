@@ -16,6 +16,7 @@ from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.errors import ParameterError
 from diffdrive.logs import write_log
+from diffdrive.logs.plausibility import Finding
 from experiments import cli, real_axes
 from experiments import diagnose as command
 from experiments.diagnose_figures import _ladder
@@ -184,8 +185,8 @@ def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(tilted, told_of, 
 
 
 def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
-    finding = {"log": "lap", "severity": "fatal", "channel": "position", "found": "steps", "mend": "give the unit"}
-    monkeypatch.setattr(command, "_read", lambda *_: ((), [finding]))
+    fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
+    monkeypatch.setattr(command, "_read", lambda *_: ((), [], fatal))
     monkeypatch.setattr(command, "draw", lambda *_: None)
     told, _ = told_of(tilted)
     assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
@@ -278,14 +279,19 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of,
     assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
 
 
-@pytest.mark.parametrize(("channel", "verdict"), [("command", "effect"), ("position", "unknown")])
-def test_an_effect_that_is_what_the_finding_is_about_is_believed(tilted, channel, verdict):
-    finding = {"log": "lap", "severity": "fatal", "channel": channel, "found": "one sample late", "mend": "shift it"}
-    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay")
+@pytest.mark.parametrize(
+    ("resembles", "verdict"), [("loop_delay", "effect"), ("force_gain", "unknown"), (None, "unknown")]
+)
+def test_an_effect_that_a_fatal_finding_resembles_is_the_machines_or_the_logs(tilted, resembles, verdict):
+    fatal = [("lap", Finding("fatal", "command", "one sample late", "shift it", resembles))]
+    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9)
     found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
-    assert command._doubted(found, [finding]).verdict.verdict == verdict
-    assert command._doubted(tilted, [finding]).verdict.verdict == "unknown"
-    assert command._doubted(tilted, [finding | {"severity": "warning"}]) is tilted
+    doubted = command._doubted(found, fatal).verdict
+    assert doubted.verdict == verdict
+    assert "one sample late" in doubted.says
+    assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
+    assert command._doubted(tilted, fatal).verdict.verdict == "unknown"
+    assert command._doubted(tilted, []) is tilted
 
 
 def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):

@@ -12,6 +12,7 @@ from sound_log import DRIVE, RATE, described, logged, two_sines
 
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
+from diffdrive.effects.friction import FrictionDwell
 from diffdrive.motion import from_array
 from diffdrive.parameters import as_arrays
 from diffdrive.plant import PlantState, advance, advance_along
@@ -19,12 +20,14 @@ from experiments.withheld.machine import Faults, Kind, Told, run
 from experiments.withheld.score import read_key
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.diagnose import logged_of, parameters
+from tuning.diagnosis.candidates import given as those_given
+from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.intervals import parameters
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.leftover import complete
-from tuning.diagnosis.model import Model, effect_in_lanes, exposed
+from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
 from tuning.diagnosis.registration import registered
 from tuning.diagnosis.screening import begin, joined
 from tuning.diagnosis.search import recalibrated, standing
@@ -247,3 +250,20 @@ def test_a_key_without_sizes_says_what_is_clear(tmp_path):
 
 def test_less_than_no_delay_is_none_to_the_simulator():
     assert LoopDelay(-0.5).step((0.0,) * 8, jnp.asarray(3.0), 1e-3)[1].mean == 3.0
+
+
+@pytest.mark.parametrize(("rate", "thinning"), [(4000.0, 2), (8000.0, 4), (10_000.0, 5), (3000.0, 1), (500.0, 1)])
+@pytest.mark.parametrize("off", [0.0, -1e-6, 1e-6])
+def test_a_clock_that_is_a_little_off_thins_a_log_as_a_right_one_does(rate, thinning, off):
+    log = logged(described(rate=rate), two_sines(1.0, rate))
+    log = dataclasses.replace(log, time=log.time / (1.0 + off))
+    assert logged_of(DRIVE.drive, [log]).thinning == thinning
+
+
+def test_a_given_effect_makes_no_hypothesis_coarse():
+    logs = logged_of(DRIVE.drive, [logged(DRIVE, two_sines(1.0))])
+    at = setting(logs.drive, logs.lanes, logs.sampling.period)
+    dwell = next(one for one in candidates(at) if one.name == "friction_dwell")
+    (known,) = those_given([FrictionDwell()], at)
+    assert not Model(logs, (Member(*known),)).coarse
+    assert joined(Model(logs, (Member(*known),)), dwell).coarse

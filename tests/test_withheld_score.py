@@ -12,7 +12,7 @@ ERROR = {"verdict": "error", "says": "ValueError: x", "causes": []}
 def cause(name, found=True, confidence=0.9, evidence=10.0, others=(), **parameters):
     return {
         "effect": name, "found": found, "confidence": confidence, "evidence": evidence,
-        "indistinguishable_from": list(others), "parameters": parameters,
+        "indistinguishable_from": list(others), "parameters": parameters, "intervals": {},
     }  # fmt: skip
 
 
@@ -152,6 +152,15 @@ def test_parameters_are_compared_one_by_one(found, true, error):
     assert card["median_parameter_error"] == (None if error is None else pytest.approx(error))
 
 
+def test_intervals_are_held_against_the_truth_where_one_effect_was_found_alone():
+    right = cause("cogging", period=1e-3, mean=[1.0, 2.0])
+    right["intervals"] = {"period": [0.9e-3, 1.1e-3], "mean": [[0.5, 1.5], [1.5, 2.5]]}
+    true = truth("cogging", true={"period": 1.05e-3, "mean": [1.2, 3.0]})
+    card = card_of((told("effect", right), true), (told("effect", right, cause("backlash")), true))
+    assert (card["interval_coverage"], card["intervals_told"]) == (0.667, 3)
+    assert card_of((told("none"), truth()))["interval_coverage"] is None
+
+
 def test_without_an_oracle_nothing_is_said_of_one():
     right, wrong = told("effect", cause("cogging"), after=2.0), told("effect", cause("backlash"), after=3.0)
     pairs = [(right, truth("cogging")), (wrong, truth("cogging"))]
@@ -162,6 +171,11 @@ def test_without_an_oracle_nothing_is_said_of_one():
     assert card_of(pairs[1], oracle={})["median_shrink_of_oracle"] is None
     assert card_of(pairs[1], oracle={"0": ERROR})["median_shrink_of_oracle"] is None
     assert card_of(pairs[0], oracle={})["median_shrink_of_oracle"] == 1.0
+    # where the truth itself closes nothing, a wrong answer is as good or has opened the gap further
+    nothing = told("effect", cause("cogging"), after=5.0)
+    for after, share in ((5.0, None), (8.0, 0.0)):
+        card = card_of((told("effect", cause("backlash"), after=after), truth("cogging")), oracle={"0": nothing})
+        assert card["median_shrink_of_oracle"] == share
     # an answer that failed closes nothing of what could have been closed, known or not
     for asked in ({"1": ERROR}, {}):
         card = card_of(pairs[0], (ERROR, truth("cogging")), oracle=asked)

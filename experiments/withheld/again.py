@@ -8,19 +8,20 @@ import math
 from typing import Any
 
 from diffdrive.effects.catalogue import EFFECTS
-from experiments.withheld.score import UNANSWERED
+from experiments.withheld.score import UNANSWERED, is_clear
 
 Answers = dict[str, dict[str, Any]]
 Key = dict[str, dict[str, Any]]
 
 
 def oracle(answers: Answers, key: Key) -> dict[str, list[str]]:
-    """For each case whose known effects were not just what was found: all others, which are not to be considered."""
+    """For each clear case of one known effect that was not just what was found: the others, not to be considered."""
     asked = {}
     for name, case in key.items():
-        true = {one["name"] for one in case["effects"]}
-        found = {one["effect"] for one in answers.get(name, UNANSWERED)["causes"] if one["found"]}
-        if true and true <= set(EFFECTS) and found != true:
+        true, told = {one["name"] for one in case["effects"]}, answers.get(name, UNANSWERED)
+        found = {one["effect"] for one in told["causes"] if one["found"]}
+        alone = len(true) == 1 and true <= set(EFFECTS) and not case.get("pitfall")
+        if alone and found != true and is_clear(told, case):
             asked[name] = [one for one in EFFECTS if one not in true]
     return asked
 

@@ -160,7 +160,7 @@ def _compliance(room: ROOM, size: float) -> Fault:
 
 
 def _backlash(room: ROOM, size: float) -> Fault:
-    gap = float(np.clip(2.5e-6 * size, 8e-7, 1e-5))
+    gap = max(2.5e-6 * size * _between(room, (1.0, 4.0)), 8e-7)  # up to 40 um: a worn screw
     given = _elastic(room, _between(room, (250.0, 700.0)), _between(room, (0.04, 0.15))) | {"gap": gap}
     return _one("backlash", size, given, kind={"elastic": True})
 

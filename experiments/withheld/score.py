@@ -96,12 +96,15 @@ def score(
         "intervals": {name: _interval(*which) for name, which in shares.items()},
         "calibration_error": _calibration(rows),
         "reliability": _reliability(rows),
+        "interval_coverage": _covered(rows)[0],
+        "intervals_told": _covered(rows)[1],
         "median_parameter_error": _quantile([row["parameter_error"] for row in clear if row["top1"]], 0.5),
         "median_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.5),
         "quarter_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.25),
         "median_shrink_of_oracle": _quantile(shrinks, 0.5),
         "quarter_shrink_of_oracle": _quantile(shrinks, 0.25),
         "shrinks_of_oracle": sum(one is not None for one in shrinks),
+        "oracle_asked": sum(row["case"] in (oracle or {}) for row in clear),
         "confusion": _confusion(rows),
         "rows": rows,
     }
@@ -141,6 +144,9 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "said_unknown": told["verdict"] == "unknown",
         "confidently_wrong": failed or (said_effect and any(one["effect"] not in true for one in sure)),
         "sure": [(one["effect"], one["confidence"], one["effect"] in true) for one in causes if one["found"]],
+        "within": _within(first, key["effects"][0].get("true", {}))
+        if first and [first["effect"]] == true == found
+        else [],
         "parameter_error": _parameter_error(first["parameters"], key["effects"][0]["true"])
         if first and top1 and "true" in key["effects"][0]
         else None,
@@ -180,7 +186,11 @@ def _shrink(told: dict[str, Any]) -> float | None:
 def _ratio(one: float | None, other: float | None, failed: bool) -> float | None:
     if failed:
         return 0.0  # whatever could have been
-    return one / other if one is not None and other is not None and other > 0.0 else None
+    if one is None or other is None:
+        return None
+    if other > 0.0:
+        return one / other
+    return 0.0 if one < other else None  # where the truth itself closes nothing, one can only be worse
 
 
 def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | None:
@@ -197,6 +207,22 @@ def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | Non
         there = theirs != 0.0
         errors += list(np.abs(ours[there] / theirs[there] - 1.0))
     return float(max(errors)) if errors else None
+
+
+def _within(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
+    """Whether the interval of each number that both name holds the true one."""
+    held: list[bool] = []
+    for name in cause["intervals"].keys() & true.keys():
+        low, high = cause["intervals"][name]
+        low, high, value = np.broadcast_arrays(*(np.asarray(one, float) for one in (low, high, true[name])))
+        held += list(map(bool, np.ravel((low <= value) & (value <= high))))
+    return held
+
+
+def _covered(rows: list[dict[str, Any]]) -> tuple[float | None, int]:
+    """Share of the 95 % intervals that hold the truth, where one effect acts and was found alone; and of how many."""
+    held = [one for row in rows for one in row["within"]]
+    return (round(float(np.mean(held)), 3) if held else None), len(held)
 
 
 def _share(rows: list[dict[str, Any]], what: str) -> float | None:

@@ -23,7 +23,7 @@ SHOWN = (
     "confidently_wrong_faint", "confidently_wrong", "none", "said_none", "false_alarms", "outside", "unknown_recall",
     "compounds", "both_found", "both_named", "pitfalls", "pitfall_named", "calibration_error", "median_parameter_error",
     "median_shrink_held_out", "quarter_shrink_held_out", "median_shrink_of_oracle", "quarter_shrink_of_oracle",
-    "shrinks_of_oracle",
+    "shrinks_of_oracle", "oracle_asked", "interval_coverage", "intervals_told",
 )  # fmt: skip
 ANSWERING = ("-m", "experiments.withheld.answer")
 CODE = Path(__file__).resolve().parents[2]

@@ -236,7 +236,7 @@ def _backlash(at: Setting) -> Candidate:
     return Candidate(
         transmission.Backlash,
         (
-            _positive("gap", 4e-6, 1.0),
+            _positive("gap", 5.6e-6, 1.25),
             _positive("frequency", 400.0, 0.6),
             _positive("damping", 0.08, 0.6),
             _share("motor_share", 0.4, 0.5),

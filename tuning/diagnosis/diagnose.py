@@ -14,25 +14,23 @@ import numpy as np
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
-from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS, PLACES
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
-from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
-from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import in_parts
-from tuning.diagnosis.gap import ForceGap, force_floor, force_gap, force_noise
+from tuning.diagnosis.gap import ForceGap, force_gap, force_noise
+from tuning.diagnosis.held_out import Closed, closed, confirmed, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
-from tuning.diagnosis.leftover import strain
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
-from tuning.diagnosis.search import IMPOSSIBLE, WORTH, Progress, Round, recalibrated
+from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Verdict, judge
@@ -43,10 +41,7 @@ from tuning.replay import long_pieces
 
 SUBSTEP = 50e-6  # s
 ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
-UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 SAME_RATE = 1e-3  # relative
-DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
-SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
 
 
 @dataclass(frozen=True)
@@ -58,11 +53,20 @@ class Diagnosis:
     verdict: Verdict
     where: list[Region]
     gap: ForceGap  # of the recalibrated drive
-    floor: float  # N, of the force
     rungs: list[Rung]
     split: Split
     lacks: list[Shortcoming]
     laps: Laps | None  # where a reference repeats
+
+    @property
+    def floor(self) -> float:
+        """N: the force that the measuring noise alone would make, on what is held out."""
+        return self.rungs[-1].floor
+
+    @property
+    def closed(self) -> Closed | None:
+        """How far what was found closes the gap that is held out; None where nothing was found, or nothing was left."""
+        return _closed(self.rungs, self.logged.sampling.rate)
 
     @property
     def found(self) -> Fitted:
@@ -98,7 +102,7 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
                 "one rate together"
             )
     drive = dataclasses.replace(drive, effects=())
-    thinning = max(1, int(logs[0].rate / ENOUGH))
+    thinning = max(1, int(logs[0].rate * (1.0 + SAME_RATE) / ENOUGH))  # a clock is never quite right
     lanes = thinned(lanes_of(list(logs)), thinning)
     owner = tuple(k for k, log in enumerate(logs) for _ in long_pieces(log))
     actuator = drive.actuator
@@ -146,14 +150,12 @@ def diagnose(
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
     progress("judging on held-out data", 0, 1)
     rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
-    upheld, rungs = _upheld(found, rungs)
-    withdrawn = found.best.model.added - upheld.best.model.added
-    found = upheld
-    verdict = _confirmed(_within(judge(fitter, found), lacks), rungs)
-    if withdrawn:
+    sought, (found, rungs) = found, upheld(found, rungs)
+    share = _closed(rungs, logged.sampling.rate)
+    verdict = _within(confirmed(judge(fitter, found), rungs, share), lacks)
+    if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
-        says = f"{verdict.says}; {last} was withdrawn, since with it the held-out logs are foreseen worse"
-        verdict = verdict._replace(says=says)
+        verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
     gap = force_gap(fitter, base, base.model, base.u)
     where = localise(
         gap,
@@ -163,11 +165,15 @@ def diagnose(
         starts=logged.starts,
         noise=force_noise(fitter, base),
         lead=next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None),
-        others=[*_subsystems(found), *_signals(rungs)],
+        others=_subsystems(found),
     )
     progress("judging on held-out data", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning)
-    return Diagnosis(logged, found, verdict, where, gap, force_floor(fitter, found.best), rungs, parts, lacks, again)
+    return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again)
+
+
+def _closed(rungs: list[Rung], rate: float) -> Closed | None:
+    return closed(rungs[1], rungs[-1], rate) if len(rungs) > 2 else None
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
@@ -175,43 +181,7 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
     if not lacks:
         return verdict
     says = "; ".join(f"{one.why}: {one.what} cannot be decided, log {one.motion}" for one in lacks)
-    beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
-    return Verdict("unknown", beliefs, verdict.unexplained, says)
-
-
-def _upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
-    """Without the further effects that foresee the held-out logs worse than fewer effects do."""
-    for number in range(1, found.best.model.added):
-        without, more = rungs[number + 1], rungs[number + 2]
-        gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
-        if _denied(more, without, gained):
-            believed, withdrawn = found.rounds[:number], found.rounds[number:]
-            rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
-            fewer = found.rounds[number].before  # against which what another way found with more effects is no rival
-            return found._replace(rounds=rounds, best=fewer, other=None), rungs[: number + 2]
-    return found, rungs
-
-
-def _denied(more: Rung, fewer: Rung, gained: float) -> bool:
-    """Whether the held-out logs are foreseen worse with more effects: by more than chance, and than a little.
-
-    Numbers that no machine of this drive file can have may foresee a little better: they deny nothing.
-    """
-    if strain(fewer.fitted) > IMPOSSIBLE >= strain(more.fitted):
-        return False
-    worse = more.unlikely - fewer.unlikely
-    return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
-
-
-def _confirmed(verdict: Verdict, rungs: list[Rung]) -> Verdict:
-    """No sure cause that foresees the held-out logs worse than the recalibrated drive does."""
-    gained = sum(one.gain for one in verdict.beliefs if one.found)
-    names = " and ".join(one.effect for one in verdict.beliefs if one.found)
-    if not names or not _denied(rungs[-1], rungs[1], gained):
-        return verdict
-    says = f"{names} would explain the logs that were fitted, but foresees those held out worse than without"
-    beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in verdict.beliefs]
-    return Verdict("unknown", beliefs, verdict.unexplained, says)
+    return verdict.doubted(says) if verdict.beliefs else verdict._replace(verdict="unknown", says=says)
 
 
 def _subsystems(found: Explanation) -> list[Region]:
@@ -228,15 +198,15 @@ def _subsystems(found: Explanation) -> list[Region]:
     for place, effects in PLACES.items():
         best = max((gains.get(effect.name, 0.0), effect.name) for effect in effects)
         free = freedom.get(best[1], 1)
-        chance = min(1.0, len(freedom) * float(chi2.sf(max(best[0], 0.0), free)))
+        chance = min(1.0, len(effects) * float(chi2.sf(max(best[0], 0.0), free)))  # the best of so many
         share = float(np.clip(best[0] / total, 0.0, 1.0))
-        says = f"a change in the {place} ({best[1]}) could explain {100 * share:.0f} % of it"
+        says = f"a change in the {place} ({best[1]}) would explain at most {100 * share:.0f} % of it"
         regions.append(Region("subsystem", place, share, 0.0, chance, says))
     return regions
 
 
 def _signals(rungs: list[Rung]) -> list[Region]:
-    """Whether the gap shows in the position or, behind a stiff loop, in the command."""
+    """Whether the gap shows in the position or, behind a stiff loop, in the command; no chance is known of that."""
     loop = rungs[1].loop
     if loop is None or loop.says:
         return []
@@ -250,35 +220,3 @@ def _signals(rungs: list[Rung]) -> list[Region]:
         Region("signal", name, float(share), 0.5, 1.0, f"{name}: {one:.2g} times its floor in closed loop")
         for name, share, one in zip(("position", "command"), shares, over, strict=True)
     ]
-
-
-def deviations(fitted: Fitted) -> np.ndarray:
-    """Standard deviations of what was fitted, in units of the prior."""
-    return np.sqrt(np.diag(solved(fitted.hessian, np.eye(len(fitted.hessian)))))
-
-
-Number = float | list[float]
-
-
-def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, tuple[Number, Number]]]:
-    """Value and 95 % interval of each parameter of an effect; lists where they differ from log to log."""
-    known = {one.name: one for one in fitted.model.members[member].candidate.parameters}
-    spread = deviations(fitted)
-    kind, periods = fitted.model.members[member].candidate.effect, fitted.model.logged.thinning
-    found: dict[str, Any] = {}
-    for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
-        if index != member:
-            continue
-        one, u, s = known[name], float(fitted.u[k]), 1.96 * float(spread[k])
-        row = (one.value(u), (one.value(u - s), one.value(u + s)))
-        if kind is LoopDelay:
-            row = (periods * row[0], (periods * row[1][0], periods * row[1][1]))
-        if log is None:
-            found[name] = row
-        else:
-            found.setdefault(name, []).append(row)
-    for name, row in found.items():
-        if isinstance(row, list):
-            values = [one[0] for one in row]
-            found[name] = (values, ([one[1][0] for one in row], [one[1][1] for one in row]))
-    return found

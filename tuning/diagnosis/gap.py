@@ -33,7 +33,7 @@ MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides
 SLID = 0.02  # of the samples
 BLOCK = 0.25  # s, of the bootstrap
 DRAWS = 400
-NOISES = 2  # draws of the measuring noise
+NOISES = 8  # draws of the measuring noise
 SEEDS = 3  # simulations with noise
 DITHER = 0.3  # of the noise that quantisation makes: without any, simulations would not differ, and have no floor
 APART = 10.0  # of the log's travel, that a simulation may be off before it counts as diverged
@@ -208,8 +208,7 @@ def force_noise(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, "lanes n dr
     return np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
 
 
-def force_floor(fitter: Fitter, fitted: Fitted) -> float:
-    """Root mean square (N) of that force where the table slides."""
+def force_floor(fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"]) -> float:
+    """Root mean square (N) of that force over the samples that count."""
     told = force_noise(fitter, fitted)
-    counts = _counting(np.asarray(fitter.logged.lanes.counts), fitted.track, fitter.logged.sampling.rate)
     return float(np.sqrt(np.sum(told**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))

@@ -26,15 +26,25 @@ from tuning.stretches import Stretch, stretches
 from tuning.zero_phase import decimate, differentiate
 
 
-def force_error(drive: Drive, log: Log, dynamics: float = DYNAMICS) -> float:
-    """100 |force - model| / |force| up to `dynamics` (Hz); raises `LogError` where no piece is long enough."""
-    found = [_sides(drive, log, one, dynamics) for one in stretches([log], dynamics)[0]]
-    off, force = (np.concatenate(one) for one in zip(*found, strict=True))
+def force_error(drive: Drive, log: Log, dynamics: float = DYNAMICS, of: Log | None = None) -> float:
+    """100 |force - model| / |force| up to `dynamics` (Hz), of the force of this log or of another, `of`.
+
+    Raises `LogError` where no piece is long enough.
+    """
+    off = np.concatenate([_off(drive, log, one, dynamics) for one in stretches([log], dynamics)[0]])
+    there = stretches([of or log], dynamics)[0]
+    force = np.concatenate([_decimated(one.force, one, dynamics) for one in there])
     return 100.0 * float(np.linalg.norm(off) / np.linalg.norm(force))
 
 
-def _sides(drive: Drive, log: Log, source: Stretch, dynamics: float) -> tuple[np.ndarray, np.ndarray]:
-    """What the model's force is off by, and the logged force; decimated, without what the filters spoil."""
+def _decimated(signal: np.ndarray, source: Stretch, dynamics: float) -> np.ndarray:
+    """A signal of a stretch without what the filters spoil."""
+    ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
+    return decimate(np.asarray(signal)[source.border : len(signal) - source.border], ratio)
+
+
+def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray:
+    """What the model's force is off by."""
     drive = as_arrays(drive)
     own, effects = dataclasses.replace(drive, effects=()), drive.effects
     velocity, acceleration = (jnp.asarray(one) for one in differentiate(source.position, source.rate, 5 * dynamics))
@@ -48,11 +58,10 @@ def _sides(drive: Drive, log: Log, source: Stretch, dynamics: float) -> tuple[np
     course = Course(position[None], velocity[None], jnp.zeros_like(velocity)[None], rigid[None])
     in_lanes = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], effects)
     delay = jnp.asarray(own.actuator.delay_samples + float(own.actuator.delay_fraction or 0.0))
-    acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period), jnp.zeros(1))
+    begins = jnp.asarray([float(source.time[0] - log.time[0])])
+    acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period), begins)
     bent = Acts(jnp.zeros_like(velocity), acts.coulomb[0], acts.gap[0], acts.viscous[0])
     needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent)
     there = acts.force[0] + machine.plant.constant_force
     held = 0.5 * (there + jnp.concatenate([there[:1], there[:-1]]))
-    kept = slice(source.border, len(velocity) - source.border)
-    ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
-    return decimate(np.asarray(held - needed)[kept], ratio), decimate(source.force[kept], ratio)
+    return _decimated(held - needed, source, dynamics)

@@ -15,7 +15,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter, quiet
 from tuning.diagnosis.following import LOST, Track
-from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_gap, loop_gap
+from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.threads import in_parallel
 
@@ -31,6 +31,7 @@ class Rung(NamedTuple):
     fitted: Fitted
     force: ForceGap
     interval: tuple[float, float]  # N
+    floor: float  # N: what the measuring noise alone would make of a model that lacks nothing
     shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
     loop: LoopGap | None
     unlikely: Float[np.ndarray, " pieces"]  # -2 log probability of each piece of what is held out, as `deviance`
@@ -115,6 +116,7 @@ def climb(
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
+    floor = force_floor(test, fits[-1][1], gaps[-1].counts)
 
     def rung(asked: tuple[tuple[str, Fitted], ForceGap, Float[np.ndarray, " draws"]]) -> Rung:
         (name, one), gap, squares = asked
@@ -131,6 +133,8 @@ def climb(
             counts = [_at_control(fitter, parts.test, log) for log in parts.logs]
             loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
-        return Rung(name, one, gap, gap.interval(rate), shrink, loop, _unlikely(foreseen.track, parts.test, rate))
+        return Rung(
+            name, one, gap, gap.interval(rate), floor, shrink, loop, _unlikely(foreseen.track, parts.test, rate)
+        )
 
     return in_parallel(rung, list(zip(fits, gaps, drawn, strict=True))), parts

@@ -12,6 +12,7 @@ from scipy import fft, ndimage
 
 from tuning.diagnosis.fitting import Fitted
 
+MOST_PLACES = 2**21  # of a travel, told apart
 PEAKS = 4
 REFINED = 9  # values that are tried about a line
 LATEST = 0.01  # s, that the missing force is seen late at most
@@ -74,10 +75,14 @@ def lines_in_position(
     shortest: float = 5e-4,
     longest: float | None = None,
 ) -> list[Line]:
-    """Lines between two periods (m; the longest by default half of the travel), the clearest first."""
+    """Lines between two periods (m; the longest by default half of the travel), the clearest first.
+
+    Over a long travel short periods are too many for a transform: none is looked for below travel / 262144.
+    """
     at = position[counts > 0]
     low, travel = float(at.min()), max(float(np.ptp(at)), 1e-9)
     longest = 0.5 * travel if longest is None else longest
+    shortest = max(shortest, 8.0 * travel / MOST_PLACES)
     bins = np.arange(max(1, round(4.0 * travel / longest)), round(4.0 * travel / shortest))
     waves = bins / (4.0 * travel)
     if len(waves) < 4:

@@ -114,8 +114,8 @@ class Model:
 
     @property
     def coarse(self) -> bool:
-        """Whether an effect's details differ from machine to machine."""
-        return any(member.candidate.coarse for member in self.members)
+        """Whether the details of an effect that is looked for differ from machine to machine."""
+        return any(member.candidate.coarse and member.candidate.parameters for member in self.members)
 
     def values(self, u: Vector) -> list[dict[str, Vector]]:
         """For each member, its parameters by name: one value for each log."""

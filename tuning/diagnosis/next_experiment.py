@@ -24,7 +24,7 @@ from diffdrive.parameters import Sensor, as_arrays
 from diffdrive.simulate import Inputs, inputs_of, rollout
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.gap import MOVING, drive_of
 from tuning.diagnosis.model import Logged, Member, Model, thinned
 from tuning.diagnosis.where import SIGNIFICANT, Region
 from tuning.next_motion import ACCELERATION, candidates
@@ -149,7 +149,9 @@ def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
     limits = description.limits
     counted = np.asarray(found.logged.lanes.counts) > 0
     position = np.asarray(found.logged.lanes.position)[counted]
-    speed = np.percentile(np.abs(np.asarray(found.gap.course.velocity)[counted]), 95)
+    speeds = np.abs(np.asarray(found.gap.course.velocity)[counted])
+    moving = speeds[speeds > MOVING]
+    speed = np.percentile(moving, 95) if moving.size else limits.speed
     at = _Axis(
         float(position.min() + PLACES[0] * np.ptp(position)),
         float(PLACES[1] * np.ptp(position)),

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from diffdrive.effects.forces import ConstantForce
+from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -22,18 +23,22 @@ from tuning.diagnosis.priors import Parameter
 from tuning.diagnosis.screening import begin
 from tuning.diagnosis.search import standing
 from tuning.diagnosis.setting import setting
+from tuning.fit import SHORTEST
 
 LASTING = 5.0  # s
+AWAY = 10.0  # standard deviations of its prior: a time out there, such as that of a load that is never taken off, stays
 
 
 def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
     """`drive` with the session parameters of its effects, and a constant force, from the first seconds of `log`.
 
-    Raises `LogError` for a log without a long enough piece.
+    Raises `LogError` for a log without a long enough piece, in those seconds or at all.
     """
     logged = logged_of(drive, [log])
     time = np.asarray(logged.starts)[:, None] + logged.sampling.period * np.arange(logged.lanes.position.shape[1])
     logged = logged._replace(lanes=logged.lanes._replace(counts=logged.lanes.counts * (time < seconds)))
+    if not np.any(logged.lanes.counts):
+        raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap in its first {seconds:g} s")
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     known = {one.name: one for one in candidates(at)}
     model, u = Model(logged), np.zeros(len(NAMES))
@@ -44,7 +49,9 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
         candidate, values = known[effect.name], {}
         for field in dataclasses.fields(effect):
             values[field.name] = np.array([float(getattr(effect, field.name))])
-        free = tuple(one for one in candidate.parameters if one.session)
+        free = tuple(
+            one for one in candidate.parameters if one.session and abs(one.standard(values[one.name][0])) < AWAY
+        )
         if effect.name == ConstantForce.name:
             free = (Parameter("force", float(effect.force), TOLERANCE * at.friction),)
         fixed = tuple((name, float(value[0])) for name, value in values.items() if name not in {p.name for p in free})

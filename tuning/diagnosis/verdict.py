@@ -20,7 +20,9 @@ COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the ev
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
 ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from machine to machine
+TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure
+UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
 
 
@@ -43,6 +45,15 @@ class Verdict(NamedTuple):
     beliefs: list[Belief]  # found effects first, then the surest
     unexplained: float  # share of the gap beyond the noise that nothing explains
     says: str
+
+    def and_says(self, more: str) -> "Verdict":
+        """The same, with something to add."""
+        return self._replace(says=f"{self.says}; {more}")
+
+    def doubted(self, why: str) -> "Verdict":
+        """The same causes, none of them sure."""
+        beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in self.beliefs]
+        return self._replace(verdict="unknown", beliefs=beliefs).and_says(why)
 
 
 def _probabilities(gains: Float[np.ndarray, " k"], left: float) -> Float[np.ndarray, " k"]:
@@ -135,5 +146,6 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     named = " and ".join(one.effect for one in beliefs if one.found)
     explains = "explain" if effects > 1 else "explains"
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
-    says = f"{named} {explains} the gap" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
+    much = f", but for {100 * share:.0f} % of it" if share >= TOLD else ""
+    says = f"{named} {explains} the gap{much}" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
     return Verdict("effect", beliefs, share, says)

@@ -156,7 +156,7 @@ def localise(
     lead: float | None = None,
     others: Sequence[Region] = (),
 ) -> list[Region]:
-    """Every region of every dimension, the most telling first.
+    """Every region of every dimension, the most telling first, and those of `others` behind the rest.
 
     `starts` (s) is when each lane begins in its log. `noise` (N) is the force that a sound model would seem to lack,
     from the measuring noise alone: without it no band of frequencies is significant, since the filter colours noise.
@@ -195,7 +195,9 @@ def localise(
     clear = [one for one in lines if one.p_value < SIGNIFICANT]
     apart = told_apart(clear, gap.force, motion.position, motion.velocity, gap.counts, rate)
     told = [one for one in (*bands, *(_line(one, lead) for one in apart)) if one.share > FAINT]
-    return ranked([*regions, *told], len(bands) + len(lines) - len(told))
+    paid = ranked([*regions, *told], len(bands) + len(lines) - len(told))
+    elsewhere = {one.dimension for one in others}
+    return sorted(paid, key=lambda one: one.dimension in elsewhere)
 
 
 def _bands(

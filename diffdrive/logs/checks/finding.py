@@ -19,6 +19,7 @@ class Finding:
     channel: str
     found: str  # one sentence, with numbers
     mend: str  # what to do
+    resembles: str | None = None  # effect of the catalogue that would look alike, had the machine it and not the log
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.channel}: {self.found}; {self.mend}"

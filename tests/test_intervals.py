@@ -1,0 +1,74 @@
+"""95 % intervals of what was fitted: against repeated noise, wrong forms, coarse effects and rests."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diffdrive.effects.friction import AppliedLoad, FrictionDwell
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.intervals import deviations, parameters
+from tuning.diagnosis.priors import LOGARITHM, Parameter
+
+RATE, LANES, SAMPLES = 1000.0, 2, 4000
+COUNT = len(NAMES) + 2
+
+
+def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None):
+    """A fit of random columns to noise; `colour` makes neighbours alike over some 50 samples, in both."""
+    room = np.random.default_rng(seed)
+    white = room.standard_normal((COUNT + 1, LANES * SAMPLES))
+    if colour:
+        kernel = np.exp(-np.arange(200) / 50.0)
+        white = np.stack([np.convolve(one, kernel, mode="same") for one in white])
+        white /= white.std(axis=1, keepdims=True)
+    residual, jacobian = white[0], white[1:].T
+    logged = SimpleNamespace(
+        lanes=SimpleNamespace(position=np.zeros((LANES, SAMPLES)), counts=np.ones((LANES, SAMPLES))),
+        sampling=SimpleNamespace(rate=RATE), owner=(0, 1), starts=np.zeros(LANES), thinning=1,
+    )  # fmt: skip
+    named = candidate.parameters if candidate else ()
+    slots = [(0, one.name, log) for one in named for log in (range(2) if one.session else [None])]
+    model = SimpleNamespace(logged=logged, slots=slots, members=[SimpleNamespace(candidate=candidate)])
+    velocity = np.ones((LANES, SAMPLES)) if velocity is None else velocity
+    return SimpleNamespace(
+        model=model, jacobian=jacobian, residual=residual, hessian=jacobian.T @ jacobian + np.eye(COUNT),
+        u=np.full(COUNT, u), track=SimpleNamespace(course=SimpleNamespace(velocity=velocity)),
+    )  # fmt: skip
+
+
+def test_white_residuals_leave_the_curvatures_deviations():
+    curved = 1.0 / np.sqrt(LANES * SAMPLES)
+    np.testing.assert_allclose(deviations(fitted()), curved, rtol=0.6)
+    assert np.mean(deviations(fitted())) == pytest.approx(curved, rel=0.25)
+
+
+def test_deviations_are_those_of_repeated_coloured_noise():
+    estimates = []
+    for seed in range(200):
+        one = fitted(colour=1.0, seed=seed)
+        estimates.append(np.linalg.solve(one.hessian, one.jacobian.T @ one.residual))
+    true = np.std(estimates, axis=0).mean()
+    told = np.mean([deviations(fitted(colour=1.0, seed=seed)).mean() for seed in range(20)])
+    assert true > 4.0 / np.sqrt(LANES * SAMPLES)  # far more than the curvature says
+    assert told == pytest.approx(true, rel=0.2)
+
+
+def test_the_numbers_of_a_coarse_effect_are_trusted_to_a_tenth():
+    slip = Parameter("slip", 1e-5, 1.0, LOGARITHM)
+    value, (low, high) = parameters(fitted(candidate=Candidate(FrictionDwell, (slip,))), 0)["slip"]
+    assert value == pytest.approx(1e-5)
+    assert (np.log(high / value), np.log(value / low)) == pytest.approx((0.196, 0.196), rel=0.05)
+
+
+def test_a_load_put_on_at_rest_is_not_seen_before_the_table_slides():
+    velocity = np.ones((LANES, SAMPLES))
+    velocity[0, 800:1500] = 0.0
+    velocity[1, 3000:3200] = 0.0
+    start = Parameter("start", 1.49, 1.0, session=True)
+    one = fitted(candidate=Candidate(AppliedLoad, (start,)), velocity=velocity)
+    times, (lows, highs) = parameters(one, 0)["start"]
+    assert times == [1.49, 1.49]
+    assert (lows[0], highs[0]) == pytest.approx((0.8, 1.52), abs=0.02)
+    assert (lows[1], highs[1]) == pytest.approx((1.46, 1.52), abs=0.02)  # that rest is another time

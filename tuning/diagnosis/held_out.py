@@ -1,0 +1,75 @@
+"""What the held-out logs say of a verdict: an effect that does not prove itself there is withdrawn or not believed."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.diagnosis.explain import Explanation
+from tuning.diagnosis.ladder import Rung
+from tuning.diagnosis.leftover import strain
+from tuning.diagnosis.search import IMPOSSIBLE, WORTH
+from tuning.diagnosis.verdict import Verdict
+
+DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
+SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
+HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
+PROVED = 0.5  # of the gap beyond the floor, that must be gone
+
+
+class Closed(NamedTuple):
+    """Share of what recalibration left beyond the floor that is gone, with its 95 % interval."""
+
+    share: float
+    low: float
+    high: float
+
+
+def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
+    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor."""
+    floor = after.floor
+    if not before.force.rms >= HIDDEN * floor:
+        return None
+    least = (HIDDEN**2 - 1.0) * floor**2
+    squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
+    beyond = [np.maximum(one - floor**2, bound) for one, bound in zip(squares, (least, 0.0), strict=True)]
+    shares = 1.0 - beyond[1] / beyond[0]
+    low, high = np.percentile(shares[1:], [2.5, 97.5])
+    return Closed(float(shares[0]), float(low), float(high))
+
+
+def upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
+    """Without the further effects that foresee the held-out logs worse than fewer effects do."""
+    for number in range(1, found.best.model.added):
+        without, more = rungs[number + 1], rungs[number + 2]
+        gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
+        if denied(more, without, gained):
+            believed, withdrawn = found.rounds[:number], found.rounds[number:]
+            rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
+            fewer = found.rounds[number].before  # against which what another way found with more effects is no rival
+            return found._replace(rounds=rounds, best=fewer, other=None), rungs[: number + 2]
+    return found, rungs
+
+
+def denied(more: Rung, fewer: Rung, gained: float) -> bool:
+    """Whether the held-out logs are foreseen worse with more effects: by more than chance, and than a little.
+
+    Numbers that no machine of this drive file can have may foresee a little better: they deny nothing.
+    """
+    if strain(fewer.fitted) > IMPOSSIBLE >= strain(more.fitted):
+        return False
+    worse = more.unlikely - fewer.unlikely
+    return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
+
+
+def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verdict:
+    """No sure cause that foresees the held-out logs worse than the recalibrated drive, or leaves most of their gap."""
+    gained = sum(one.gain for one in verdict.beliefs if one.found)
+    names = " and ".join(one.effect for one in verdict.beliefs if one.found)
+    if not names:
+        return verdict
+    if denied(rungs[-1], rungs[1], gained):
+        return verdict.doubted("but what is held out is foreseen worse than without")
+    if share is not None and (share.share < PROVED or share.low <= 0.0):
+        told = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
+        return verdict.doubted(f"but of the gap in what is held out only {told} is closed")
+    return verdict
