@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Bool
 
 from diffdrive.exponential import fading
 from diffdrive.parameters import Directional, Friction, Scalar
@@ -129,23 +130,20 @@ def decay(x: Scalar) -> Decay:
 @jax.custom_jvp
 def decay_of(top: Scalar, bottom: Scalar) -> Decay:
     """`Decay` at x = top / bottom, where bottom > 0: one division for x and 1 / x."""
-    return _decay_and_slope(top, bottom)[0]
+    return _divided(top, bottom).decay
 
 
-@decay_of.defjvp
-def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Decay, Decay]:
-    (top, bottom), (top_along, bottom_along) = primals, tangents
-    fade, slope, per_bottom = _decay_and_slope(top, bottom)
-    along = (top_along - fade.x * bottom_along) * per_bottom
-    return fade, Decay(*(one * along for one in slope))
+class _Divided(NamedTuple):
+    """The decay, and what its slope needs."""
+
+    decay: Decay
+    small: Bool[Array, ""]  # by series
+    near: Scalar  # x there, else 0
+    inverse: Scalar  # 1 / x elsewhere
+    per_bottom: Scalar
 
 
-def _decay_and_slope(top: Scalar, bottom: Scalar) -> tuple[Decay, Decay, Scalar]:
-    """The decay, its derivative by x, and 1 / bottom.
-
-    The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives: a
-    derivative of the series term by term would cost each tangent as much as the series itself.
-    """
+def _divided(top: Scalar, bottom: Scalar) -> _Divided:
     small = top < 0.05 * bottom
     safe = jnp.where(small, 1.0, top)  # keeps the branch not taken, and its derivative, finite
     once = 1.0 / (safe * bottom)
@@ -153,14 +151,23 @@ def _decay_and_slope(top: Scalar, bottom: Scalar) -> tuple[Decay, Decay, Scalar]
     x = top * per_bottom
     end = fading(x)
     near = jnp.where(small, x, 0.0)
-    series = _series(_SECOND, near)
-    far = (1.0 - end) * inverse
+    series, far = _series(_SECOND, near), (1.0 - end) * inverse
     mean = jnp.where(small, 1.0 - near * series, far)
-    second = jnp.where(small, series, (1.0 - far) * inverse)
-    slope = jnp.where(small, second - mean, (end - mean) * inverse)
-    second_slope = jnp.where(small, 2.0 * _series(_THIRD, near) - second, -(slope + second) * inverse)
-    moved = Decay(end=-end, mean=slope, mean_of_mean=second_slope, x=jnp.ones_like(x))
-    return Decay(end=end, mean=mean, mean_of_mean=second, x=x), moved, per_bottom
+    again = jnp.where(small, series, (1.0 - far) * inverse)
+    return _Divided(Decay(end, mean, again, x), small, near, inverse, per_bottom)
+
+
+@decay_of.defjvp
+def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Decay, Decay]:
+    """In closed form: a tangent that went through the series term by term would cost as much as the series itself.
+
+    The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives.
+    """
+    (end, mean, again, x), small, near, inverse, per_bottom = _divided(*primals)
+    along = (tangents[0] - x * tangents[1]) * per_bottom
+    slope = jnp.where(small, again - mean, (end - mean) * inverse)
+    slope_again = jnp.where(small, 2.0 * _series(_THIRD, near) - again, -(slope + again) * inverse)
+    return Decay(end, mean, again, x), Decay(-end * along, slope * along, slope_again * along, along)
 
 
 def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:
