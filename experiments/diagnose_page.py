@@ -26,6 +26,7 @@ SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N"
 LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
 LOOP = "RMS of simulation against log, position and command in closed loop; low and high: 95 %"
 SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, against nominal"
+LEAST_CHANCE = 1e-3  # no smaller one means anything
 CAUSES = ("effect", "round", "confidence", "parameters with 95 % intervals", "not excluded in its place")
 NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
 BOTH = "Nominal parameters; damping moves with viscous friction"
@@ -105,7 +106,11 @@ def parameter(name: str, cause: dict[str, Any]) -> str:
 def _regions(told: dict[str, Any]) -> list[str]:
     """Where more of the gap lies than chance would give, in words."""
     telling = [one for one in told["where"] if one["p_value"] < SIGNIFICANT][:REGIONS]
-    return [f"{one['says']} (p = {one['p_value']:.2g})" for one in telling]
+    return [f"{one['says']} ({_chance(one['p_value'])})" for one in telling]
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= LEAST_CHANCE else f"p < {LEAST_CHANCE:g}"
 
 
 def _rung(one: dict[str, Any]) -> Row:

@@ -20,6 +20,7 @@ from tuning.diagnosis.model import Model
 from tuning.diagnosis.threads import in_parallel
 
 TRAINED = 0.6  # of a single log
+SESSION = "phases, times and sizes of waves registered on it"
 PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
 
@@ -57,7 +58,7 @@ def split(fitter: Fitter) -> Split:
     counts = np.asarray(logged.lanes.counts)
     last = np.array([owner == logged.logs - 1 for owner in logged.owner])[:, None]
     if logged.logs > 1:
-        return Split(counts * ~last, counts * last, [logged.logs - 1], f"log {logged.logs} held out")
+        return Split(counts * ~last, counts * last, [logged.logs - 1], f"log {logged.logs} held out, {SESSION}")
     total = np.cumsum(counts.ravel()).reshape(counts.shape)
     early = total <= TRAINED * counts.sum()
     return Split(counts * early, counts * ~early, [0], f"the last {100 * (1 - TRAINED):.0f} % of the log held out")
