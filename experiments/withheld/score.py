@@ -94,7 +94,7 @@ def score(
         "pitfalls": len(pitfalls),
         **{name: _share(*which) for name, which in shares.items()},
         "intervals": {name: _interval(*which) for name, which in shares.items()},
-        "calibration_error": _calibration(rows),
+        "calibration_error": _calibration(_reliability(rows)),
         "reliability": _reliability(rows),
         "interval_coverage": _covered(rows)[0],
         "intervals_told": _covered(rows)[1],
@@ -241,19 +241,8 @@ def _quantile(values: list[float | None], share: float) -> float | None:
     return round(float(np.quantile(there, share)), 4) if there else None
 
 
-def _calibration(rows: list[dict[str, Any]]) -> float | None:
-    """Expected calibration error of the confidences of what was found."""
-    pairs = [(confidence, right) for row in rows for _, confidence, right in row["sure"]]
-    if not pairs:
-        return None
-    confidence, right = (np.array(one, float) for one in zip(*pairs, strict=True))
-    place = np.minimum((confidence * BINS).astype(int), BINS - 1)
-    off = [abs(confidence[place == k].mean() - right[place == k].mean()) * np.mean(place == k) for k in set(place)]
-    return round(float(np.sum(off)), 4)
-
-
 def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
-    """Mean confidence, how many, and the share that was right, bin by bin."""
+    """Mean confidence of what was found, how many, and the share that was right, bin by bin."""
     pairs = [(confidence, right) for row in rows for _, confidence, right in row["sure"]]
     table = []
     for k in range(BINS):
@@ -262,6 +251,13 @@ def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
             mean, right = np.mean(np.array(some, float), axis=0)
             table.append([float(mean), len(some), float(right)])
     return table
+
+
+def _calibration(reliability: list[list[Any]]) -> float | None:
+    """Expected calibration error: how far confidence and share are apart, weighed by how many."""
+    count = sum(many for _, many, _ in reliability)
+    off = sum(many * abs(confidence - right) for confidence, many, right in reliability)
+    return round(off / count, 4) if count else None
 
 
 def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
