@@ -43,7 +43,7 @@ def fitter_of(*effects):
     machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
     truth = dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects))
     lanes = lanes_of([logged(truth, two_sines())])
-    noise = jnp.asarray(noise_floor(DRIVE.drive, lanes))
+    noise = jnp.asarray(noise_floor(DRIVE.drive, lanes, RATE))
     return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10), jnp.zeros(1)))
 
 

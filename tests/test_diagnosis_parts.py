@@ -1,6 +1,7 @@
 """What the diagnosis is made of: tangents of the plant, segments of a log, drives with effects on other logs."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import FrictionDwell
 from diffdrive.motion import from_array
-from diffdrive.parameters import as_arrays
+from diffdrive.parameters import Sensor, as_arrays
 from diffdrive.plant import PlantState, advance, advance_along
 from experiments.withheld.machine import Faults, Kind, Told, run
 from experiments.withheld.score import read_key
@@ -33,6 +34,7 @@ from tuning.diagnosis.screening import begin, joined
 from tuning.diagnosis.search import recalibrated, standing
 from tuning.diagnosis.segments import begin_velocity, segments
 from tuning.diagnosis.setting import setting
+from tuning.fit import noise_floor
 
 PUSHES = Cogging(0.0012, 5.0, 3.0)
 
@@ -267,3 +269,13 @@ def test_a_given_effect_makes_no_hypothesis_coarse():
     (known,) = those_given([FrictionDwell()], at)
     assert not Model(logs, (Member(*known),)).coarse
     assert joined(Model(logs, (Member(*known),)), dwell).coarse
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 5000.0])
+def test_the_noise_of_a_position_is_seen_through_its_motion(rate):
+    """Of 50 nm under a sine of 5 Hz and 3 mm, which shows in third differences at 500 Hz."""
+    time = np.arange(round(6.0 * rate)) / rate
+    position = 3e-3 * np.sin(2 * np.pi * 5.0 * time) + 5e-8 * np.random.default_rng(0).standard_normal(len(time))
+    lanes = SimpleNamespace(position=position[None], counts=np.ones((1, len(time))))
+    silent = dataclasses.replace(DRIVE.drive, sensor=Sensor())
+    assert noise_floor(silent, lanes, rate) == pytest.approx(5e-8, rel=0.08)

@@ -1,6 +1,7 @@
 """The identification problem: stretches of logs, what is free, and residuals in units of the measuring noise."""
 
 from dataclasses import dataclass
+from math import comb
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from tuning.prediction import Gains, Lanes, Predicted, predict
 from tuning.space import Free, Space
 from tuning.unknowns import Unknowns
 
+SLOW_LOG = 999.0  # Hz, below which motion shows in third differences
 WINDOW = 50
 SHORTEST = 200  # samples of a stretch that is worth a lane
 COARSE_SUBSTEP, FINE_SUBSTEP, FINEST_SUBSTEP = 100e-6, 25e-6, 6.25e-6  # s, at most
@@ -45,18 +47,20 @@ def _velocity(position: np.ndarray, rate: float) -> float:
     return float(np.polyfit(np.arange(len(first)) / rate, first, 1)[0])
 
 
-def noise_floor(drive: Drive, lanes: Lanes) -> float:
-    """Standard deviation (m) of the measured position about the true one.
+def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:
+    """Standard deviation (m) of the measured position about the true one; `rate` (Hz) is that of the lanes.
 
     From the drive's sensor where it states one, and at least what the log itself shows: the scatter of its third
-    differences, which smooth motion leaves alone, in the median stretch of `WINDOW` samples.
+    differences, which smooth motion leaves alone, in the median stretch of `WINDOW` samples. Of a slow log the fifth:
+    a motion of a few hertz shows in the third there.
     """
     resolution = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution)
     stated = np.hypot(resolution / np.sqrt(12), float(drive.sensor.noise))
-    third = np.diff(np.asarray(lanes.position), 3, axis=1) * np.asarray(lanes.counts)[:, 3:]
-    windows = third[:, : third.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW)
+    order = 3 if rate >= SLOW_LOG else 5
+    differences = np.diff(np.asarray(lanes.position), order, axis=1) * np.asarray(lanes.counts)[:, order:]
+    windows = differences[:, : differences.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW)
     squares = np.mean(windows[np.any(windows != 0.0, axis=1)] ** 2, axis=1)
-    shown = np.sqrt(np.median(squares) / 20.0) if len(squares) else 0.0  # 1 + 9 + 9 + 1
+    shown = np.sqrt(np.median(squares) / comb(2 * order, order)) if len(squares) else 0.0
     return float(max(stated, shown, 1e-12))
 
 

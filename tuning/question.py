@@ -50,7 +50,7 @@ def ask(
             f"the drive file's delay of {delay:g} samples is beyond the {LONGEST_DELAY} that identification looks at: "
             "shift the log's command by the whole samples, and lower delay_samples by as many"
         )
-    noise = noise_floor(drive, lanes)
+    noise = noise_floor(drive, lanes, rate)
     believed = unknowns_of(drive, delay)
     problem = Problem(
         believed=drive,

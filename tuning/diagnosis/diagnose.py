@@ -107,8 +107,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     owner = tuple(k for k, log in enumerate(logs) for _ in long_pieces(log))
     actuator = drive.actuator
     delay = jnp.asarray(actuator.delay_samples + float(actuator.delay_fraction or 0.0)) / thinning
-    noise = jnp.asarray(noise_floor(drive, lanes))
     rate = float(round(logs[0].rate / thinning, 6))
+    noise = jnp.asarray(noise_floor(drive, lanes, rate))
     sampling = Sampling(rate, thinning * sampling_of(logs[0].rate, SUBSTEP).plant_steps)
     if lanes.asked is None and float(delay) % 1.0:
         lanes = lanes._replace(asked=in_parts(lanes.command, sampling.plant_steps))
