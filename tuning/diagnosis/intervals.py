@@ -3,8 +3,8 @@
 The curvature of the cost is the inverse covariance where the residuals are white and the model is right. Neither is
 quite so: the scores of pieces of the logs scatter by more than it says, and give the covariance anew (Huber 1967, White
 1982); of the two the wider is told. The details of some effects differ from machine to machine: their numbers are those
-of the nearest machine of the kind, and are trusted to a tenth, however sharp the fit. And a load that is put on or
-taken off while the table rests is not seen before it slides.
+of the nearest machine of the kind, and are trusted to some per cent, however sharp the fit. So are the times of a load,
+to the time that it takes to come and go; one that comes while the table rests is not seen before it slides.
 """
 
 from typing import Any
@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.friction import AppliedLoad
+from diffdrive.effects.forces import FrameVibration
+from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PreslidingHysteresis
+from diffdrive.effects.transmission import Backlash, Compliance
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.fitting import Fitted
@@ -21,9 +23,14 @@ from tuning.diagnosis.priors import Parameter
 from tuning.estimates import NORMAL
 
 BLOCK = 0.25  # s, over which scores are summed: longer than what is left of structure lasts
-DETAILS = 0.1  # of a number: how far one of a coarse effect may be from what another machine of its kind would call it
+DETAILS = {  # of a number: standard deviation of what another machine of its kind would call the same
+    Compliance: 0.1,
+    Backlash: 0.1,
+    PreslidingHysteresis: 0.1,
+    FrameVibration: 0.03,
+    FrictionDwell: 0.03,
+}
 SLOW = 1e-3  # m/s, below which the table does not tell what load it bears
-BESIDE = 0.05  # s, between a rest and a time that may lie in it
 
 Number = float | list[float]
 Interval = tuple[Number, Number]
@@ -50,10 +57,11 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
         if index != member:
             continue
         one, u = known[name], float(fitted.u[k])
-        wide = NORMAL * np.hypot(spread[k], _details(one, u) if candidate.coarse else 0.0)
+        wide = NORMAL * np.hypot(spread[k], DETAILS.get(candidate.effect, 0.0) * _whole(one, u))
         value, low, high = one.value(u), one.value(u - wide), one.value(u + wide)
         if candidate.effect is AppliedLoad and log is not None:
-            low, high = _through_rests(fitted, log, low, high)
+            edge = float(fitted.model.values(fitted.u)[member]["edge"][log])
+            low, high = _through_rests(fitted, log, low - 0.5 * edge, high + 0.5 * edge)
         if candidate.effect is LoopDelay:
             value, low, high = (fitted.model.logged.thinning * number for number in (value, low, high))
         if log is None:
@@ -64,9 +72,9 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
     return told
 
 
-def _details(parameter: Parameter, u: float) -> float:
-    """`DETAILS` of a value, in units of its prior."""
-    return abs(DETAILS * parameter.value(u) / parameter.slope(u)) if parameter.slope(u) else 0.0
+def _whole(parameter: Parameter, u: float) -> float:
+    """A value's magnitude in units of its prior."""
+    return abs(parameter.value(u) / parameter.slope(u)) if parameter.slope(u) else 0.0
 
 
 def _through_rests(fitted: Fitted, log: int, low: float, high: float) -> tuple[float, float]:
@@ -77,6 +85,6 @@ def _through_rests(fitted: Fitted, log: int, low: float, high: float) -> tuple[f
         rests = (np.abs(np.asarray(fitted.track.course.velocity)[lane]) < SLOW) & (logged.lanes.counts[lane] > 0)
         edges = np.flatnonzero(np.diff(np.r_[0, rests.astype(int), 0]))
         for begin, end in float(logged.starts[lane]) + edges.reshape(-1, 2) / logged.sampling.rate:
-            if begin <= high + BESIDE and end >= low - BESIDE:
+            if begin <= high and end >= low:
                 ends += [float(begin), float(end)]
     return min(ends), max(ends)
