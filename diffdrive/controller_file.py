@@ -1,5 +1,7 @@
 """The [controller] table of a drive file: which controller, with which gains."""
 
+import dataclasses
+from functools import partial
 from typing import Any
 
 from diffdrive.controllers import (
@@ -34,6 +36,45 @@ KINDS = {
 # what most machines run, and has none
 _FEEDFORWARD = {"pd": False, "cascade": False}
 
+_OBSERVED = ("pd+fc", "pd+fc+le", "pd+fc+ls")
+_OF_THE_PAPER = tuple(kind for kind in KINDS if kind not in ("cascade", "unknown"))
+# which kinds have which keys: said of one that is left in a file whose kind was changed
+_PARTS: dict[str, dict[Any, tuple[str, ...]]] = {
+    "controller": {
+        Gains: _OF_THE_PAPER,
+        DisturbanceObserver: ("dobvsc", "pd+ff+dob"),
+        DOBVSC: ("dobvsc",),
+        PDFeedforwardDOB: ("pd+ff+dob",),
+        Cascade: ("cascade",),
+    },
+    "controller.observer": {Tuning: ("pd+fc", "pd+fc+le"), LoadStateTuning: ("pd+fc+ls",)},
+    "controller.load_estimator": dict(zip((FixedLoad, InnovationLoad, LoadStateObserver), zip(_OBSERVED), strict=True)),
+}
+_FROM_THE_PLANT = {"mass", "damping"}  # what a disturbance observer believes of the machine is no key of its own
+_BESIDE = {
+    "feedforward": (*_OF_THE_PAPER, "cascade"),
+    "derivative": _OF_THE_PAPER,
+    "velocity_samples": ("cascade",),
+    "observer": _OBSERVED,
+    "load_estimator": _OBSERVED,
+}
+
+
+def _kinds_with(table: str, key: str) -> list[str]:
+    """The kinds of controller whose `table` may hold `key`."""
+    found = {*(_BESIDE.get(key, ()) if table == "controller" else ())}
+    for part, kinds in _PARTS[table].items():
+        declared = {field.name for field in dataclasses.fields(part) if "quantity" in field.metadata}
+        if key in declared - _FROM_THE_PLANT:
+            found.update(kinds)
+    return [kind for kind in KINDS if kind in found]
+
+
+def _of_kind(section: Any, kind: str) -> Any:
+    """The section, which knows from now on which other kinds have a key that is left in it."""
+    section.kind, section.kinds_with = kind, partial(_kinds_with, section.name)
+    return section
+
 
 def build_controller(section: Any, drive: Drive) -> Controller:
     """The controller that a `drive_file.Section` describes, its model being the file's own plant and friction."""
@@ -42,6 +83,7 @@ def build_controller(section: Any, drive: Drive) -> Controller:
         raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
     if not isinstance(kind, str) or kind not in KINDS:
         raise section.fail("kind", f"unknown controller {kind!r}; known: {', '.join(KINDS)}")
+    _of_kind(section, kind)
     if kind == "unknown":
         return UnknownController()
     wanted = section.take("feedforward", _FEEDFORWARD.get(kind, True))
@@ -69,8 +111,7 @@ def _compensation(kind: str, section: Any, drive: Drive, tracking: Tracking) -> 
         if kind == "dobvsc":
             return section.build(DOBVSC, tracking=tracking, observer=observer)
         return section.build(PDFeedforwardDOB, tracking=tracking, observer=observer, friction=friction)
-    tuning = section.subsection("observer")
-    estimator = section.subsection("load_estimator")
+    tuning, estimator = (_of_kind(section.subsection(key), kind) for key in ("observer", "load_estimator"))
     if kind == "pd+fc+ls":
         observer = estimator.build(
             LoadStateObserver, plant=plant, friction=friction, tuning=tuning.build(LoadStateTuning)

@@ -166,7 +166,8 @@ def _verdict(speeds: Sequence[float]) -> str:
     listed = ", ".join(f"{1e3 * v:.3g}" for v in speeds)
     return (
         f"the eq. (20) load estimator does not converge at {listed} mm/s: its gain G is not positive there (see "
-        "docs/load-estimation.md). Use LoadStateObserver, raise its min_speed above these, or choose Q and R with G > 0"
+        'docs/load-estimation.md). Use LoadStateObserver (in a drive file kind = "pd+fc+ls"), raise its min_speed '
+        "above these, or choose Q and R with G > 0"
     )
 
 

@@ -10,6 +10,7 @@ error, because a misspelt key that is silently ignored is a wrong simulation.
 import dataclasses
 import difflib
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,8 @@ class Section:
             raise DriveFileError(f"{source}: [{name}] must be a table, got {table!r}")
         self.source, self.name, self.table, self._left = source, name, table, dict(table)
         self._known: list[str] = []
+        self.kind: str | None = None  # of the controller, where keys hang on it
+        self.kinds_with: Callable[[str], list[str]] = lambda key: []  # those that have a key that this one has not
 
     def fail(self, key: str, problem: str) -> DriveFileError:
         """The error for a bad `key`."""
@@ -128,6 +131,11 @@ class Section:
         if not self._left:
             return
         key = next(iter(self._left))
+        if kinds := self.kinds_with(key):
+            foreign = [other for other in self._left if self.kinds_with(other)]
+            raise self.fail(
+                key, f"belongs to kind {', '.join(kinds)}; for kind {self.kind} remove {', '.join(foreign)}"
+            )
         near = difflib.get_close_matches(key, self._known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(set(self._known)))}"
         raise self.fail(key, f"unknown key; {hint}")

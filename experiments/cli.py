@@ -28,14 +28,32 @@ from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
 
 app = typer.Typer(
-    help="Simulate, tune and check a machine-tool feed drive with friction compensation.\n\n"
-    "Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        from experiments.report import version_of
+
+        sys.stdout.write(f"diffdrive {version_of('diffdrive')}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def everywhere(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which edition this is.")
+    ] = False,
+) -> None:
+    """Simulate, tune and check a machine-tool feed drive with friction compensation.
+
+    Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`.
+    """
 
 
 @app.command()
@@ -120,14 +138,19 @@ def tune(
     Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --out tuned`
     """
     from diffdrive.drive_file import read_drive
+    from diffdrive.errors import ParameterError
     from experiments.report import Report
-    from experiments.scenario import number, numbers
+    from experiments.scenario import number, numbers, require_choice
     from experiments.tune import tune_drive
     from experiments.tuning_cases import Plan
-    from tuning.objective import Objective
+    from tuning.objective import AGGREGATIONS, Objective
     from tuning.requirements import Limits
 
     description = read_drive(drive)
+    require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
+    highest = number(max_load, "N", "--max-load")
+    if highest < 0.0:
+        raise ParameterError(f"--max-load {max_load}: must be 0 or more; the lowest load is none")
     factor = 10.0 ** (gain_margin / 20.0)
     limits = Limits(
         gain_up=factor,
@@ -138,11 +161,13 @@ def tune(
         load_error=None if load_error is None else number(load_error, "N", "--load-error"),
     )
     plan = Plan(
-        speed=number(speed, "m/s", "--speed"), max_load=number(max_load, "N", "--max-load"), loads=loads,
-        spread=spread, machines=machines, seed=seed,
+        speed=number(speed, "m/s", "--speed"), max_load=highest, loads=loads, spread=spread, machines=machines,
+        seed=seed,
     )  # fmt: skip
     objective = Objective(peak=1e6 * peak, aggregation=aggregation)
     front = numbers(pareto, "N", "--pareto") if pareto else []
+    if any(limit <= 0.0 for limit in front):
+        raise ParameterError(f"--pareto {pareto}: each limit must be above 0")
     with Report(f"{drive.name}: gradient tuning over loads and machines", out) as report:
         _, accepted = tune_drive(
             description, report, plan=plan, limits=limits, objective=objective, friction=friction, starts=starts,
@@ -248,6 +273,14 @@ def keys(out: Out = None) -> None:
     from experiments.drive_reference import markdown
 
     _text(markdown(), out, "keys.md")
+
+
+@app.command()
+def motions(out: Out = None) -> None:
+    """Print every motion and every shape of load, with settings, units and defaults (two Markdown tables)."""
+    from experiments.motion_reference import markdown
+
+    _text(markdown(), out, "motions.md")
 
 
 def _text(text: str, out: Path | None, name: str) -> None:

@@ -33,8 +33,9 @@ MotionText = Annotated[
     str,
     typer.Option(
         "--motion",
-        help="`name:setting=value,...` with units where you like; names: triangular, constant_speed, trapezoidal, "
-        "jerk_limited, sine, multisine, chirp, staircase. Or a CSV file with the columns time (s) and position (m).",
+        help="`name:setting=value,...` with units where you like, see `diffdrive motions`; names: triangular, "
+        "constant_speed, trapezoidal, jerk_limited, sine, multisine, chirp, staircase. Or a CSV file with the columns "
+        "time and reference, or else position, each with its unit: `time (s),position (mm)`; without one, s and m.",
     ),
 ]
 LoadText = Annotated[

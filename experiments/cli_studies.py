@@ -48,8 +48,8 @@ def withheld(
 
     The machines are integrated by numerics of their own, their parameters are up to 3 % off nominal, and the effects
     are drawn at random: none, one of the catalogue, two, one from outside it, or a resonance that other parameters
-    absorb. The answering process is given copies of logs and drive files, and never the key. Takes a minute or two a
-    machine.
+    absorb. The answering process is given copies of logs and drive files, and never the key. Takes about
+    three minutes of one core a machine, up to 20.
     """
     from experiments.withheld.study import examined
     from experiments.withheld.study import withheld as run
@@ -83,10 +83,13 @@ def real_axes(
 @studies.command()
 def convergence(
     drive: DriveFile,
-    speeds: Annotated[str, typer.Option(help="Speeds, separated by ;")] = "1;3;10;15;20;40;100 mm/s",
+    speeds: Annotated[
+        str, typer.Option(help="Speeds, separated by ; with the unit behind the last.")
+    ] = "1;3;10;15;20;40;100 mm/s",
     out: Out = None,
 ) -> None:
-    """Say at which speeds the load estimator of the paper's eq. (20) converges, and how fast; code 3 if not at all.
+    """Say at which speeds the load estimator of the paper's eq. (20) converges, and how fast; code 3 if it fails at
+    one of them.
 
     The drive file's controller must be of kind "pd+fc+le".
     """
@@ -109,8 +112,8 @@ def bench(
     part: Annotated[
         list[str] | None,
         typer.Option(
-            help="single, lanes, sweep, controllers, gradients, effects, growth, start or accuracy; repeatable, "
-            "default all."
+            help="single, lanes, sweep, controllers, gradients, reverse, tuner, effects, growth, start or accuracy; "
+            "repeatable, default all."
         ),
     ] = None,
     out: Out = None,
@@ -173,7 +176,7 @@ def recovery(
 ) -> None:
     """How well identification recovers known drives, and whether its intervals hold the truth.
 
-    A drive takes some 20 s of one core.
+    A drive takes some 30 s of one core.
     """
     from experiments.recovery import study
 

@@ -1,9 +1,10 @@
-"""Every key of a drive file, with its unit, range and meaning, as the parameter classes declare them."""
+"""Every key of a drive file, with its unit, range and meaning; those of parameters as their classes declare them."""
 
 import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
+from diffdrive.controller_file import KINDS
 from diffdrive.controllers import DOBVSC, Cascade, DisturbanceObserver, Gains, PDFeedforwardDOB
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.load_estimator import FixedLoad, InnovationLoad
@@ -27,6 +28,35 @@ _TABLES: tuple[tuple[str, str, Any], ...] = (
     ("controller.load_estimator", "pd+fc+ls", LoadStateObserver),
     *((f"effects.{name}", "", effect) for name, effect in EFFECTS.items()),
 )
+# what the parameter classes do not declare: choices, whole numbers, and what is about the axis and not in its equations
+_OTHERS = (
+    ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification alone"),
+    (
+        "controller", "all", "feedforward", "", "true, false", "true; pd and cascade: false",
+        "whether inertia and damping of [plant] are fed forward",
+    ),
+    ("controller", "all but cascade", "derivative", "", "backward-difference", "backward-difference", "the only one"),
+    (
+        "controller", "cascade", "velocity_samples", "-", ">= 1, whole", "1",
+        "samples over which the velocity is differenced",
+    ),
+    ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
+    ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),
+    ("sampling", "", "substeps", "-", ">= 1, whole", "of 12.5 us each at most", "plant steps a control period"),
+    ("limits", "", "stroke", "m", "[lowest, highest]", "unlimited", "motions beyond are refused"),
+    ("limits", "", "speed", "m/s", "> 0", "unlimited", "likewise"),
+    ("limits", "", "acceleration", "m/s^2", "> 0", "unlimited", "likewise"),
+    (
+        "columns", "", "a channel of a log", "", "", "found by its name",
+        'the column of the log\'s file that holds it: `position = "qm"`, `command = "dspace.Y.cmd"`',
+    ),
+    (
+        "units", "", "a channel of a log", "", "", "as the file says, or SI",
+        'the unit of that column, also with a factor or sign: `"mm"`, `"50 nm"`, `"-0.1 N"`',
+    ),
+    ("units", "", "force_per_volt", "N/V", "not 0", "absent", "for a command that is logged in V"),
+    ("units", "", "force_per_ampere", "N/A", "not 0", "absent", "for a command that is logged in A"),
+)  # fmt: skip
 _FROM_THE_PLANT = {(DisturbanceObserver, "mass"), (DisturbanceObserver, "damping")}
 COLUMNS = ("table", "for kind", "key", "unit", "range", "default", "meaning")
 
@@ -46,6 +76,7 @@ def _default(field: Any, declared: Quantity) -> str:
 
 def reference() -> Iterator[tuple[str, ...]]:
     """Rows of `COLUMNS`, one per key."""
+    yield from ((f"[{table}]", *row) for table, *row in _OTHERS)
     for table, kind, cls in _TABLES:
         for field in dataclasses.fields(cls):
             if "quantity" not in field.metadata or (cls, field.name) in _FROM_THE_PLANT:

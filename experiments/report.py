@@ -5,9 +5,11 @@ import csv
 import importlib.metadata
 import json
 import math
+import os
 import platform
 import re
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -49,15 +51,37 @@ def _console() -> Console:
     return console
 
 
-def _version(package: str) -> str:
+def version_of(package: str) -> str:
+    """The edition of a package as it is installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:  # run from a checkout
         return "not installed"
 
 
+def _made(out: Path) -> list[Path]:
+    """Make the folder, and see that it can be written to; returns the folders that were not there, the deepest first.
+
+    Raises `ParameterError` that names it: before hours of work, not after them.
+    """
+    if os.path.exists(out) and not os.path.isdir(out):  # a Path raises where it may not look
+        raise ParameterError(f"--out {out}: is a file, not a folder; name another")
+    made = [one for one in (out, *out.parents) if not os.path.exists(one)]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as problem:
+        raise ParameterError(f"--out {out}: cannot be written to ({problem.strerror}); name another folder") from None
+    return made
+
+
 class Report:
-    """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one."""
+    """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one.
+
+    A command that is stopped before its first number, table or figure leaves the folder as it was: what an earlier one
+    wrote there stays whole.
+    """
 
     def __init__(self, title: str, out: Path | None, console: Console | None = None) -> None:
         self.out = out
@@ -66,26 +90,30 @@ class Report:
             "title": title,
             "made_by": {
                 "arguments": sys.argv[1:],
-                "diffdrive": _version("diffdrive"),
-                "jax": _version("jax"),
+                "diffdrive": version_of("diffdrive"),
+                "jax": version_of("jax"),
                 "python": platform.python_version(),
             },
         }
         self._started = time.perf_counter()
-        if out is not None:
-            if out.exists() and not out.is_dir():
-                raise ParameterError(f"--out {out}: is a file, not a folder; name another")
-            out.mkdir(parents=True, exist_ok=True)
+        self._no_result = {*self.data, "timings_s", "notes"}
+        self._made = [] if out is None else _made(out)
         self.console.print(f"[bold]{title}[/bold]")
 
     def __enter__(self) -> "Report":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: Any) -> None:
-        """Write what there is, also when the work was interrupted or failed."""
-        if kind is not None:
+        """Write what there is, also when the work was interrupted or failed; nothing where there is nothing yet."""
+        if kind is None:
+            self.close()
+        elif self.data.keys() - self._no_result:
             self.data["stopped_by"] = f"{kind.__name__}: {error}".rstrip(": ")
-        self.close()
+            self.close()
+        else:
+            for folder in self._made:
+                with contextlib.suppress(OSError):  # it holds what the command itself has put there
+                    folder.rmdir()
 
     def say(self, text: str) -> None:
         """Print a sentence and keep it."""
@@ -191,7 +219,8 @@ class Report:
             return
         text = json.dumps(plain(self.data), indent=2, allow_nan=False)
         (self.out / "result.json").write_text(text + "\n", encoding="utf-8")
-        self.console.print(f"written to {self.out}", markup=False)
+        stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
+        self.console.print(f"{stopped} {self.out}", markup=False)
 
 
 def named_file(text: str) -> str:

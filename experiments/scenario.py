@@ -2,19 +2,19 @@
 
 import contextlib
 import inspect
-import io
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffdrive import load, motion
-from diffdrive.errors import MotionError
+from diffdrive.errors import MotionError, ParameterError
 from diffdrive.motion import Motion
 from diffdrive.units import to_si
+from experiments.motion_file import parse_motion_table, read_motion
 
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
@@ -33,7 +33,7 @@ LOADS: dict[str, Callable[..., np.ndarray]] = {
     "piecewise": load.piecewise,
     "material_removal": load.material_removal,
 }
-_UNITS = {
+MOTION_UNITS = {
     "speed": "m/s", "speeds": "m/s", "stroke": "m", "distance": "m", "travel": "m", "amplitude": "m", "amplitudes": "m",
     "start": "m", "acceleration": "m/s^2", "jerk": "m/s^3", "rounding": "s", "ramp": "s", "duration": "s",
     "first_reversal": "s",
@@ -41,9 +41,9 @@ _UNITS = {
     "load": "N", "loads": "N", "to": "N", "before": "N", "at": "s", "times": "s", "workpiece": "kg",
     "removal_rate": "kg/s", "cuts": "s", "repeats": "1",
 }  # fmt: skip
-_LOAD_UNITS = _UNITS | {"start": "s", "end": "s"}
-_LISTS = ("speeds", "amplitudes", "frequencies", "phases", "times", "loads")
-_PAIRS = ("cuts",)
+LOAD_UNITS = MOTION_UNITS | {"start": "s", "end": "s"}
+LISTS = ("speeds", "amplitudes", "frequencies", "phases", "times", "loads")
+PAIRS = ("cuts",)
 
 
 def number(text: str, unit: str, where: str) -> float:
@@ -61,7 +61,7 @@ def number(text: str, unit: str, where: str) -> float:
 def numbers(text: str, unit: str, where: str) -> list[float]:
     """Numbers separated by ;, where a unit behind the last is that of all: `5;10;20 N`."""
     parts = text.split(";")
-    trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^\d\s].*)", parts[-1])
+    trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^-+.\d\seE].*)", parts[-1])
     if trailing:
         parts = [part if re.search(r"[^\d\s.+eE-]", part) else f"{part} {trailing[1]}" for part in parts]
     return [number(part, unit, where) for part in parts]
@@ -69,9 +69,9 @@ def numbers(text: str, unit: str, where: str) -> list[float]:
 
 def _value(text: str, key: str, unit: str, where: str) -> Any:
     """One number; for plural settings a list a;b;c, for cuts a list of pairs from~to."""
-    if key in _PAIRS:
+    if key in PAIRS:
         return [tuple(number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
-    if key in _LISTS:
+    if key in LISTS:
         return numbers(text, unit, where)
     if ";" in text:
         raise MotionError(f"{where}: one number expected, got '{text}'")
@@ -100,43 +100,35 @@ def _arguments(text: str, builder: Callable[..., Any], units: dict[str, str], ki
 
 
 def parse_motion(text: str, rate: float) -> Motion:
-    """A motion from `name:key=value,...` (lists with ;), or from a CSV file with the columns time (s), position (m)."""
+    """A motion from `name:key=value,...` (lists with ;), or from a CSV file (`motion_file`)."""
     name, _, rest = text.partition(":")
     if name in MOTIONS:
-        return MOTIONS[name](**_arguments(rest, MOTIONS[name], _UNITS, name), rate=rate)
+        return MOTIONS[name](**_arguments(rest, MOTIONS[name], MOTION_UNITS, name), rate=rate)
     path = Path(text)
     if not path.is_file():
-        raise MotionError(f"'{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
+        raise MotionError(f"--motion: '{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
     return parse_motion_table(read_motion(path), str(path))
-
-
-def read_motion(path: Path) -> str:
-    """The text of a motion's file."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise MotionError(f"{path}: not a text file: {error}") from None
-
-
-def parse_motion_table(text: str, path: str) -> Motion:
-    """A motion from the text of a CSV file with the columns time (s), position (m); `path` is what messages name."""
-    try:
-        header = text.partition("\n")[0]
-        # "Time (s)", "position [m]": the first word counts
-        columns = [
-            name.strip(' "').lower().replace("[", " ").replace("(", " ").split(" ")[0] for name in header.split(",")
-        ]
-        table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
-    except ValueError as error:
-        raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {error}") from None
-    if "time" not in columns or "position" not in columns or table.shape[1] != len(columns):
-        raise MotionError(f"{path}: needs a header line with the columns time and position, has {header.strip()!r}")
-    return motion.from_array(table[:, columns.index("time")], table[:, columns.index("position")], name=Path(path).name)
 
 
 def parse_load(text: str, time: np.ndarray) -> np.ndarray:
     """A load from a number (N) or `name:key=value,...`; pairs of times as cuts=1~2;3~4."""
-    name, _, rest = text.partition(":")
+    name, colon, rest = text.partition(":")
     if name in LOADS:
-        return LOADS[name](time, **_arguments(rest, LOADS[name], _LOAD_UNITS, name))
-    return load.constant(time, number(text, "N", "load"))
+        return LOADS[name](time, **_arguments(rest, LOADS[name], LOAD_UNITS, name))
+    if colon:
+        require_choice("--load", "shape", name, LOADS)
+    return load.constant(time, number(text, "N", "--load"))
+
+
+def require_choice(option: str, what: str, given: str, known: Iterable[str]) -> None:
+    """Raise `ParameterError` naming the option where what was given is not one of those known."""
+    if given not in known:
+        raise ParameterError(f"{option}: no {what} '{given}'; known: {', '.join(known)}")
+
+
+def require_left(settle: float, name: str, motion: Motion) -> None:
+    """Raise `ParameterError` unless something of the motion is left after the first `settle` seconds."""
+    if not 0.0 <= settle < motion.duration:
+        raise ParameterError(
+            f"--settle: {settle:g} s leaves nothing of {name} ({motion.duration:g} s): give less, or a longer motion"
+        )

@@ -1,4 +1,4 @@
-"""The commands that work on one drive file: simulate, sweep, convergence."""
+"""The commands that work on one drive file: simulate and convergence."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from diffdrive.observer import KalmanObserver
 from diffdrive.run import Run
 from diffdrive.simulate import simulate
 from experiments.report import Report, new_figure
-from experiments.scenario import number, parse_load, parse_motion
+from experiments.scenario import numbers, parse_load, parse_motion, require_left
 
 # what a machine could not log; the velocity gets another name there, as a log's is that which the machine reports
 _SIMULATED = {
@@ -42,6 +42,7 @@ def simulate_drive(
     description = read_drive(drive)
     truth = description.drive if machine is None else read_drive(machine).drive
     planned = parse_motion(motion, description.sampling.rate)
+    require_left(settle, planned.name, planned)
     loads = parse_load(load, planned.time)
     with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
         with report.working("simulating"):
@@ -103,11 +104,11 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
             f'{drive}: [controller] kind must be "pd+fc+le", whose eq. (20) estimator this is about; '
             '"pd+fc+ls" estimates the load at every speed'
         )
-    if not speeds.strip():
+    if not speeds.strip(" ;"):
         raise LoadEstimatorError("--speeds is empty: give one or more, such as '1;10;100 mm/s'")
-    unit = speeds.split()[-1] if " " in speeds.strip() else ""
-    parts = [part.split()[0] for part in speeds.split(";") if part.strip()]
-    asked = np.array([abs(number(f"{part} {unit}".strip(), "m/s", "--speeds")) for part in parts])
+    if not speeds.strip(" ;")[-1:].isalpha():  # 10;20 would be m/s, a thousand times what most will mean
+        raise LoadEstimatorError(f"--speeds {speeds}: give the unit behind the last, as '10;20 mm/s'")
+    asked = np.abs(numbers(speeds.strip(" ;"), "m/s", "--speeds"))
     with Report(f"{drive.name}: convergence of eq. (20)", out) as report:
         period = description.sampling.period
         with report.working("linearising the observer at each speed"):

@@ -294,7 +294,27 @@ FILES = {
     "feedforward as text": ("controller.feedforward", "yes", r"\[controller\] feedforward: must be true or false"),
     "other derivative": ("controller.derivative", "filtered", r"\[controller\] derivative: only 'backward-difference'"),
     "negative gain": ("controller.kp", -1.0, r"controller\.kp must be at least 0 N/m"),
-    "gain of another controller": ("controller.cutoff", 240.0, r"\[controller\] cutoff: unknown key; known here: .*kp"),
+    "gain of another controller": (
+        "controller.cutoff",
+        240.0,
+        r"\[controller\] cutoff: belongs to kind dobvsc, pd\+ff\+dob; for kind pd remove cutoff$",
+    ),
+    "kind changed, keys left": (
+        "controller",
+        {"kind": "pd", "kp": 1e6, "kd": 1e3, "layer": 1e-3, "observer": {}, "load_estimator": {}},
+        r"\[controller\] layer: belongs to kind dobvsc; for kind pd remove layer, observer, load_estimator$",
+    ),
+    "what a controller takes from the plant": ("controller.mass", 1.0, r"\[controller\] mass: unknown key; known here"),
+    "load estimator of another observer": (
+        "controller",
+        {"kind": "pd+fc+ls", "kp": 1e6, "kd": 1e3, "load_estimator": {"gain": 100.0, "min_speed": 0.005}},
+        r"gain: belongs to kind pd\+fc\+le; for kind pd\+fc\+ls remove gain, min_speed$",
+    ),
+    "gains of a controller that is unknown": (
+        "controller",
+        {"kind": "unknown", "kp": 1e6, "kd": 1e3},
+        r"\[controller\] kp: belongs to kind pd, .*cascade; for kind unknown remove kp, kd$",
+    ),
     "cascade over no samples": (
         "controller",
         {"kind": "cascade", "kp": 50.0, "kv": 1e5, "velocity_samples": 0},
@@ -308,7 +328,7 @@ FILES = {
     "load estimator of another controller": (
         "controller",
         {"kind": "pd+fc", "kp": 1e6, "kd": 1e3, "load_estimator": {"gain": 100.0}},
-        r"\[controller.load_estimator\] gain: unknown key; known here: load",
+        r"\[controller.load_estimator\] gain: belongs to kind pd\+fc\+le; for kind pd\+fc remove gain$",
     ),
 }
 

@@ -2,14 +2,22 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+import tomllib
+from importlib import metadata
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive
+from diffdrive.errors import DiffdriveError, LoadEstimatorWarning
+from diffdrive.logs import Mapping, read_log
 from experiments.cli import app
+from experiments.report import Report
+from experiments.scenario import numbers as numbers_of
 
 SHORT = "triangular:speed=10mm/s,stroke=2mm,rounding=0.05s,duration=0.3s"
 
@@ -35,6 +43,56 @@ def test_help_names_every_command():
     for command in commands.split():
         assert command in shown
         assert run(command, "--help").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("0.5", [0.5]),
+        ("0;1.5", [0.0, 1.5]),
+        ("0;1e-3", [0.0, 1e-3]),
+        ("5;10.5 ms", [5e-3, 10.5e-3]),
+        ("5 ms;1.5", [5e-3, 1.5]),
+        ("1;.5s", [1.0, 0.5]),
+    ],
+)
+def test_a_list_of_numbers_has_the_unit_behind_its_last_one(text, found):
+    assert numbers_of(text, "s", "times") == pytest.approx(found)
+
+
+def test_the_version_is_that_of_the_package():
+    assert run("--version").output == f"diffdrive {metadata.version('diffdrive')}\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "known"),
+    [
+        ("bench", "part", re.compile("known: (.*)")),
+        ("simulate", "motion", re.compile("motions (.*)")),
+        ("simulate", "load", re.compile("known: (.*)")),
+        ("sweep", "method", re.compile("known: (.*)")),
+        ("tune", "aggregation", re.compile("known: (.*)")),
+    ],
+)
+def test_the_help_of_an_option_names_all_that_it_takes(drive_file, tmp_path, command, option, known):
+    files = () if command == "bench" else (drive_file,)
+    told = refused(command, *files, f"--{option}", "foo:bar=1")
+    shown = run(command, "--help").output
+    for name in known.search(told)[1].split(", "):
+        assert name == "constant" or re.search(rf"\b{name}\b", shown), name  # a bare number is a constant load
+
+
+def test_the_keys_are_all_that_a_drive_file_may_hold(drive_file):
+    shown = run("keys").output
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines()]
+    known = {(row[0], row[2]) for row in rows}
+    for table, values in tomllib.loads(drive_file.read_text()).items():
+        for key, value in values.items():
+            if isinstance(value, dict):
+                assert {(f"[{table}.{key}]", below) for below in value} <= known
+            elif table not in ("columns", "units") or key.startswith("force_per"):
+                assert (f"[{table}]", key) in known
+    assert {("[sampling]", "substeps"), ("[controller]", "velocity_samples"), ("[actuator]", "delay_samples")} <= known
 
 
 def test_the_template_is_a_drive_file(drive_file):
@@ -80,6 +138,11 @@ def test_convergence_ends_with_3_where_eq_20_diverges(drive_file, tmp_path):
     assert numbers(tmp_path / "good")["tables"]["convergence"]["rows"][0][1] == pytest.approx(0.0174, rel=0.01)
 
 
+def test_a_warning_of_eq_20_names_the_kind_that_mends_it(drive_file):
+    with pytest.warns(LoadEstimatorWarning, match=r'does not converge at .*15 mm/s.*kind = "pd\+fc\+ls"'):
+        run("simulate", drive_file, "--motion", SHORT.replace("10mm/s", "15mm/s"))
+
+
 def test_an_expected_error_is_one_line_and_code_2(drive_file):
     drive_file.write_text(drive_file.read_text().replace("mass = 100.0", 'mass = "100 mm"'))
     command = [sys.executable, "-c", "from experiments.cli import main; main()", "simulate", str(drive_file)]
@@ -97,3 +160,103 @@ def test_whoever_is_ended_loses_no_more_than_by_an_interrupt():
     run = subprocess.run([sys.executable, "-c", ended + "cli.main()"], capture_output=True, text=True, check=False)
     assert run.returncode == 130
     assert "what was written so far stays" in run.stderr
+
+
+def refused(*arguments):
+    """What a command says that ends in one line and code 2."""
+    with pytest.raises(DiffdriveError) as told:
+        run(*arguments)
+    assert "\n" not in str(told.value)
+    return str(told.value)
+
+
+REFUSED = {
+    "a motion beyond the stroke": (
+        "simulate",
+        ("--motion", SHORT.replace("stroke=2mm", "stroke=2m,start=1")),
+        "stroke",
+    ),
+    "a motion that settles for ever": ("simulate", ("--motion", SHORT, "--settle", 5), "--settle: 5 s leaves nothing"),
+    "a shape of load that there is not": (
+        "simulate",
+        ("--motion", SHORT, "--load", "stepp:to=3"),
+        "--load: no shape 'stepp'; known: constant, step, ramp, piecewise, material_removal",
+    ),
+    "a motion that there is not": ("simulate", ("--motion", "zigzag:speed=1"), "--motion: 'zigzag:speed=1' is neither"),
+    "an aggregation that there is not": (
+        "tune",
+        ("--aggregation", "avg"),
+        "--aggregation: no aggregation 'avg'; known: mean, worst, cvar",
+    ),
+    "a load that lifts": ("tune", ("--max-load", "-3kN"), "--max-load -3kN: must be 0 or more"),
+    "noise below none": ("tune", ("--pareto", "5;-3 N"), "--pareto 5;-3 N: each limit must be above 0"),
+    "speeds without a unit": ("convergence", ("--speeds", "10;20"), "--speeds 10;20: give the unit behind the last"),
+    "a first speed without a unit": ("convergence", ("--speeds", "10 mm/s;20"), "give the unit behind the last"),
+    "no speed": ("convergence", ("--speeds", " ; "), "--speeds is empty"),
+    "speeds in kg": ("convergence", ("--speeds", "10;20 kg"), "--speeds: '10 kg' has the wrong unit"),
+}
+
+
+@pytest.mark.parametrize(("command", "options", "says"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_command_that_is_refused_leaves_its_folder_as_it_was(drive_file, tmp_path, command, options, says):
+    good = tmp_path / "good"
+    good.mkdir()
+    (good / "result.json").write_text("an earlier one")
+    assert says in refused(command, drive_file, *options, "--out", good)
+    assert {path.name: path.read_text() for path in good.iterdir()} == {"result.json": "an earlier one"}
+    refused(command, drive_file, *options, "--out", tmp_path / "new" / "below")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_log_that_cannot_be_read_leaves_the_folder_as_it_was(drive_file, tmp_path):
+    (tmp_path / "nolog.csv").write_text("a,b\n1,2\n")
+    assert "nolog.csv" in refused("identify", tmp_path / "nolog.csv", "--drive", drive_file, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["simulate", "tune", "convergence", "sweep", "template"])
+def test_a_folder_that_cannot_be_written_to_is_named_before_anything_is_computed(drive_file, command, monkeypatch):
+    computed = []
+    for name in ("experiments.single.simulate", "experiments.tune.tune", "experiments.single.convergence_gains",
+                 "experiments.sweeps.command.run"):  # fmt: skip
+        monkeypatch.setattr(name, lambda *_, **__: computed.append(command))
+    below = drive_file / "x"
+    options = () if command == "template" else (drive_file,)
+    assert f"--out {below}: cannot be written to" in refused(command, *options, "--out", below)
+    assert f"--out {drive_file}: is a file" in refused(command, *options, "--out", drive_file)
+    assert not computed
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="permissions that bind")
+def test_a_folder_that_may_not_be_looked_into_is_named(drive_file, tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o000)
+    assert "cannot be written to" in refused("template", "--out", closed)
+    assert "cannot be written to" in refused("template", "--out", closed / "below")
+
+
+def test_what_was_found_before_an_error_is_kept_and_said_to_be_a_part(tmp_path, capsys):
+    def work():
+        with Report("title", tmp_path) as report:
+            report.values("first", done=1)
+            raise ValueError("late")
+
+    with pytest.raises(ValueError, match="late"):
+        work()
+    assert numbers(tmp_path)["stopped_by"] == "ValueError: late"
+    printed = capsys.readouterr().out
+    assert "stopped; what was found by then is in" in printed
+    assert "written to" not in printed
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_a_run_is_the_motion_that_it_was_asked_for_and_not_the_one_that_was_measured(drive_file, tmp_path):
+    first = run("simulate", drive_file, "--motion", SHORT, "--out", tmp_path / "first")
+    again = run("simulate", drive_file, "--motion", tmp_path / "first" / "run.csv", "--out", tmp_path / "again")
+    assert first.exit_code == again.exit_code == 0
+    assert "run.csv (column reference)" in again.output
+    ours, theirs = (
+        read_log(tmp_path / name / "run.csv", Mapping(units={"command": "N"})) for name in ("first", "again")
+    )
+    np.testing.assert_array_equal(ours.reference, theirs.reference)
+    assert not np.array_equal(ours.reference, ours.position)

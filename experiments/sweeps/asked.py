@@ -10,7 +10,8 @@ from typing import Any
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
-from experiments.scenario import MOTIONS, parse_motion, parse_motion_table, read_motion
+from experiments.motion_file import parse_motion_table, read_motion
+from experiments.scenario import MOTIONS, parse_motion
 from experiments.sweeps.plan import MOST_IN_A_PART, Plan
 from experiments.sweeps.samples import Method
 

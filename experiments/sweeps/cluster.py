@@ -6,6 +6,7 @@ itself, and every batch system has a launcher for it. It is the package's extra 
 
 import functools
 import os
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -45,7 +46,7 @@ def _client(address: str | None, cluster: Any) -> Any:
 
     try:
         return Client(address or cluster, timeout=ANSWERS_WITHIN)
-    except (OSError, TimeoutError) as problem:
+    except (OSError, ValueError) as problem:  # ValueError: a scheme that Dask does not know
         if address is None:
             raise
         raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
@@ -57,6 +58,8 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
     A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
     where nobody answers at the address.
     """
+    if address is not None and not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
+        raise ParameterError(f"--cluster {address}: write tcp://host:8786")
     try:
         from distributed import LocalCluster, as_completed
     except ImportError:

@@ -4,19 +4,22 @@ import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
+import pyarrow as pa
 
 from diffdrive.drive_file import drive_tables, parse_drive, write_drive
 from diffdrive.errors import ParameterError
 from experiments.report import Report, named_file
+from experiments.scenario import require_choice
 from experiments.single import run_figure, write_run
 from experiments.sweeps import figures
 from experiments.sweeps.asked import Asked, keep, read_asked
 from experiments.sweeps.parts import Engine, here, kept, missing, run
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.replay import SIGNALS, costs_again, machine_of, run_of, traces
+from experiments.sweeps.samples import Method
 from experiments.sweeps.sensitivity import FEWEST, Influence, influences, influences_on_event
 from experiments.sweeps.summary import ERRORS, SHARES, Group, Interval, compared, exceedance, groups, quantile, worst
 
@@ -32,23 +35,20 @@ def sweep_drive(
     asked: Asked, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
 ) -> bool:
     """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
-    if by not in ERRORS:
-        raise ParameterError(f"--by {by.removesuffix('_m')}: no such error; known: peak, rms")
+    require_choice("--by", "error", by.removesuffix("_m"), [one.removesuffix("_m") for one in ERRORS])
+    require_choice("--method", "method", asked.method, get_args(Method))
     if recorded and out is None:
         raise ParameterError("--record: give --out, a folder for the traces")
-    unknown = [name for name in recorded if name not in SIGNALS]
-    if unknown:
-        raise ParameterError(f"--record {unknown[0]}: no such signal; known: {', '.join(SIGNALS)}")
+    for name in recorded:
+        require_choice("--record", "signal", name, SIGNALS)
     plan = asked.plan()
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:
         missing(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
     with Report(title, out) as report, _folder(out) as folder:
-        if out is not None:
-            keep(asked, out)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
-            rows = run(plan, folder, done, engine or here)
+            rows = run(plan, folder, done, _noted(asked, engine or here, out))
         report.values("sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts)
         found = groups(rows, list(plan.controllers), list(plan.motions))
         told = [(one, _influences(plan, one, by)) for one in found]
@@ -58,6 +58,17 @@ def sweep_drive(
         if recorded:
             _record(report, plan, found, recorded, by)
         return not any(one.diverged.any() for one in found)
+
+
+def _noted(asked: Asked, engine: Engine, out: Path | None) -> Engine:
+    """An engine that writes down what was asked when it begins: by then every machine has been found possible."""
+
+    def noted(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
+        if out is not None:
+            keep(asked, out)
+        yield from engine(plan, wanted)
+
+    return noted
 
 
 @contextlib.contextmanager

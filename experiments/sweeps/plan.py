@@ -21,7 +21,7 @@ from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
 from diffdrive.simulate import Costs, inputs_of
 from experiments.edition import edition
-from experiments.scenario import parse_load
+from experiments.scenario import parse_load, require_left
 from experiments.sweeps.engine import costs_of
 from experiments.sweeps.machines import Values, machines
 from experiments.sweeps.samples import Method, correlated, root_of, shares
@@ -74,10 +74,7 @@ class Plan:
                     f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
                     "make them equal"
                 )
-            if not 0.0 <= plan.settle < motion.duration:
-                raise ParameterError(
-                    f"sweep: settle = {plan.settle:g} s leaves nothing of {name} ({motion.duration:g} s)"
-                )
+            require_left(plan.settle, name, motion)
         if not 0 <= plan.seed < 2**63:
             raise ParameterError(f"sweep: seed must be from 0 to 2^63 - 1, got {plan.seed}")
         root_of(plan.correlation, names)

@@ -1,0 +1,69 @@
+"""What the docs say of motions is what the code does, and no link leads nowhere."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.motion_reference import markdown, reference
+from experiments.scenario import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def test_the_reference_of_motions_in_the_docs_is_current():
+    page = (ROOT / "docs" / "motions.md").read_text(encoding="utf-8")
+    for table in markdown().split("\n\n"):
+        assert table.strip() in page
+
+
+VALUES = {"m": "1mm", "m/s": "10mm/s", "m/s^2": "1", "m/s^3": "100", "s": "0.1", "Hz": "5", "N": "1kN", "rad": "0",
+          "kg": "100", "kg/s": "1"}  # fmt: skip
+
+
+def settings(told):
+    """What the table says is needed, with values in the units that it names."""
+    written = []
+    for name, unit in re.findall(r"(\w+) \(([^()]*)\)", told):
+        pairs, many = "pairs" in unit, "list" in unit
+        value = VALUES[unit.split()[-1]]
+        written.append(f"{name}={'0.1~0.2;0.3~0.4' if pairs else f'{value}' if many else value}")
+    return ",".join(written)
+
+
+@pytest.mark.parametrize("row", list(reference(MOTIONS, MOTION_UNITS)), ids=lambda row: row[0])
+def test_a_motion_needs_what_the_reference_says_and_no_more(row):
+    text = settings(row[1]).replace("rounding=0.1", "rounding=0.05")
+    assert parse_motion(f"{row[0]}:{text}", 1e4).duration > 0.0
+
+
+@pytest.mark.parametrize("row", list(reference(LOADS, LOAD_UNITS)), ids=lambda row: row[0])
+def test_a_load_needs_what_the_reference_says_and_no_more(row):
+    text = settings(row[1]).replace("end=0.1", "end=0.2")
+    assert np.max(parse_load(f"{row[0]}:{text}", np.linspace(0.0, 1.0, 101))) > 900.0
+
+
+def anchors(page):
+    text = page.read_text(encoding="utf-8")
+    titles = [line.lstrip("# ") for line in text.splitlines() if line.startswith("#")]
+    made = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+    return made | set(re.findall(r'<a id="([^"]+)"', text))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if link.startswith("http"):
+            continue
+        file, _, anchor = link.partition("#")
+        there = page.parent / file if file else page
+        assert there.exists(), link
+        assert not anchor or anchor in anchors(there), link
+
+
+def test_every_page_is_in_the_readme():
+    linked = (ROOT / "README.md").read_text(encoding="utf-8")
+    for page in PAGES[1:]:
+        assert f"docs/{page.name}" in linked, page.name
