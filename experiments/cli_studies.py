@@ -33,8 +33,8 @@ def tuning_study(
 @studies.command(rich_help_panel=PANEL)
 def withheld(
     out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
-    cases: Annotated[int, typer.Option(min=1, help="How many machines.")] = 120,
-    seed: Annotated[int, typer.Option(help="Seed of the machines.")] = 0,
+    cases: Annotated[int | None, typer.Option(min=1, help="How many machines; by default 120.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the machines; by default 0.")] = None,
     bench: Annotated[
         Path | None,
         typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
@@ -51,11 +51,14 @@ def withheld(
     absorb. The answering process is given copies of logs and drive files, and never the key. Takes about
     three minutes of one core a machine, up to 20.
     """
+    from diffdrive.errors import ParameterError
     from experiments.withheld.study import examined
     from experiments.withheld.study import withheld as run
 
     if bench is None:
-        run(out, cases, seed, workers, twice)
+        run(out, 120 if cases is None else cases, seed or 0, workers, twice)
+    elif cases is not None or seed is not None:
+        raise ParameterError("--bench: its machines are there already; leave out --cases and --seed")
     else:
         examined(out, bench, bench / "key.json", workers, twice)
 

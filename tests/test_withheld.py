@@ -12,10 +12,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
+from experiments import cli
 from experiments.report import Report
 from experiments.withheld import answer, generate, study
 from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, RATES, _scaled, draw, of_log
@@ -366,3 +368,11 @@ def test_answers_to_what_was_asked_once_but_is_no_more_are_not_scored(tmp_path, 
     report = SimpleNamespace(out=tmp_path)
     told = study._asked_again(report, tmp_path / "cases", "oracle", {"001": [], "002": []}, 1)
     assert list(told) == ["001"]
+
+
+def test_machines_that_are_there_are_not_drawn_as_well(tmp_path):
+    asked = ["withheld", "--out", str(tmp_path / "o"), "--bench", str(tmp_path), "--seed", "3"]
+    result = CliRunner().invoke(cli.app, asked)
+    assert isinstance(result.exception, ParameterError)
+    assert "--cases and --seed" in str(result.exception)
+    assert not (tmp_path / "o").exists()
