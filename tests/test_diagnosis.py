@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from experiments.withheld.score import score
 from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
-from tuning.diagnosis.diagnose import _within, diagnose, logged_of
+from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
@@ -197,6 +198,20 @@ def test_a_log_that_cannot_tell_makes_every_cause_unsure():
     assert doubted.verdict == "unknown"
     assert [one.confidence for one in doubted.beliefs] == [0.5, 0.1]
     assert "log a longer motion" in doubted.says
+
+
+@pytest.mark.parametrize(
+    ("name", "moved", "verdict"),
+    [("mass", 5.0, "effect"), ("mass", -7.0, "unknown"), ("bristle_stiffness", 30.0, "effect")],
+)
+def test_no_cause_is_sure_beside_a_number_that_cannot_be(name, moved, verdict):
+    """What a sliding table tells; the bristle's numbers an effect before sliding may take over."""
+    best = SimpleNamespace(u=np.where(np.array(NAMES) == name, moved, 0.1), model=SimpleNamespace(tolerance=0.02))
+    believed = Verdict("effect", [Belief("backlash", 0.9, True, 0, 500.0, None, [])], 0.0, "backlash explains the gap")
+    judged = _credible(believed, best)
+    assert judged.verdict == verdict
+    assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
+    assert ("mass had to be moved by -13.1 %" in judged.says) == (verdict == "unknown")
 
 
 def gap_with(force, surprise, velocity, position):

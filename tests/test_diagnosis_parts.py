@@ -279,3 +279,16 @@ def test_the_noise_of_a_position_is_seen_through_its_motion(rate):
     lanes = SimpleNamespace(position=position[None], counts=np.ones((1, len(time))))
     silent = dataclasses.replace(DRIVE.drive, sensor=Sensor())
     assert noise_floor(silent, lanes, rate) == pytest.approx(5e-8, rel=0.08)
+
+
+@pytest.mark.parametrize(("frequency", "swings"), [(1.0, False), (60.0, True)])
+def test_a_process_force_swings_while_it_is_on(frequency, swings):
+    """On for 0.1 s in one log and for 2 s in the other: at 1 Hz that is a bump, and no wave."""
+    logs = logged_of(DRIVE.drive, [logged(DRIVE, two_sines(2.5))] * 2)
+    process = next(
+        one for one in candidates(setting(logs.drive, logs.lanes, logs.sampling.period)) if one.name == "process_force"
+    )
+    model = joined(Model(logs), process)
+    values = {one.name: np.full(2, one.middle) for one in process.parameters}
+    values |= {"frequency": np.full(2, frequency), "start": np.array([0.2, 0.2]), "end": np.array([0.3, 2.2])}
+    assert model.possible(np.r_[np.zeros(len(NAMES)), begin(model, values)]) == swings

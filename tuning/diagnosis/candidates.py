@@ -1,16 +1,18 @@
 """The catalogue as hypotheses: for each effect, which of its parameters a log may tell, and what they may be."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
 from diffdrive.effects.base import Effect
 from tuning.diagnosis.priors import LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.setting import SLIPPERY, Setting
 
+SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -32,6 +34,12 @@ class Candidate(NamedTuple):
         """Whether a machine cannot have both: it has one screw."""
         screws = (transmission.Compliance, transmission.Backlash)
         return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
+
+    def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]]) -> bool:
+        """Whether an engineer would call it that: a process swings several times while it is on."""
+        if self.effect is not forces.ProcessForce:
+            return True
+        return bool(np.max((values["end"] - values["start"]) * values["frequency"]) >= SWINGS)
 
     @property
     def coarse(self) -> bool:

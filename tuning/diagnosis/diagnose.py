@@ -29,8 +29,9 @@ from tuning.diagnosis.gap import ForceGap, force_gap, force_noise
 from tuning.diagnosis.held_out import Closed, closed, confirmed, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
+from tuning.diagnosis.leftover import SLIDING, furthest, strain
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
-from tuning.diagnosis.search import Progress, Round, recalibrated
+from tuning.diagnosis.search import IMPOSSIBLE, Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Verdict, judge
@@ -152,7 +153,7 @@ def diagnose(
     rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
-    verdict = _within(confirmed(judge(fitter, found), rungs, share), lacks)
+    verdict = _within(_credible(confirmed(judge(fitter, found), rungs, share), found.best), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
@@ -174,6 +175,13 @@ def diagnose(
 
 def _closed(rungs: list[Rung], rate: float) -> Closed | None:
     return closed(rungs[1], rungs[-1], rate) if len(rungs) > 2 else None
+
+
+def _credible(verdict: Verdict, best: Fitted) -> Verdict:
+    """No sure cause beside a number that no machine of this drive file has."""
+    if verdict.verdict != "effect" or strain(best, SLIDING) <= IMPOSSIBLE:
+        return verdict
+    return verdict.doubted(f"but {furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:

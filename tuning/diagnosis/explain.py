@@ -16,7 +16,7 @@ from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, WORTH, Progress, Round, 
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
-SLIGHTER = 0.12  # in place of SLIGHT beside an effect whose details differ from machine to machine
+SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ from machine to machine
 RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2

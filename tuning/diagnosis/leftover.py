@@ -1,6 +1,9 @@
 """What a fit leaves unexplained, and how far it had to move the drive file's numbers."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from jaxtyping import Float
 
 from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
@@ -15,6 +18,9 @@ BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was l
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 RELEVANT = 3e-4  # of the friction
+# what a table that slides tells: effects before sliding take over what the others mean
+_SLIDING = ("mass", "coulomb_screw", "load_coefficient", "viscous")
+SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
 
 
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
@@ -69,14 +75,18 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     return float(np.clip(share, 0.0, 1.0))
 
 
-def strain(fitted: Fitted) -> float:
+def strain(fitted: Fitted, among: Sequence[str] = NAMES) -> float:
     """By how many standard deviations of the prior the furthest nominal parameter was moved."""
-    return float(np.abs(fitted.u[: len(NAMES)]).max())
+    return float(np.abs(_moved(fitted, among)).max())
 
 
-def furthest(fitted: Fitted) -> str:
+def furthest(fitted: Fitted, among: Sequence[str] = NAMES) -> str:
     """In words: which nominal parameter was moved furthest."""
-    moved = fitted.u[: len(NAMES)]
+    moved = _moved(fitted, among)
     k = int(np.abs(moved).argmax())
     percent = 100.0 * np.expm1(fitted.model.tolerance * moved[k])
-    return f"{NAMES[k]} had to be moved by {percent:+.1f} %, {abs(moved[k]):.1f} times its tolerance"
+    return f"{among[k]} had to be moved by {percent:+.1f} %, {abs(moved[k]):.1f} times its tolerance"
+
+
+def _moved(fitted: Fitted, among: Sequence[str]) -> Float[np.ndarray, " k"]:
+    return fitted.u[[NAMES.index(name) for name in among]]

@@ -136,12 +136,14 @@ class Model:
         return tuple(found)
 
     def possible(self, u: Vector) -> bool:
-        """Whether every free parameter is one that the effect may have; less than no delay corrects the drive file."""
+        """Whether a machine can have the effects as they are here; less than no delay corrects the drive file."""
         for member, values in zip(self.members, self.values(u), strict=True):
             fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(member.candidate.effect)}
             if member.candidate.effect is LoopDelay:
                 continue
             if any(fields[one.name].broken_by(values[one.name]) for one in member.candidate.parameters):
+                return False
+            if member.candidate.parameters and not member.candidate.plausible(values):
                 return False
         return True
 
