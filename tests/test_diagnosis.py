@@ -267,6 +267,7 @@ def test_when_a_vibration_was_on_is_found_beside_a_blow(blow):
 def told_of(verdict, *found, confidence=0.9, others=()):
     causes = [
         {"effect": name, "found": True, "confidence": confidence, "indistinguishable_from": list(others)}
+        | {"intervals": {}}
         for name in found
     ]
     gap = {"recalibrated_force_rms_N": 5.0, "noise_floor_force_N": 1.0}
