@@ -13,6 +13,7 @@ from diffdrive.logs.plausibility import examine
 from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
 from experiments.scenario import number
+from tuning.fit import SHORTEST
 
 EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
@@ -26,17 +27,20 @@ def read_checked(
     force: bool,
     loads: Mapping[str, float] | None = None,
     used: Sequence[str] = (),
+    beside: Sequence[Log] = (),
 ) -> tuple[Log, ...]:
     """Read logs, say what the reader repaired and what is implausible (the table `name`), and refuse what is fatal.
 
     `loads` (N) by file name: what was on the table where no column says it. `used` are channels of `EXTRA` that are
-    looked at after all. Raises `LogError` for a log at another rate than the drive file's and, without `force`, for a
-    fatal finding.
+    looked at after all; `beside` are logs that were read before. Raises `LogError` for a log at another rate than the
+    drive file's, one too short to be used, one that is given twice and, without `force`, for a fatal finding.
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
         logs = read_logs(paths, description.mapping, description.sampling.rate)
         for path, log in zip(paths, logs, strict=True):
             _require_rate(path, log, description.sampling.rate)
+            _require_length(path, log)
+        _require_different(paths, logs, beside)
         logs = tuple(_under(log, (loads or {}).get(path.name)) for path, log in zip(paths, logs, strict=True))
         found = [(log.name, finding) for log in logs for finding in examine(log, description)]
     for log in logs:
@@ -97,3 +101,28 @@ def _require_rate(path: Path, log: Log, rate: float) -> None:
             f"{path}: is sampled at {log.rate:g} Hz, the drive file's controller runs at {rate:g} Hz: log every sample "
             "of the controller, or set [sampling] rate to that at which it ran"
         )
+
+
+def _require_length(path: Path, log: Log) -> None:
+    longest = max(piece.stop - piece.start for piece in log.pieces())
+    if longest < SHORTEST:
+        raise LogError(
+            f"{path}: has at most {longest} samples in a row without a gap; at least {SHORTEST} are needed, "
+            f"{SHORTEST / log.rate:.3g} s at {log.rate:g} Hz, and some seconds to learn from: log a longer motion"
+        )
+
+
+def _require_different(paths: Sequence[Path], logs: Sequence[Log], beside: Sequence[Log]) -> None:
+    """A log that is given twice counts its noise twice, and held out it proves nothing."""
+    for k, (path, log) in enumerate(zip(paths, logs, strict=True)):
+        if path.resolve() in [other.resolve() for other in paths[:k]]:
+            raise LogError(f"{path}: is given twice; give each log once")
+        same = next((other.name for other in [*beside, *logs[:k]] if _same_samples(log, other)), None)
+        if same is not None:
+            raise LogError(
+                f"{path}: holds the same samples as {same}; give each log once, and hold out one of another run"
+            )
+
+
+def _same_samples(one: Log, other: Log) -> bool:
+    return np.array_equal(one.position, other.position) and np.array_equal(one.command, other.command)

@@ -21,7 +21,6 @@ from experiments.left_open import write_uncertainty
 from experiments.report import Report
 from experiments.scenario import number
 from tuning import inverse_dynamics
-from tuning.fit import lanes_of
 from tuning.identification import Identified, identify
 from tuning.inverse_dynamics import SLOWEST
 from tuning.next_motion import proposals
@@ -59,9 +58,7 @@ def identify_drive(
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         checked = partial(read_checked, description=description, report=report, force=force, loads=applied)
         logs = checked(paths, name="findings")
-        others = checked(held_out, name="findings_held_out") if held_out else ()
-        if others:
-            lanes_of(list(others))  # too short a log is better refused before the search than after it
+        others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
         _inverse_dynamics(report, logs, others)
         with (
             report.progress("searching", 1) as advance,

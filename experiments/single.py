@@ -11,6 +11,8 @@ from diffdrive.convergence import convergence_gains, time_constants
 from diffdrive.drive_file import read_drive
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.load_estimator import InnovationLoad
+from diffdrive.logs.column_unit import FORCES
+from diffdrive.logs.log import CHANNELS
 from diffdrive.logs.write import write_csv
 from diffdrive.observer import KalmanObserver
 from diffdrive.run import Run
@@ -30,9 +32,13 @@ _SIMULATED = {
 
 
 def write_run(path: Path, run: Run) -> None:
-    """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows."""
+    """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows.
+
+    The command says that it is in newtons, since a drive file may know volts and amperes as well.
+    """
     signals = {column: getattr(run, name) for column, name in _SIMULATED.items()}
-    write_csv(path, run.log().channels | {column: values for column, values in signals.items() if values is not None})
+    channels = run.log().channels | {column: values for column, values in signals.items() if values is not None}
+    write_csv(path, channels, {name: CHANNELS[name].unit for name in FORCES if name in channels})
 
 
 def simulate_drive(

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.errors import LogError, MotionError, ParameterError
-from diffdrive.logs import write_log
+from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
 from diffdrive.simulate import simulate
 from experiments import emps
@@ -194,6 +194,50 @@ def test_a_log_at_another_rate_is_refused(folder, tmp_path):
     write_log(tmp_path / "slow.csv", dataclasses.replace(log, **slower))
     with pytest.raises(LogError, match=r"slow\.csv: is sampled at 1000 Hz, .* runs at 2000 Hz: log every sample"):
         run(tmp_path / "slow.csv", "--drive", folder / "drive.toml")
+
+
+def test_a_log_that_is_given_twice_is_refused(folder, tmp_path):
+    drive = ("--drive", folder / "drive.toml")
+    copy = tmp_path / "another_day.csv"
+    copy.write_bytes((folder / "lap.csv").read_bytes())
+    with pytest.raises(LogError, match=r"lap\.csv: is given twice; give each log once"):
+        run(folder / "lap.csv", folder / "other.csv", tmp_path / ".." / folder.name / "lap.csv", *drive)
+    with pytest.raises(LogError, match=r"another_day\.csv: holds the same samples as lap; give each log once"):
+        run(folder / "lap.csv", copy, *drive)
+    for again in (folder / "lap.csv", copy):
+        with pytest.raises(LogError, match=rf"{again.name}: holds the same samples as lap; .* hold out one of another"):
+            run(folder / "lap.csv", *drive, "--held-out", again)
+
+
+def cut(folder, name, rows):
+    """A log of the first rows, in SI units."""
+    log = logged(TRUE, MOTION)
+    write_log(folder / name, dataclasses.replace(log, **{k: values[:rows] for k, values in log.channels.items()}))
+    return folder / name
+
+
+def test_too_short_a_log_is_told_how_long_it_must_be(folder, tmp_path):
+    """No --force helps: fewer samples in a row than that are never used."""
+    short = cut(tmp_path, "short.csv", 199)
+    told = r"short\.csv: has at most 199 samples in a row without a gap; at least 200 are needed, 0\.1 s at 2000 Hz"
+    for logs in ([short], [folder / "lap.csv", "--held-out", short]):
+        with pytest.raises(LogError, match=told) as refused:
+            run(*logs, "--drive", folder / "drive.toml", "--force")
+        assert "force" not in str(refused.value)
+        assert "log a longer motion" in str(refused.value)
+    with Report("long enough", None) as report:
+        read_checked([cut(tmp_path, "enough.csv", 200)], TRUE, report, name="findings", force=True)
+
+
+def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path):
+    drive = tmp_path / "volts.toml"
+    drive.write_text((folder / "drive.toml").read_text() + "\n[units]\nforce_per_volt = 159.593\n")
+    motion = "sine:amplitude=2mm,frequency=2Hz,duration=0.5s"
+    simulate = ["simulate", str(drive), "--motion", motion, "--out", str(tmp_path / "run")]
+    assert CliRunner().invoke(app, simulate).exit_code == 0
+    with Report("simulated", None) as report:
+        (log,) = read_checked([tmp_path / "run" / "run.csv"], read_drive(drive), report, name="findings", force=False)
+    assert np.array_equal(log.command, read_log(tmp_path / "run" / "run.csv").command)
 
 
 @pytest.fixture

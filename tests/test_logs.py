@@ -97,7 +97,8 @@ def test_a_simulated_run_is_a_log(run, tmp_path):
     np.testing.assert_array_equal(log.position, run.position)
     assert log.rate == pytest.approx(10_000.0)
     write_run(tmp_path / "simulated.csv", run)
-    assert_same(read_log(tmp_path / "simulated.csv", rate=10_000.0), log)
+    for mapping in (Mapping(), Mapping(force_per_volt=35.0), Mapping(force_per_ampere=10.0)):
+        assert_same(read_log(tmp_path / "simulated.csv", mapping, rate=10_000.0), log)
 
 
 # --- which column, in which unit --------------------------------------------------------------------------------------
@@ -171,7 +172,7 @@ def test_a_bad_mapping_is_refused(build, says):
 def test_a_mapping_that_does_not_fit_the_file_is_refused(raw, tmp_path):
     with pytest.raises(LogError, match=r"'qmm': no such column; did you mean 'qm'\? the file has 't', 'qg', 'qm', 'u'"):
         read_log(raw, Mapping(NAMED | {"position": "qmm"}))
-    with pytest.raises(LogError, match=r"nothing says whether the command is in V, A or N; write \[units\] command"):
+    with pytest.raises(LogError, match=r"nothing says whether the command .* \[units\] .* or give --unit command=N"):
         read_log(raw, Mapping(NAMED, force_per_volt=3.0))
     scipy.io.savemat(tmp_path / "two.mat", RAW | {"a": {"pos": RAW["t"]}, "b": {"pos": RAW["t"]}})
     with pytest.raises(LogError, match=r"position = 'pos' fits 'a\.pos', 'b\.pos'; write one of them in full"):

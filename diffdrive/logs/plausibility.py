@@ -9,6 +9,7 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks import (
     balance,
     clock,
+    comparison,
     controller,
     derived,
     grid,
@@ -90,15 +91,15 @@ def _command(log: Log, description: DriveDescription | None) -> list[Finding]:
     if description is None:
         return [*balance.command_opposes_friction(log)]
     unknown = isinstance(description.controller, UnknownController)
-    found = None if unknown else controller.compare(log, description)
+    found = None if unknown else comparison.compare(log, description)
     if found is not None and found.related:
         return [
             *controller.timing(found, description),
             *controller.unit_and_sign(log, found, description),
             *controller.disturbance(log, found),
             *controller.added(found),
-            *controller.explained(found),
+            *controller.explained(found, description),
         ]
     reversed_command = [*balance.command_opposes_friction(log)]
-    unexplained = [] if found is None else [*controller.explained(found)]
+    unexplained = [] if found is None else [*controller.explained(found, description)]
     return [*unexplained, *(reversed_command or balance.command_unit(log, description))]

@@ -117,7 +117,7 @@ def _conversion(table: Table, mapping: Mapping, channel: str, column: str) -> tu
         if channel in FORCES and mapping.force_per:
             raise LogError(
                 f"{where}: [units] has a force per volt or ampere, and nothing says whether the {channel} is in V, A "
-                f'or N; write [units] {channel} = "V", "A" or "N"'
+                f'or N; write [units] {channel} = "V", "A" or "N", or give --unit {channel}=N'
             )
         return Conversion(1.0), []
     if ordered is None and not fits(channel, said):

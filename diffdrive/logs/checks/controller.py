@@ -1,127 +1,26 @@
 """The logged command against the drive file's controller: its unit, its sign, its timing, and what was added to it."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.balance import balance, who_is_wrong
+from diffdrive.logs.checks.comparison import EXACT, EXPLAINED, Comparison
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.replay import SETTLE, outputs, remembers_nothing, shifted
-from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, percent, robust_fit
-from diffdrive.logs.checks.stuck import clipped
-from diffdrive.logs.checks.switching import Switched, switching
-from diffdrive.logs.log import Log, Signal
+from diffdrive.logs.checks.replay import remembers_nothing
+from diffdrive.logs.checks.statistics import percent
+from diffdrive.logs.log import Log
 
-# Whole-sample shifts of reference and of position that are tried.
-REACH = 2
-# A controller is software: put to its own inputs it gives back its output to the rounding of the log. 3 % is the most
-# that a coarse log or numerical derivatives of the reference cost; beyond half it is another controller.
-EXPLAINED, ROUGH, RELATED = 0.03, 0.1, 0.5
-# A shift is certain if it explains the command five times better, and to 1 %.
-BETTER, EXACT = 0.2, 0.01
+# A match beyond this says nothing about a few per cent.
+ROUGH = 0.1
+# A shift is certain if it explains the command five times better, and to EXACT.
+BETTER = 0.2
 # A force constant is known to some per cent; an error above a tenth is a unit or a wrong gain.
 WRONG_UNIT, OFF = 0.1, 0.005
-
-
-class Match(NamedTuple):
-    """How well the controller gives the command when reference and position are shifted by whole samples."""
-
-    reference: float  # samples by which the reference is taken later
-    position: float
-    fit: Fit
-    output: Signal
-
-
-class Comparison(NamedTuple):
-    """The best match, that without a shift, and the relative errors with the controller's output shifted alone."""
-
-    best: Match
-    plain: Match
-    around: tuple[float, float, float]  # |fit - command| / |command|, output one sample early, in time, one late
-    switched: Switched | None  # a force that is added to the command at times
-
-    @property
-    def related(self) -> bool:
-        """Whether the controller has anything to do with the command."""
-        return self.best.fit.error < RELATED
-
-
-def _inside(log: Log, piece: slice, signal: Signal) -> Signal:
-    """A signal (of the log or of the piece) without its ends and without the samples at which the command is clipped:
-    there it is not the controller's.
-    """
-    whole = len(signal) == len(log.time)
-    inner = signal[piece] if whole else signal
-    return inner[SETTLE:-SETTLE][~clipped(log.command)[piece][SETTLE:-SETTLE]]
-
-
-def _fit(log: Log, piece: slice, *outputs: Signal) -> Fit:
-    columns = [_inside(log, piece, output) for output in outputs]
-    if log.disturbance is not None and np.std(log.disturbance[piece]) > 0:
-        columns.append(_inside(log, piece, log.disturbance))
-    return robust_fit(columns, _inside(log, piece, log.command))
-
-
-def compare(log: Log, description: DriveDescription) -> Comparison | None:
-    """Put the controller to the log; None where that says nothing: no reference, another rate, no motion."""
-    piece = longest_piece(log)
-    same_rate = abs(mean_step(log) * description.sampling.rate - 1) < 0.01
-    if log.reference is None or not same_rate or piece.stop - piece.start < 20 * SETTLE:
-        return None
-    reference, position = log.reference[piece], log.position[piece]
-    output = outputs(description, reference[None], position[None])[0]
-    if not np.all(np.isfinite(output)) or np.std(output) == 0 or np.std(log.command[piece]) == 0:
-        return None
-    plain = Match(0, 0, _fit(log, piece, output), output)
-    best = plain
-    if plain.fit.error > 1e-3:
-        best = _best_shift(log, description, piece, plain)
-    switched = None
-    if best.fit.error > EXPLAINED and log.disturbance is None:
-        switched = switching(_inside(log, piece, log.command), _inside(log, piece, best.output))
-        best = best if switched is None else best._replace(fit=switched.fit)
-    return Comparison(best, plain, _around(log, piece, plain), switched)
-
-
-def _around(log: Log, piece: slice, plain: Match) -> tuple[float, float, float]:
-    command, gain = _inside(log, piece, log.command), plain.fit.coefficients[0]
-    changes = (_inside(log, piece, plain.output - shifted(plain.output, s)) for s in (-1, 0, 1))
-    misses = (plain.fit.residual + gain * change for change in changes)
-    early, now, late = (float(np.linalg.norm(miss) / np.linalg.norm(command)) for miss in misses)
-    return early, now, late
-
-
-def _best_shift(log: Log, description: DriveDescription, piece: slice, plain: Match) -> Match:
-    window = slice(piece.start, min(piece.stop, piece.start + 40_000))  # a shift shows in any stretch of the log
-    reference, position = log.reference[window], log.position[window]  # type: ignore[index]
-    pairs = [(i, j) for i in range(-REACH, REACH + 1) for j in range(-REACH, REACH + 1)]
-    commands = outputs(
-        description,
-        np.stack([shifted(reference, i) for i, _ in pairs]),
-        np.stack([shifted(position, j) for _, j in pairs]),
-    )
-    matches = [Match(i, j, _fit(log, window, u), u) for (i, j), u in zip(pairs, commands, strict=True)]
-    best = min(matches, key=lambda match: (match.fit.error, abs(match.reference) + abs(match.position)))
-    parts = [
-        _part(log, window, u, commands[pairs.index((0, 0))], pair)
-        for pair, u in zip(pairs, commands, strict=True)
-        if pair in ((0, 1), (1, 0), (1, 1))
-    ]
-    part = min(parts, key=lambda match: match.fit.error)
-    # a part of a sample must earn its place against whole ones
-    if max(abs(part.reference), abs(part.position)) < 0.95 and part.fit.error < 0.5 * best.fit.error:
-        best = part
-    return best if best.fit.error < 0.5 * plain.fit.error and best.fit.error < 0.2 else plain
-
-
-def _part(log: Log, window: slice, late: Signal, now: Signal, pair: tuple[int, int]) -> Match:
-    """The match at the part of a whole shift that explains the command best, by interpolation."""
-    ratio, change = _fit(log, window, now, late - now).coefficients[:2]
-    share = float(change / ratio) if ratio else 0.0
-    output = now + share * (late - now)
-    return Match(share * pair[0], share * pair[1], _fit(log, window, output), output)
+# A load that an observer remembers wrongly scales friction, and so most of the command: in logs cut out of others by up
+# to 18 times what it leaves unexplained.
+REMEMBERED = 20.0
 
 
 def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding]:
@@ -132,10 +31,11 @@ def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding
         if plain.fit.error < 0.1 and min(early, late) > 2 * now:
             delay = description.drive.actuator.delay_samples
             also = f", so actuator.delay_samples = {delay} must lie between the command and the force" if delay else ""
+            over = " over the later half of the log, its past being unknown" if found.late else ""
             yield Finding(
                 "note",
                 "command",
-                f"the drive file's controller gives the logged command to {percent(now)} % at shift 0, one "
+                f"the drive file's controller gives the logged command to {percent(now)} % at shift 0{over}, one "
                 f"sample earlier to {percent(early)} %, one later to {percent(late)} %: no unit delay is in the "
                 f"recording{also}",
                 "simulate the controller without a delay between measurement and command",
@@ -214,8 +114,11 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
     if not large and fit.error > ROUGH:
         return
     off = abs(ratio - 1)
-    doubt = 3 * fit.error / np.sqrt(max(1.0, len(fit.residual) / 100))  # some hundred samples are one correlation time
-    if off > WRONG_UNIT:
+    # some hundred samples are one correlation time
+    doubt = 3 * fit.error / np.sqrt(max(1.0, len(fit.residual) / 100))
+    if not remembers_nothing(description.controller):
+        doubt = REMEMBERED * fit.error
+    if large or off > max(WRONG_UNIT, doubt):
         what = "volts, amperes or per mille taken as newtons? " if large else "a force constant or a gain is wrong "
         yield Finding(
             "fatal",
@@ -279,7 +182,7 @@ def added(found: Comparison) -> Iterator[Finding]:
     )
 
 
-def explained(found: Comparison) -> Iterator[Finding]:
+def explained(found: Comparison, description: DriveDescription) -> Iterator[Finding]:
     """A controller that is not, or not quite, the one that made this command."""
     error = found.best.fit.error
     if error > EXPLAINED:
@@ -288,5 +191,6 @@ def explained(found: Comparison) -> Iterator[Finding]:
             "command",
             f"the drive file's controller gives the logged command only to {percent(min(error, 1.0))} %, whatever the "
             "shift and the scale",
-            "another kind of controller, other gains, a filter, or something that is added to the command",
+            "another kind of controller, other gains, a filter, or something that is added to the command"
+            + ("" if remembers_nothing(description.controller) else "; or what it remembered: log a longer motion"),
         )

@@ -52,18 +52,24 @@ def variety(log: Log) -> Iterator[Finding]:
         )
 
 
-def begins_in_motion(log: Log) -> Iterator[Finding]:
-    """A log whose first sample is not at rest."""
-    step, noise = mean_step(log), noise_of(log.position[longest_piece(log)])
-    position = log.position
-    top = float(np.quantile(np.abs(smoothed(position[longest_piece(log)], step).rate), 0.999))
+def speed_at(log: Log, first: int = 0) -> float:
+    """Speed (m/s) at sample `first`; 0 where the table may rest."""
+    step, longest = mean_step(log), log.position[longest_piece(log)]
+    top = float(np.quantile(np.abs(smoothed(longest, step).rate), 0.999))
+    position = log.position[first:]
     count = max(2, min(len(position) - 1, int(2e-3 / step)))  # 2 ms: an axis gains 10 mm/s in it at 5 m/s^2
     speed = float(position[count] - position[0]) / (count * step)
-    doubt = np.sqrt(2) * noise / (count * step)
-    if abs(speed) > max(0.01 * top, 5 * doubt):
+    doubt = np.sqrt(2) * noise_of(longest) / (count * step)
+    return speed if abs(speed) > max(0.01 * top, 5 * doubt) else 0.0
+
+
+def begins_in_motion(log: Log) -> Iterator[Finding]:
+    """A log whose first sample is not at rest."""
+    speed = speed_at(log)
+    if speed:
         behind = ""
         if log.reference is not None:
-            behind = f" and {1e3 * (log.reference[0] - position[0]):.3g} mm behind its reference"
+            behind = f" and {1e3 * (log.reference[0] - log.position[0]):.3g} mm behind its reference"
         yield Finding(
             "note",
             "position",

@@ -4,12 +4,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from diffdrive import actuator
-from diffdrive.controllers import PD, Cascade, Controller, Reference
+from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
 from diffdrive.drive_file import DriveDescription
+from diffdrive.friction import bristle_at
 from diffdrive.logs.log import Signal
 from diffdrive.parameters import Drive, as_arrays, require_double_precision
 
@@ -17,24 +19,46 @@ SETTLE = 10  # samples until differences over the controller's past are those of
 
 
 @eqx.filter_jit
-def _outputs(controller: Controller, drive: Drive, references: Reference, positions: Any, period: float) -> Any:
+def _outputs(
+    controller: Controller, drive: Drive, references: Reference, positions: Any, speed: Any, given: Any, period: float
+) -> Any:
     def one(reference: Reference, position: Any) -> Any:
         def body(carry: Any, at: Any) -> Any:
             state, acting = carry
-            # the observer is fed what this controller asks for, so that a wrong unit of the log does not reach it
             state, command = controller.step(state, at[0], at[1], acting.applied, period)
-            return (state, actuator.step(drive.actuator, acting, command.force)), command.force
+            # without the log's command, what this controller asks for itself: a wrong unit does not reach its observer
+            acted = command.force if given is None else at[2]
+            return (state, actuator.step(drive.actuator, acting, acted)), command.force
 
-        begin = (controller.init(position[0]), actuator.init(drive.actuator))
-        return lax.scan(body, begin, (reference, position))[1]
+        begin = (_begun(controller, position[0], speed), actuator.init(drive.actuator))
+        return lax.scan(body, begin, (reference, position, given))[1]
 
     return jax.vmap(one)(references, positions)
 
 
-def outputs(description: DriveDescription, references: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def _begun(controller: Controller, position: Any, speed: Any) -> Any:
+    """The controller's state at a speed (m/s). An observer begun at rest would take the motion for a blow."""
+    state = controller.init(position)
+    if not isinstance(controller, FrictionCompensation):
+        return state
+    observed = state.observer
+    bristle = bristle_at(controller.observer.friction, speed, speed, observed.load)
+    sliding = jnp.sign(speed) * bristle.level / bristle.stiffness
+    return state._replace(observer=observed._replace(x=(position, speed, sliding)))
+
+
+def outputs(
+    description: DriveDescription,
+    references: np.ndarray,
+    positions: np.ndarray,
+    speed: float = 0.0,
+    given: np.ndarray | None = None,
+) -> np.ndarray:
     """Commands (N) [m, n] of the controller for m pairs of reference and position (m) [m, n].
 
-    The reference's velocity and acceleration, which the log does not hold, are its central differences.
+    It begins at `speed` (m/s). Its observer is fed what it asks for itself, or the command `given` (N) [n], as on the
+    machine: then it forgets how it began. The reference's velocity and acceleration, which the log does not hold, are
+    its central differences.
     """
     require_double_precision()
     period = 1.0 / description.sampling.rate
@@ -42,15 +66,17 @@ def outputs(description: DriveDescription, references: np.ndarray, positions: np
     # the length is rounded up, at rest at the end, so that logs of similar length share one compiled program
     width = 4096 * -(-count // 4096)
     pad = ((0, 0), (0, width - count))
-    speed = np.gradient(references, period, axis=1)
+    rates = np.gradient(references, period, axis=1)
     reference = Reference(
         np.pad(references, pad, mode="edge"),
-        np.pad(speed, pad),
-        np.pad(np.gradient(speed, period, axis=1), pad),
+        np.pad(rates, pad),
+        np.pad(np.gradient(rates, period, axis=1), pad),
     )
     positions = np.pad(positions, pad, mode="edge")
+    given = None if given is None else np.pad(given, (0, width - count), mode="edge")
     controller, drive = as_arrays((description.controller, description.drive))
-    return np.asarray(_outputs(controller, drive, as_arrays(reference), as_arrays(positions), period))[:, :count]
+    signals = as_arrays((reference, positions, np.asarray(speed), given))
+    return np.asarray(_outputs(controller, drive, *signals, period))[:, :count]
 
 
 def shifted(signal: Signal, samples: int) -> Signal:
@@ -65,3 +91,8 @@ def shifted(signal: Signal, samples: int) -> Signal:
 def remembers_nothing(controller: Controller) -> bool:
     """Whether its output rests on the last samples alone: no integral and no observer to settle first."""
     return isinstance(controller, PD) or (isinstance(controller, Cascade) and float(controller.ki) == 0)
+
+
+def is_linear(controller: Controller) -> bool:
+    """Whether what it began with soon leaves no more than a constant: it has no friction observer, nor a load's."""
+    return not isinstance(controller, FrictionCompensation)
