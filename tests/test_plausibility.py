@@ -271,3 +271,16 @@ def test_single_precision_is_neither_a_filter_nor_a_unit():
 def test_emps_counts_are_found_without_being_told():
     assert not matching(examine(emps_log("estimation", newtons=True)[0]), "note", "position", "no count grid")
     assert matching(examine(emps_log("pulses", newtons=True)[0]), "note", "position", "no count grid")
+
+
+def test_a_command_that_stands_with_the_error_is_not_frozen():
+    """A PD loop on a coarse, noise-free scale that moves whole counts a sample: while the error stands, it does."""
+    still = slice(2000, 2040)
+    error = (SOUND.reference - SOUND.position).copy()
+    error[still] = error[still.start]
+    command = SOUND.command.copy()
+    command[still] = command[still.start]
+    with_error = dataclasses.replace(SOUND, position=SOUND.reference - error, command=command)
+    without = dataclasses.replace(SOUND, command=command)
+    frozen = [any("command is frozen" in one.found for one in examine(log)) for log in (with_error, without)]
+    assert frozen == [False, True]

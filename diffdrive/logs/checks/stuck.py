@@ -150,6 +150,11 @@ def frozen_command(log: Log) -> Iterator[Finding]:
         ordinary = lengths[-2] if len(lengths) > 1 else 1
         if run.length < max(20, 3 * ordinary) or travel < 0.1 * fast * run.length * mean_step(log):
             continue
+        # where the error stands as well, as at a count of the scale a sample, so may the command
+        if log.reference is not None:
+            error = log.reference - log.position
+            if np.ptp(error[run.start : run.stop]) < 1e-6 * np.ptp(error):
+                continue
         span = f"t = {log.time[run.start]:.6g} to {log.time[run.stop - 1]:.6g} s"
         yield Finding(
             "fatal",
