@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool
 
 from diffdrive.exponential import fading
 from diffdrive.parameters import Directional, Friction, Scalar
+from diffdrive.polynomial import polynomial
 
 
 class Bristle(NamedTuple):
@@ -115,13 +116,6 @@ class Decay(NamedTuple):
 _SECOND, _THIRD = (tuple((-1) ** n / math.factorial(n + order) for n in range(8)) for order in (2, 3))
 
 
-def _series(coefficients: tuple[float, ...], x: Scalar) -> Scalar:
-    total: Scalar = coefficients[-1]
-    for term in reversed(coefficients[:-1]):
-        total = term + x * total
-    return total
-
-
 def decay(x: Scalar) -> Decay:
     """`Decay` at x >= 0, exact to rounding from x = 0 (stick) to any x (traverse), differentiable throughout."""
     return decay_of(x, 1.0)
@@ -151,7 +145,7 @@ def _divided(top: Scalar, bottom: Scalar) -> _Divided:
     x = top * per_bottom
     end = fading(x)
     near = jnp.where(small, x, 0.0)
-    series, far = _series(_SECOND, near), (1.0 - end) * inverse
+    series, far = polynomial(_SECOND, near), (1.0 - end) * inverse
     mean = jnp.where(small, 1.0 - near * series, far)
     again = jnp.where(small, series, (1.0 - far) * inverse)
     return _Divided(Decay(end, mean, again, x), small, near, inverse, per_bottom)
@@ -166,7 +160,7 @@ def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
     (end, mean, again, x), small, near, inverse, per_bottom = _divided(*primals)
     along = (tangents[0] - x * tangents[1]) * per_bottom
     slope = jnp.where(small, again - mean, (end - mean) * inverse)
-    slope_again = jnp.where(small, 2.0 * _series(_THIRD, near) - again, -(slope + again) * inverse)
+    slope_again = jnp.where(small, 2.0 * polynomial(_THIRD, near) - again, -(slope + again) * inverse)
     return Decay(end, mean, again, x), Decay(-end * along, slope * along, slope_again * along, along)
 
 

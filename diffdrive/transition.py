@@ -21,6 +21,7 @@ from jax import lax
 from diffdrive.exponential import fading
 from diffdrive.friction import Bristle
 from diffdrive.parameters import Plant, Scalar
+from diffdrive.polynomial import polynomial
 
 Matrix2 = tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]
 
@@ -41,24 +42,17 @@ _ODD = tuple(1.0 / math.factorial(2 * n + 1) for n in range(11))
 _ODD_SLOPE = tuple(n * term for n, term in enumerate(_ODD))[1:]
 
 
-def _series(coefficients: tuple[float, ...], p: Scalar) -> Scalar:
-    total: Scalar = coefficients[-1]
-    for term in reversed(coefficients[:-1]):
-        total = term + p * total
-    return total
-
-
 @jax.custom_jvp
 def _even_odd(p: Scalar) -> tuple[Scalar, Scalar]:
     """cosh(sqrt p) and sinh(sqrt p) / sqrt p; p < 0 gives their circular sisters."""
-    return _series(_EVEN, p), _series(_ODD, p)
+    return polynomial(_EVEN, p), polynomial(_ODD, p)
 
 
 @_even_odd.defjvp
 def _even_odd_along(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Any, Any]:
     (p,), (along,) = primals, tangents
     even, odd = _even_odd(p)
-    return (even, odd), (0.5 * odd * along, _series(_ODD_SLOPE, p) * along)
+    return (even, odd), (0.5 * odd * along, polynomial(_ODD_SLOPE, p) * along)
 
 
 def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, time: Scalar) -> tuple[Scalar, Scalar]:

@@ -11,19 +11,13 @@ import jax.numpy as jnp
 from jax import lax
 
 from diffdrive.parameters import Scalar
+from diffdrive.polynomial import polynomial
 
 _QUARTERS = 2.0 / math.pi
 _HIGH, _MIDDLE, _LOW = 1.5707963267341256, 6.0771005063039659e-11, 2.0222662487959506e-21  # pi / 2, 33 bits each
 _MAGIC = 1.5 * 2.0**52  # a number beside it is rounded to a whole one, which then stands in its last bits
 _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8))  # in r^2; what is left out is 5e-17
 _COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(9))
-
-
-def _series(coefficients: tuple[float, ...], square: Scalar) -> Scalar:
-    total: Scalar = coefficients[-1]
-    for term in reversed(coefficients[:-1]):
-        total = term + square * total
-    return total
 
 
 @jax.custom_jvp
@@ -33,7 +27,7 @@ def cosine_sine(angle: Scalar) -> tuple[Scalar, Scalar]:
     quarters = shifted - _MAGIC
     rest = ((angle - quarters * _HIGH) - quarters * _MIDDLE) - quarters * _LOW
     square = rest * rest
-    sine, cosine = rest * _series(_SINE, square), _series(_COSINE, square)
+    sine, cosine = rest * polynomial(_SINE, square), polynomial(_COSINE, square)
     quarter = lax.bitcast_convert_type(shifted, jnp.int64) & 3
     odd = (quarter & 1) == 1
     return (

@@ -50,6 +50,8 @@ def test_a_log_of_scraps_is_named_before_anything_is_searched():
     scraps = dataclasses.replace(SOUND, name="scraps", gaps=tuple(range(100, len(SOUND.time), 100)))
     with pytest.raises(LogError, match=r"scraps: no stretch of 200 samples.*leave this log out"):
         diagnose(DRIVE.drive, DRIVE.controller, [scraps, SOUND])
+    with pytest.raises(LogError, match="log a longer motion"):
+        diagnose(DRIVE.drive, DRIVE.controller, [scraps])
 
 
 def test_logs_of_two_rates_are_not_diagnosed_together():

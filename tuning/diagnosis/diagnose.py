@@ -96,7 +96,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     """The logs as the diagnosis takes them; the drive's own effects are no part of it."""
     for log in logs:
         if not long_pieces(log):
-            raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap: leave this log out")
+            mend = "leave this log out" if len(logs) > 1 else "log a longer motion"
+            raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap: {mend}")
         if abs(log.rate / logs[0].rate - 1.0) > SAME_RATE:
             raise LogError(
                 f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: diagnose logs of "
