@@ -194,11 +194,12 @@ def _emps_as_it_is(report: Report, records: Records, drive: Drive, controller: C
 
 def _laas(report: Report, folder: Path) -> None:
     rows: list[list[Any]] = []
+    nominal = laas.nominal_drive(folder)
     try:
         for file in laas.COMPENSATED:
             for part, log in laas.read(folder / file).items():
                 report.say(f"{log.name}:")
-                found = _diagnosed(report, laas.nominal_drive(), UnknownController(), log, 2, GUESSED)
+                found = _diagnosed(report, nominal, UnknownController(), log, 2, GUESSED)
                 rows.append([file, part, found.verdict.verdict, *_cogging(found), _others(found)])
     finally:
         report.table(

@@ -15,6 +15,13 @@ from tuning.diagnosis.leftover import lacking, unexplained
 from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _led_on, _ranked, to_its_end
 
 
+@pytest.fixture(autouse=True)
+def seeing(monkeypatch):
+    """No filter is lost."""
+    for module in (explain, leftover):
+        monkeypatch.setattr(module, "blind", lambda *_: False)
+
+
 def hypothesis(*effects, evidence, strain=0.0, coarse=False):
     """A fit as far as the search looks at it."""
     members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
@@ -69,7 +76,9 @@ def test_what_explains_nearly_as_much_is_tried_first_as_well():
 def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
     monkeypatch.setattr(explain, "complete", lambda *_: whole)
     best = hypothesis("cogging", evidence=-before, strain=strain_then)
-    assert _enough(None, best, before, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
+    assert (
+        _enough(None, hypothesis(evidence=0.0), best, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
+    )
 
 
 def test_impossible_parameters_are_explained_by_what_brings_them_back():
@@ -148,8 +157,15 @@ def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, 
     monkeypatch.setattr(explain, "complete", lambda *_: True)
     best = hypothesis("backlash", evidence=-1e4, coarse=True, strain=4.5)
     fits = [hypothesis("cogging", evidence=-2e4, strain=4.2)]
-    assert _enough(None, best, 1e4, ended, fits) == SLIGHTER * 1e4
-    assert _enough(None, best, 10.0, True, fits) == RELIEF
+    assert _enough(None, hypothesis(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
+    assert _enough(None, hypothesis(evidence=10.0 - 1e4), best, True, fits) == RELIEF
+
+
+def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(monkeypatch):
+    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "blind", lambda *_: True)
+    base, best = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1e4)
+    assert _enough(None, base, best, False, [hypothesis("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
 
 
 def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
@@ -200,6 +216,15 @@ def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
         one.process = np.array([process, 0.0])
     assert unexplained(None, before, runaway) == 1.0
     assert unexplained(None, before, sound) == pytest.approx(1e-4 if np.isfinite(base) else 0.0025)
+
+
+def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypatch):
+    monkeypatch.setattr(leftover, "missing", lambda fitter, one: 1e4)
+    before, after = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-900.0)
+    before.process, after.process = np.array([2.0, 0.0]), np.array([0.2, 0.0])
+    assert unexplained(None, before, after) == 1.0
+    monkeypatch.setattr(leftover, "blind", lambda *_: True)
+    assert unexplained(None, before, after) == pytest.approx(0.01)
 
 
 def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():

@@ -42,6 +42,11 @@ class Candidate(NamedTuple):
         return bool(np.max((values["end"] - values["start"]) * values["frequency"]) >= SWINGS)
 
     @property
+    def kind(self) -> tuple[str, ...]:
+        """The effect and what of it is free: two of one kind differ in how large they are expected to be."""
+        return (self.name, *(one.name for one in self.parameters))
+
+    @property
     def coarse(self) -> bool:
         """Whether its details differ from machine to machine, so that the right kind of effect leaves some of it."""
         return self.coupled or self.effect is friction.FrictionDwell
@@ -186,7 +191,16 @@ def _position_spring(at: Setting) -> Candidate:
 
 
 def _cogging(at: Setting) -> Candidate:
-    force = 0.04 * at.friction
+    """That of a servo motor on a screw: a small share of the friction."""
+    return _cogging_of(at, 0.04 * at.friction)
+
+
+def _strong_cogging(at: Setting) -> Candidate:
+    """That of a direct drive, which may be many times its friction."""
+    return _cogging_of(at, 0.3 * at.command)
+
+
+def _cogging_of(at: Setting, force: float) -> Candidate:
     names = ("cosine", "sine", "cosine2", "sine2", "cosine6", "sine6")
     shares = (1.0, 1.0, 0.4, 0.4, 0.4, 0.4)
     # from a direct drive with many poles to a linear motor's magnets, where the stroke has two of them
@@ -327,6 +341,7 @@ CATALOGUE: tuple[Callable[[Setting], Candidate], ...] = (
     _frame_vibration,
     _process_force,
     _cogging,
+    _strong_cogging,
     _force_gain,
     _actuator_lag,
     _loop_delay,

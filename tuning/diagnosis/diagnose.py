@@ -34,6 +34,7 @@ from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import IMPOSSIBLE, Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
+from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.fit import SHORTEST, lanes_of, noise_floor, sampling_of
@@ -158,14 +159,15 @@ def diagnose(
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
-    gap = force_gap(fitter, base, base.model, base.u)
+    trusting = comparing(fitter, base)
+    gap = force_gap(fitter, base, base.model, base.u, trusting)
     where = localise(
         gap,
         logged.lanes,
         logged.owner,
         logged.sampling.rate,
         starts=logged.starts,
-        noise=force_noise(fitter, base),
+        noise=force_noise(fitter, base, trusting),
         lead=next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None),
         others=_subsystems(found),
     )

@@ -10,13 +10,13 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, strain, unexplained
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, blind, complete, strain, unexplained
 from tuning.diagnosis.model import Vector
 from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, WORTH, Progress, Round, apart_from, look, to_its_end
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
-SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ from machine to machine
+SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ, or where the filter was lost all along
 RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2
@@ -67,13 +67,14 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
     return [found, found + limited(step)]
 
 
-def _enough(fitter: Fitter, best: Fitted, gained: float, ended: bool, fits: Sequence[Fitted]) -> float:
-    """The evidence that one more effect must bring beside the `best`, which `gained` some."""
+def _enough(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
+    """The evidence that one more effect must bring beside the `best`."""
     if fits and strain(best) >= STRAINED > strain(fits[0]):
         return WORTH
     if ended and not best.model.coarse:
         return RELIEF
-    enough = max(RELIEF if ended else WORTH, (SLIGHTER if best.model.coarse else SLIGHT) * gained)
+    slight = SLIGHTER if best.model.coarse or blind(fitter, base) else SLIGHT
+    enough = max(RELIEF if ended else WORTH, slight * (base.evidence - best.evidence))
     if fits and not best.model.coarse and complete(fitter, fits[0]):
         return min(enough, RESOLVING)
     return enough
@@ -119,7 +120,7 @@ def explain(
                     if done(base, best):
                         break
                 found = looked(base, best, catalogue) if again else found._replace(before=best)
-            enough = _enough(fitter, best, base.evidence - best.evidence, over(base, best), found.fits)
+            enough = _enough(fitter, base, best, over(base, best), found.fits)
             rounds = [*rounds, found._replace(enough=enough)]
             if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
                 break

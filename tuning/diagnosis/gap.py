@@ -23,11 +23,9 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
 from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
-from tuning.diagnosis.model import Logged, Model, Vector, counted_in
-from tuning.diagnosis.setting import setting
+from tuning.diagnosis.model import Model, Vector, counted_in
 from tuning.replay import Given, begun, given
 
-TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
 TRUSTING = 0.1  # of the likeliest process force
 MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides
 SLID = 0.02  # of the samples
@@ -72,11 +70,6 @@ class ForceGap(NamedTuple):
         return squares[picks].sum(axis=1) / counts[picks].sum(axis=1)
 
 
-def comparing(logged: Logged) -> Float[np.ndarray, " 2"]:
-    """The process forces (N) of the filter that compares models."""
-    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, LEAST])
-
-
 def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, "lanes n"]:
     """Ones where the table has moved, and goes on to, for `SETTLED` s."""
     width = 2 * round(SETTLED * rate) + 1
@@ -90,9 +83,10 @@ def _counting(every: Float[np.ndarray, "lanes n"], track: Track, rate: float) ->
     return sliding_there if sliding_there.sum() > SLID * every.sum() else every
 
 
-def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector) -> ForceGap:
-    """The force that a model lacks, its effects stepped along the track of `fitted`."""
-    process = comparing(fitter.logged)
+def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: Float[np.ndarray, " 2"]) -> ForceGap:
+    """The force that a model lacks for a filter with these process forces (`comparing`), its effects stepped along
+    the track of `fitted`.
+    """
     track = fitter.at(model, u, process, fitted.track.course).track
     rate = fitter.logged.sampling.rate
     every = np.asarray(fitter.logged.lanes.counts)
@@ -198,17 +192,19 @@ def _told(track: Track, linear: Slopes, off: Any, period: float) -> Float[Array,
     return jax.vmap(one)(track.pull[3], error)
 
 
-def force_noise(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, "lanes n draws"]:
+def force_noise(fitter: Fitter, fitted: Fitted, process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "lanes n draws"]:
     """The force (N) that a model without a gap would seem to lack, from the measuring noise."""
     logged = fitter.logged
-    point = fitter.at(fitted.model, fitted.u, comparing(logged), fitted.track.course)
+    point = fitter.at(fitted.model, fitted.u, process, fitted.track.course)
     linear = slopes_of(point.drive, point.acting, point.track, logged.lanes, logged.sampling)
     noise = float(logged.noise) * np.sqrt(float(fitted.track.size))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
     return np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
 
 
-def force_floor(fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"]) -> float:
+def force_floor(
+    fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process: Float[np.ndarray, " 2"]
+) -> float:
     """Root mean square (N) of that force over the samples that count."""
-    told = force_noise(fitter, fitted)
+    told = force_noise(fitter, fitted, process)
     return float(np.sqrt(np.sum(told**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))

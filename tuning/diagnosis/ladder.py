@@ -18,6 +18,7 @@ from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.threads import in_parallel
+from tuning.diagnosis.trust import comparing
 
 TRAINED = 0.6  # of a single log
 SESSION = "phases, times and sizes of waves registered on it"
@@ -113,11 +114,12 @@ def climb(
     carried = in_parallel(judged_by, [one for _, one in chain])
     fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]
     rate = fitter.logged.sampling.rate
-    gaps = [force_gap(test, one, one.model, one.u) for _, one in fits]
+    process = comparing(test, fits[1][1])
+    gaps = [force_gap(test, one, one.model, one.u, process) for _, one in fits]
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
-    floor = force_floor(test, fits[-1][1], gaps[-1].counts)
+    floor = force_floor(test, fits[-1][1], gaps[-1].counts, process)
 
     def rung(asked: tuple[tuple[str, Fitted], ForceGap, Float[np.ndarray, " draws"]]) -> Rung:
         (name, one), gap, squares = asked

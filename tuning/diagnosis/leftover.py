@@ -8,13 +8,15 @@ from jaxtyping import Float
 from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.following import LASTING, LOST
+from tuning.diagnosis.following import LASTING
+from tuning.diagnosis.trust import least_trusted, lost_samples, lost_share
 
 LACKING = 30.0  # of cost
 LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
 COARSE = 0.05  # the same for effects whose details differ from machine to machine
 MOSTLY = 0.5  # of what is missing
 BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
+BLIND = 0.05  # of the samples: where the filter is lost at more of them, its cost counts nothing but blows
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 RELEVANT = 3e-4  # of the friction
@@ -37,12 +39,6 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 
 
-def lost_samples(fitted: Fitted) -> int:
-    """At how many samples the filter was lost."""
-    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
-    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
-
-
 def missing(fitter: Fitter, fitted: Fitted) -> float:
     """What a fit leaves unexplained, of cost."""
     return max(lacking(fitter, fitted), 0.0) + BLOWS * max(lost_samples(fitted) - FEW_LOST, 0)
@@ -51,6 +47,11 @@ def missing(fitter: Fitter, fitted: Fitted) -> float:
 def complete(fitter: Fitter, fitted: Fitted) -> bool:
     """Whether a fit explains the logs to the noise."""
     return lost_samples(fitted) <= FEW_LOST and lacking(fitter, fitted) <= LACKING
+
+
+def blind(fitter: Fitter, base: Fitted) -> bool:
+    """Whether a filter that trusts the recalibrated drive is lost all along, so that its cost says little."""
+    return lost_share(fitter, base, least_trusted(fitter)) > BLIND
 
 
 def power_left(base: Fitted, fitted: Fitted) -> float:
@@ -62,16 +63,17 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     """Share of what the recalibrated drive is missing that a fit leaves.
 
     The details of a coarse effect differ from machine to machine: they leave little force, plain as it may be to see.
-    Where the filter was lost in blows, it is those that count. A filter that runs away explains nothing.
+    Where the filter was lost in blows, it is those that count; where it was lost all along, how much force it had to
+    invent. A filter that runs away explains nothing.
     """
     before, after = max(missing(fitter, base), 1.0), missing(fitter, fitted)
     if not np.isfinite(after):
         return 1.0
     share = after / before if np.isfinite(before) else power_left(base, fitted)
-    if fitted.model.coarse:
+    if fitted.model.coarse or blind(fitter, base):
         share = min(share, power_left(base, fitted))
-        if BLOWS * lost_samples(base) > MOSTLY * before:
-            share = min(share, lost_samples(fitted) / lost_samples(base))
+    if fitted.model.coarse and BLOWS * lost_samples(base) > MOSTLY * before:
+        share = min(share, lost_samples(fitted) / lost_samples(base))
     return float(np.clip(share, 0.0, 1.0))
 
 

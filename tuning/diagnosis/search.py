@@ -230,7 +230,7 @@ def _race(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
-    promising = [one for one in screened if one.evidence > PROMISING][:FITTED]
+    promising = _promising(screened)
     begun = in_parallel(
         lambda one: fit_from(fitter, before, one, RACE),
         sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
@@ -241,6 +241,12 @@ def _race(
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
     return screened, _ended(fitter, begun, ahead, len(promising), progress)
+
+
+def _promising(screened: Sequence[Screened]) -> list[Screened]:
+    """What is worth a fit of what was screened, best first: of each kind the best, and no more than a few."""
+    kinds = {one.candidate.kind: one for one in reversed(screened)}
+    return [one for one in screened if one is kinds[one.candidate.kind] and one.evidence > PROMISING][:FITTED]
 
 
 def _race_to_nominal(

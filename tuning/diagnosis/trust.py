@@ -1,0 +1,46 @@
+"""How far the filter that compares models trusts each of them, and whether it is lost with that.
+
+A lost filter begins again from the measurement, time after time, and sees no force.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from tuning.diagnosis.fitting import LEAST, Fitted, Fitter
+from tuning.diagnosis.following import LOST
+from tuning.diagnosis.setting import setting
+
+Forces = Float[np.ndarray, " 2"]  # N, as in `Process`
+
+TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
+MORE = (1.0, 10.0, 100.0, 1000.0)  # times that, where the filter is lost with less
+SELDOM = 0.01  # of the samples, at which it may be lost
+
+
+def lost_samples(fitted: Fitted) -> int:
+    """At how many samples the filter was lost."""
+    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
+    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
+
+
+def lost_share(fitter: Fitter, fitted: Fitted, process: Forces) -> float:
+    """At what share of the samples it is lost with these process forces (N)."""
+    track = fitter.at(fitted.model, fitted.u, process, fitted.track.course).track
+    samples = float(np.sum(np.asarray(fitter.logged.lanes.counts)))
+    return lost_samples(fitted._replace(track=track)) / max(samples, 1.0)
+
+
+def least_trusted(fitter: Fitter) -> Forces:
+    """The process forces (N) of a filter that trusts every model to a small share of the friction."""
+    logged = fitter.logged
+    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, LEAST])
+
+
+def comparing(fitter: Fitter, base: Fitted) -> Forces:
+    """The process forces (N) of the filter that compares models: the least with which it follows `base`.
+
+    Where none helps (blows), the very least.
+    """
+    least = least_trusted(fitter)
+    tried = [np.array([more * least[0], least[1]]) for more in MORE]
+    return next((one for one in tried if lost_share(fitter, base, one) <= SELDOM), least)
