@@ -12,6 +12,7 @@ from rich.console import Console
 
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
@@ -36,6 +37,7 @@ from tuning.diagnosis.next_experiment import Experiment, next_experiment, refere
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.estimates import NORMAL
 
+SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
 NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
 FINDING = ("log", "severity", "channel", "found", "mend")
@@ -74,12 +76,12 @@ def diagnose_logs(
                 description.drive, description.controller, logs,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        found, strange = _doubted(found, fatal), _strange(found, fatal)
+        found = _doubted(found, fatal)
         beside = {"logs": [log.name for log in logs], "findings": findings}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _save(report, as_json(found, NOT_YET) | beside, None)
         with report.working("looking for the motion that would decide"):
-            offer = _mended_first(strange) if strange else next_experiment(found, description)
+            offer = _mended_first(found, fatal) if fatal else next_experiment(found, description)
         told = as_json(found, offer) | beside
         tell(report, told)
         if report.out is not None:
@@ -121,13 +123,27 @@ def _read(
 
 
 def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
-    """The fatal findings that nothing that was found resembles."""
-    named = {one.effect for one in found.verdict.beliefs if one.found}
-    return [(log, one) for log, one in fatal if one.resembles not in named]
+    """The fatal findings that nothing that was found resembles, in kind and in size."""
+    sizes = {one.effect: _amount_of(one, found.logged.thinning) for one in found.verdict.beliefs if one.found}
+    return [(log, one) for log, one in fatal if not _alike(one, sizes.get(one.resembles or ""))]
+
+
+def _amount_of(belief: Belief, thinning: int) -> float | None:
+    """The gain, or the delay in control periods, early or late; None of other effects."""
+    values = belief.fitted.model.values(belief.fitted.u)[-1]
+    if belief.effect == LoopDelay.name:
+        return abs(thinning * float(values["delay"][0]))
+    return float(values["gain"][0]) if belief.effect == ForceGain.name else None
+
+
+def _alike(finding: Finding, size: float | None) -> bool:
+    if size is None or finding.amount is None:
+        return False
+    return abs(size - finding.amount) < SAME * abs(finding.amount)
 
 
 def _doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
-    """No sure verdict from logs with a fatal finding; where that resembles what was found, it may be either's."""
+    """No sure verdict from logs with a fatal finding; where that explains what was found, it is told beside it."""
     if not fatal:
         return found
     strange = _strange(found, fatal)
@@ -136,13 +152,13 @@ def _doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     if strange:
         told = f"but {told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(told))
-    told = f"whether the {first.resembles} is the machine's or the log's these logs cannot tell: {told}"
+    told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"
     return dataclasses.replace(found, verdict=found.verdict.and_says(told))
 
 
-def _mended_first(strange: Fatal) -> Experiment:
+def _mended_first(found: Diagnosis, fatal: Fatal) -> Experiment:
     """No motion tells anything while what logs it is wrong."""
-    log, first = strange[0]
+    log, first = (_strange(found, fatal) or fatal)[0]
     return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.mend}")
 
 

@@ -16,7 +16,7 @@ _TABLES: tuple[tuple[str, str, Any], ...] = (
     ("friction", "", Friction),
     ("actuator", "", Actuator),
     ("sensor", "", Sensor),
-    ("controller", "all but cascade", Gains),
+    ("controller", "all but cascade, unknown", Gains),
     ("controller", "cascade", Cascade),
     ("controller", "dobvsc, pd+ff+dob", DisturbanceObserver),
     ("controller", "dobvsc", DOBVSC),
@@ -32,10 +32,13 @@ _TABLES: tuple[tuple[str, str, Any], ...] = (
 _OTHERS = (
     ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification alone"),
     (
-        "controller", "all", "feedforward", "", "true, false", "true; pd and cascade: false",
+        "controller", "all but unknown", "feedforward", "", "true, false", "true; pd and cascade: false",
         "whether inertia and damping of [plant] are fed forward",
     ),
-    ("controller", "all but cascade", "derivative", "", "backward-difference", "backward-difference", "the only one"),
+    (
+        "controller", "all but cascade, unknown", "derivative", "", "backward-difference", "backward-difference",
+        "the only one",
+    ),
     (
         "controller", "cascade", "velocity_samples", "-", ">= 1, whole", "1",
         "samples over which the velocity is differenced",

@@ -280,11 +280,19 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of,
 
 
 @pytest.mark.parametrize(
-    ("resembles", "verdict"), [("loop_delay", "effect"), ("force_gain", "unknown"), (None, "unknown")]
+    ("resembles", "amount", "verdict"),
+    [
+        (("loop_delay"), 1.0, "effect"),
+        (("loop_delay"), 2.0, "unknown"),
+        (("force_gain"), 1.0, "unknown"),
+        (None, None, "unknown"),
+    ],
 )
-def test_an_effect_that_a_fatal_finding_resembles_is_the_machines_or_the_logs(tilted, resembles, verdict):
-    fatal = [("lap", Finding("fatal", "command", "one sample late", "shift it", resembles))]
-    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9)
+def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps(tilted, resembles, amount, verdict):
+    """In kind and in size: what the log's fault would not look like is another matter."""
+    fatal = [("lap", Finding("fatal", "command", "one sample late", "shift it", resembles, amount))]
+    late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
+    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
     found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
     doubted = command._doubted(found, fatal).verdict
     assert doubted.verdict == verdict
@@ -292,6 +300,7 @@ def test_an_effect_that_a_fatal_finding_resembles_is_the_machines_or_the_logs(ti
     assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
     assert command._doubted(tilted, fatal).verdict.verdict == "unknown"
     assert command._doubted(tilted, []) is tilted
+    assert "mend lap: shift it" in command._mended_first(found, fatal).says
 
 
 def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):

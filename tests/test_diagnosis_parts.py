@@ -14,6 +14,7 @@ from sound_log import DRIVE, RATE, described, logged, two_sines
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import FrictionDwell
+from diffdrive.effects.scale import InterpolationError
 from diffdrive.motion import from_array
 from diffdrive.parameters import Sensor, as_arrays
 from diffdrive.plant import PlantState, advance, advance_along
@@ -174,6 +175,15 @@ def test_a_session_is_registered_anew():
     assert float(tilt.force) == pytest.approx(0.6, abs=0.2)
 
 
+def test_a_wave_far_larger_than_is_usual_is_registered_anew():
+    """Its phase is of the session, however large the wave; only a time far away stays where it is."""
+    elsewhere = InterpolationError(period=5e-4, cosine=0.0, sine=3e-6)
+    log = logged(with_effects(elsewhere), two_sines())
+    carried = dataclasses.replace(DRIVE.drive, effects=(InterpolationError(period=5e-4, cosine=3e-6, sine=0.0),))
+    (wave,) = (one for one in registered(carried, log, seconds=2.0).effects if one.name == "interpolation_error")
+    assert (float(wave.cosine), float(wave.sine)) == pytest.approx((0.0, 3e-6), abs=2e-7)
+
+
 def test_a_delay_that_is_claimed_and_not_there_is_found():
     log = logged(DRIVE, two_sines())
     logs = logged_of(described(delay=1).drive, [log])
@@ -281,14 +291,18 @@ def test_the_noise_of_a_position_is_seen_through_its_motion(rate):
     assert noise_floor(silent, lanes, rate) == pytest.approx(5e-8, rel=0.08)
 
 
-@pytest.mark.parametrize(("frequency", "swings"), [(1.0, False), (60.0, True)])
-def test_a_process_force_swings_while_it_is_on(frequency, swings):
-    """On for 0.1 s in one log and for 2 s in the other: at 1 Hz that is a bump, and no wave."""
+@pytest.mark.parametrize(
+    ("frequency", "end", "beside", "swings"),
+    [(1.0, 2.2, 3.0, False), (60.0, 2.2, 3.0, True), (4.0, 2.2, 0.1, False), (1.0, 9.0, 3.0, False)],
+)
+def test_a_process_force_swings_while_it_is_on(frequency, end, beside, swings):
+    """On for 0.1 s in one log and for longer in the other: few swings, small ones, or none within the log are none."""
     logs = logged_of(DRIVE.drive, [logged(DRIVE, two_sines(2.5))] * 2)
     process = next(
         one for one in candidates(setting(logs.drive, logs.lanes, logs.sampling.period)) if one.name == "process_force"
     )
     model = joined(Model(logs), process)
     values = {one.name: np.full(2, one.middle) for one in process.parameters}
-    values |= {"frequency": np.full(2, frequency), "start": np.array([0.2, 0.2]), "end": np.array([0.3, 2.2])}
+    values |= {"frequency": np.full(2, frequency), "start": np.array([0.2, 0.2]), "end": np.array([0.3, end])}
+    values["cosine"] = np.array([3.0, beside])
     assert model.possible(np.r_[np.zeros(len(NAMES)), begin(model, values)]) == swings

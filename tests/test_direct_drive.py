@@ -19,7 +19,7 @@ from tuning.diagnosis.candidates import Candidate, _cogging, _strong_cogging
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.priors import Parameter
 from tuning.diagnosis.screening import Screened
-from tuning.diagnosis.search import _promising
+from tuning.diagnosis.search import _likeliest, _promising
 
 configure()
 
@@ -71,6 +71,7 @@ def test_of_two_sizes_of_one_kind_only_the_likelier_is_fitted():
         Screened(one, 0.0, evidence, {}, None, None) for one, evidence in ((strong, 90.0), (gain, 80.0), (usual, 70.0))
     ]
     assert [one.candidate for one in _promising(screened)] == [strong, gain]
+    assert [one.candidate for one in _likeliest(screened)] == [strong, gain]  # about the drive file's numbers, too
 
 
 @pytest.mark.skipif(laas.find_folder() is None, reason="needs shared/data/laas_cogging beside the checkout")

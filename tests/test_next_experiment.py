@@ -1,6 +1,7 @@
 """Which motion is asked for next: every one is tried, an unfinished fit is not believed, `unknown` is never content."""
 
 import dataclasses
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -50,6 +51,14 @@ def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as i
 def region(dimension, name, p_value=1e-3):
     ends = [1e-3 * float(one) for one in name.split()[0:3:2]] if " to " in name else [None, None]  # mm and mm/s
     return Region(dimension, name, 0.6, 0.2, p_value, f"60 % of the gap lies in {name}", *ends)
+
+
+def test_an_axis_that_crept_is_asked_to_creep():
+    found = diagnosed("unknown")
+    found.gap.course.velocity *= 4e-4 / 0.06
+    asked = module._exciting(found, DRIVE)
+    speeds = [float(one) for one in re.findall(r"speeds?=([\d.e;-]+)m/s", asked.motion)[0].split(";")]
+    assert max(speeds) < 5e-4
 
 
 def telling(monkeypatch, tells):

@@ -329,6 +329,16 @@ def test_what_was_found_is_not_said_to_be_open(monkeypatch):
     assert verdict.judge(None, Explanation(base, rounds, both)).says == "cogging and lead_error explain the gap"
 
 
+def test_no_cause_is_sure_where_the_logs_say_unknown(monkeypatch):
+    """Also where what is left is but a little more than what the details of a model may leave."""
+    monkeypatch.setattr(verdict, "complete", lambda *_: False)
+    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.021)
+    base, one = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1e5)
+    told = verdict.judge(None, Explanation(base, [Round(base, [], [one], 1, 0.0)], one))
+    assert told.verdict == "unknown"
+    assert told.beliefs[0].confidence == verdict.UNSURE
+
+
 def test_a_way_that_ends_worse_is_no_rival(monkeypatch):
     found, asked = both_ways(monkeypatch, -860.0)
     assert found.named == {"backlash", "cogging"}

@@ -13,6 +13,7 @@ from tuning.diagnosis.priors import LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.setting import SLIPPERY, Setting
 
 SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
+LARGE = 0.3  # of its largest in any log
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -35,11 +36,15 @@ class Candidate(NamedTuple):
         screws = (transmission.Compliance, transmission.Backlash)
         return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
 
-    def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]]) -> bool:
-        """Whether an engineer would call it that: a process swings several times while it is on."""
+    def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
+        """Whether an engineer would call it that: a process swings several times while it is on in a log of that many
+        seconds in which it is large.
+        """
         if self.effect is not forces.ProcessForce:
             return True
-        return bool(np.max((values["end"] - values["start"]) * values["frequency"]) >= SWINGS)
+        large = np.sqrt(sum(values[name] ** 2 for name in ("cosine", "sine", "cosine2", "sine2")))
+        on = np.minimum(values["end"], lasts) - np.maximum(values["start"], 0.0)
+        return bool(np.max((on * values["frequency"])[large >= LARGE * np.max(large)]) >= SWINGS)
 
     @property
     def kind(self) -> tuple[str, ...]:

@@ -196,7 +196,7 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
 
 
 def _subsystems(found: Explanation) -> list[Region]:
-    """How much of what is missing a change in each place of the machine could explain."""
+    """How much of what is missing a change in each place of the machine could explain, as far as it was tried."""
     if not found.best.model.added:
         return []
     first: Round = found.rounds[0]
@@ -207,11 +207,14 @@ def _subsystems(found: Explanation) -> list[Region]:
     freedom = {candidate.name: max(len(candidate.parameters), 1) for candidate, _ in told}
     regions = []
     for place, effects in PLACES.items():
-        best = max((gains.get(effect.name, 0.0), effect.name) for effect in effects)
+        here = [(gains[effect.name], effect.name) for effect in effects if effect.name in gains]
+        if not here:
+            continue
+        best = max(here)
         free = freedom.get(best[1], 1)
-        chance = min(1.0, len(effects) * float(chi2.sf(max(best[0], 0.0), free)))  # the best of so many
+        chance = min(1.0, len(here) * float(chi2.sf(max(best[0], 0.0), free)))  # the best of so many
         share = float(np.clip(best[0] / total, 0.0, 1.0))
-        says = f"a change in the {place} ({best[1]}) would explain at most {100 * share:.0f} % of it"
+        says = f"a change in the {place} ({best[1]}) would explain {100 * share:.0f} % of it"
         regions.append(Region("subsystem", place, share, 0.0, chance, says))
     return regions
 

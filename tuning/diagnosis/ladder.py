@@ -119,7 +119,6 @@ def climb(
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
-    floor = force_floor(test, fits[-1][1], gaps[-1].counts, process)
 
     def rung(asked: tuple[tuple[str, Fitted], ForceGap, Float[np.ndarray, " draws"]]) -> Rung:
         (name, one), gap, squares = asked
@@ -128,6 +127,7 @@ def climb(
         foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST, quiet(one.process)]))
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
+        floor = force_floor(test, one, gap.counts, process)
         loop = None
         if controller is not None:
             drives = [drive_of(one, log) for log in parts.logs]

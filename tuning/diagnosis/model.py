@@ -48,6 +48,14 @@ class Logged(NamedTuple):
         """How many logs."""
         return max(self.owner) + 1
 
+    @property
+    def lasts(self) -> Float[np.ndarray, " logs"]:
+        """When (s) each log ends."""
+        ends = np.asarray(self.starts) + np.asarray(self.lanes.counts).sum(axis=1) * self.sampling.period
+        return np.array(
+            [max(end for end, owner in zip(ends, self.owner, strict=True) if owner == k) for k in range(self.logs)]
+        )
+
 
 def thinned(lanes: Lanes, thinning: int) -> Lanes:
     """One sample of so many, and the mean of what acted from each to the next.
@@ -143,7 +151,7 @@ class Model:
                 continue
             if any(fields[one.name].broken_by(values[one.name]) for one in member.candidate.parameters):
                 return False
-            if member.candidate.parameters and not member.candidate.plausible(values):
+            if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts):
                 return False
         return True
 

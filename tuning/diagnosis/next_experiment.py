@@ -150,7 +150,7 @@ def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
     counted = np.asarray(found.logged.lanes.counts) > 0
     position = np.asarray(found.logged.lanes.position)[counted]
     speeds = np.abs(np.asarray(found.gap.course.velocity)[counted])
-    moving = speeds[speeds > MOVING]
+    moving = speeds[speeds > min(MOVING, 0.5 * float(np.max(speeds, initial=0.0)))]
     speed = np.percentile(moving, 95) if moving.size else limits.speed
     at = _Axis(
         float(position.min() + PLACES[0] * np.ptp(position)),

@@ -50,7 +50,9 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
         for field in dataclasses.fields(effect):
             values[field.name] = np.array([float(getattr(effect, field.name))])
         free = tuple(
-            one for one in candidate.parameters if one.session and abs(one.standard(values[one.name][0])) < AWAY
+            one
+            for one in candidate.parameters
+            if one.session and (one.amplitude or abs(one.standard(values[one.name][0])) < AWAY)
         )
         if effect.name == ConstantForce.name:
             free = (Parameter("force", float(effect.force), TOLERANCE * at.friction),)

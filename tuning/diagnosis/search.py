@@ -244,9 +244,14 @@ def _race(
 
 
 def _promising(screened: Sequence[Screened]) -> list[Screened]:
-    """What is worth a fit of what was screened, best first: of each kind the best, and no more than a few."""
+    """What is worth a fit of what was screened, best first."""
+    return [one for one in _likeliest(screened) if one.evidence > PROMISING][:FITTED]
+
+
+def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
+    """Of each kind the first; what is screened is given best first."""
     kinds = {one.candidate.kind: one for one in reversed(screened)}
-    return [one for one in screened if one is kinds[one.candidate.kind] and one.evidence > PROMISING][:FITTED]
+    return [one for one in screened if one is kinds[one.candidate.kind]]
 
 
 def _race_to_nominal(
@@ -280,6 +285,7 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
     amounts = [one for one in catalogue if any(parameter.amplitude for parameter in one.parameters)]
     found = in_parallel(lambda one: screen(believed, one), amounts)
     found.sort(key=lambda one: -one.evidence)
+    found = _likeliest(found)
     few = found[:BESIDE]
     return few + [one for one in apart_from(found, few) if one.candidate.relieves]
 

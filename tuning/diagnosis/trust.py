@@ -20,7 +20,7 @@ SELDOM = 0.01  # of the samples, at which it may be lost
 def lost_samples(fitted: Fitted) -> int:
     """At how many samples the filter was lost."""
     ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
-    return int(np.sum((ratio > LOST) * np.asarray(fitted.model.logged.lanes.counts)))
+    return int(np.sum(~(ratio <= LOST) & (np.asarray(fitted.model.logged.lanes.counts) > 0.0)))  # one that ran away is
 
 
 def lost_share(fitter: Fitter, fitted: Fitted, process: Forces) -> float:

@@ -52,8 +52,11 @@ class Verdict(NamedTuple):
 
     def doubted(self, why: str) -> "Verdict":
         """The same causes, none of them sure."""
-        beliefs = [one._replace(confidence=min(one.confidence, UNSURE)) for one in self.beliefs]
-        return self._replace(verdict="unknown", beliefs=beliefs).and_says(why)
+        return self._replace(verdict="unknown", beliefs=_unsure(self.beliefs)).and_says(why)
+
+
+def _unsure(beliefs: list[Belief]) -> list[Belief]:
+    return [one._replace(confidence=min(one.confidence, UNSURE)) for one in beliefs]
 
 
 def _probabilities(gains: Float[np.ndarray, " k"], left: float) -> Float[np.ndarray, " k"]:
@@ -132,17 +135,17 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     if not effects:
         if not lacks and strain(base) >= STRAINED:
             says = f"{furthest(base)}: the drive file is wrong by that much, or it makes up for an effect"
-            return Verdict("unknown", beliefs, 0.0, says)
+            return Verdict("unknown", _unsure(beliefs), 0.0, says)
         if not lacks:
             says = "the recalibrated drive explains the logs to the noise: no effect is missing"
             return Verdict("none", beliefs, 0.0, says)
         says = "structure remains that no effect of the catalogue explains"
-        return Verdict("unknown", beliefs, 1.0, says)
+        return Verdict("unknown", _unsure(beliefs), 1.0, says)
     if not known >= 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
         comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
         says = f"{named} {comes} closest, but {leaves} {100 * share:.0f} % of the gap unexplained"
-        return Verdict("unknown", beliefs, share, says)
+        return Verdict("unknown", _unsure(beliefs), share, says)
     named = " and ".join(one.effect for one in beliefs if one.found)
     explains = "explain" if effects > 1 else "explains"
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)

@@ -51,8 +51,8 @@ def _samples(count: float) -> str:
     return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
 
 
-def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | None]:
-    """Channel, finding, mend and what resembles it for a command that is C(reference[k - i], position[k - j])."""
+def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | None, float | None]:
+    """Channel, finding, mend, what resembles it and how much of that, for C(reference[k - i], position[k - j])."""
     if i == j:
         way, back = ("late", -i) if i > 0 else ("early", -i)
         return (
@@ -62,6 +62,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             f"shift the command by {back:+.2g} samples"
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
             "loop_delay",
+            abs(i),
         )
     if (i - j) % 1 != 0:
         way = "early" if j > i else "late"
@@ -70,6 +71,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             f"the position is {abs(j - i):.2g} of a sample {way} (shift {i - j:+.2g}) against the reference {numbers}; "
             "which of the two is out of time cannot be told",
             "resampled, or logged by another interrupt: log the raw samples of one interrupt",
+            None,
             None,
         )
     if i == 0 or j == 0:
@@ -82,6 +84,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
             f"shift the {channel} by {shift:+.2g} samples",
             "loop_delay" if channel == "position" else None,
+            abs(shift) if channel == "position" else None,
         )
     return (
         "command",
@@ -90,6 +93,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
         f"shift the reference by {i:+.2g} and the position by {j:+.2g} samples (which channel is in time cannot be "
         "told)",
         "loop_delay",
+        max(abs(i), abs(j)),
     )
 
 
@@ -128,6 +132,7 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
             + (who_is_wrong(balance(log, description), ratio) if large else ""),
             f"multiply the command by {factor:.4g} N per unit of it, or correct the controller's gains",
             None if large else "force_gain",
+            None if large else 1.0 / ratio - 1.0,
         )
     elif off > max(OFF, doubt):
         yield Finding(

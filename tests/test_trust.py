@@ -1,0 +1,40 @@
+"""How far the comparing filter trusts a model, and whether it is lost with that."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tuning.diagnosis import trust
+from tuning.diagnosis.fitting import LEAST
+
+SAMPLES = 1000
+
+
+def lost_with(share):
+    """A fitter whose filter is lost at that share of the samples, by the lasting process force (N)."""
+    counts = np.ones((1, SAMPLES))
+    model = SimpleNamespace(logged=SimpleNamespace(lanes=SimpleNamespace(counts=counts)))
+
+    def at(_, u, process, course):
+        innovation = np.zeros((1, SAMPLES))
+        innovation[0, : round(share(process[0]) * SAMPLES)] = np.nan if share(process[0]) == 1.0 else 10.0
+        return SimpleNamespace(track=SimpleNamespace(innovation=innovation, scatter=np.ones((1, SAMPLES)), course=None))
+
+    base = SimpleNamespace(model=model, u=None, track=SimpleNamespace(course=None))
+    base._replace = lambda track: SimpleNamespace(model=model, track=track)
+    return SimpleNamespace(at=at, logged=model.logged), base
+
+
+@pytest.mark.parametrize(
+    ("share", "more"),
+    [
+        (lambda force: 0.0, 1.0),
+        (lambda force: 0.2 if force < 5.0 else 0.001, 10.0),
+        (lambda force: 1.0 if force < 50.0 else 0.0, 100.0),  # one that runs away is lost as well
+        (lambda force: 0.2, 1.0),  # blows: no trust helps
+    ],
+)
+def test_a_filter_is_trusted_as_far_as_it_is_not_lost(monkeypatch, share, more):
+    monkeypatch.setattr(trust, "least_trusted", lambda _: np.array([1.0, LEAST]))
+    np.testing.assert_allclose(trust.comparing(*lost_with(share)), [more, LEAST])
