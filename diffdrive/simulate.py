@@ -239,12 +239,14 @@ def running_costs(
         body, (begin, zero, sums), (inputs, counts), kept
     )
     total = jnp.sum(counts)
+    # reciprocals, once: of a division by the same number in every lane the compiler makes one at its whim
+    share, change_share = 1.0 / total, 0.5 / (total - counts[0])
     return Costs(
-        rms=safe_sqrt(square / total),
+        rms=safe_sqrt(square * share),
         peak=largest,
-        command_noise=safe_sqrt(change / (2 * (total - counts[0]))),
-        load_error=None if missed is None else safe_sqrt(missed / total),
-        saturated=limited / total,
+        command_noise=safe_sqrt(change * change_share),
+        load_error=None if missed is None else safe_sqrt(missed * share),
+        saturated=limited * share,
         steps_finite=finite,
     )
 
