@@ -200,11 +200,13 @@ def _laas(report: Report, folder: Path) -> None:
             for part, log in laas.read(folder / file).items():
                 report.say(f"{log.name}:")
                 found = _diagnosed(report, nominal, UnknownController(), log, 2, GUESSED)
-                rows.append([file, part, found.verdict.verdict, *_cogging(found), _others(found)])
+                report.say(found.verdict.says)
+                shut = None if found.closed is None else 100 * found.closed.share
+                rows.append([file, part, found.verdict.verdict, *_cogging(found), shut, _others(found)])
     finally:
         report.table(
             "laas_cogging",
-            ("log", "compensation", "verdict", "cogging, mA", "waves a turn", "others found"),
+            ("log", "compensation", "verdict", "cogging, mA", "waves a turn", "held-out gap closed, %", "others found"),
             rows,
             "LAAS: the strongest wave of the cogging that was found",
         )
