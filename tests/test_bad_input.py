@@ -4,7 +4,6 @@ An engineer who mistypes a unit must not get a simulation of another machine.
 """
 
 import contextlib
-import copy
 import warnings
 
 import equinox as eqx
@@ -24,9 +23,8 @@ from diffdrive.controllers import (
     Tracking,
 )
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
 from diffdrive.effects.transmission import Backlash, Compliance
-from diffdrive.errors import DivergenceError, DriveFileError, MotionError, ParameterError, PrecisionError
+from diffdrive.errors import DivergenceError, MotionError, ParameterError, PrecisionError
 from diffdrive.motion import Limits
 from diffdrive.observer import KalmanObserver, LoadStateObserver, LoadStateTuning
 from diffdrive.parameters import Actuator, Sampling, directional
@@ -222,160 +220,6 @@ def test_single_precision_is_refused():
             simulate(DRIVE, pd(), MOVE)
     finally:
         jax.config.update("jax_enable_x64", True)
-
-
-# --- drive files ------------------------------------------------------------------------------------------------------
-
-TABLES = drive_tables(DriveDescription(paper_drive(), pd(), Sampling(), Limits((-0.075, 0.075))))
-MISSING = object()
-
-FILES = {
-    "unknown key": ("plant.mas", 100.0, r"\[plant\] mas: unknown key; did you mean 'mass'\?"),
-    "unknown key, nothing near": ("sensor.xyz", 1.0, r"\[sensor\] xyz: unknown key; known here: noise, resolution"),
-    "unknown table": ("plants", {}, r"plants: unknown key; did you mean 'plant'\?"),
-    "number for a table": ("sensor", 1e-7, r"\[sensor\] must be a table"),
-    "missing key": ("plant.mass", MISSING, r"\[plant\] mass: is missing: give the moving mass.* in kg"),
-    "missing table": ("friction", MISSING, r"\[friction\] coulomb_screw: is missing: .* in N"),
-    "missing gains": ("controller.kd", MISSING, r"\[controller\] kd: is missing: .* in N\*s/m"),
-    "wrong unit": ("plant.mass", "100 mm", r"\[plant\] mass: '100 mm' has the wrong unit: it must be in kg"),
-    "unparsable unit": (
-        "plant.mass",
-        "100 zorks",
-        r"\[plant\] mass: cannot read '100 zorks'.* write for example '1.5 kg'",
-    ),
-    "word for a number": ("sensor.noise", "quiet", r"\[sensor\] noise: cannot read 'quiet'.* for example '1.5 m'"),
-    "bool for a number": ("plant.mass", True, r"\[plant\] mass: must be a number in kg"),
-    "table for a number": ("plant.mass", {}, r"\[plant\] mass: must be a number in kg"),
-    "three directions": (
-        "plant.damping",
-        [1.0, 2.0, 3.0],
-        r"\[plant\] damping: needs two values, \[positive, negative\]",
-    ),
-    "bool in a direction": ("plant.damping", [1.0, False], r"\[plant\] damping: must be a number in N\*s/m"),
-    "list for a scalar": ("plant.mass", [100.0, 100.0], r"\[plant\] mass: must be one number in kg"),
-    "NaN": ("plant.mass", NAN, r"plant\.mass must be finite"),
-    "infinite": ("friction.viscous", INF, r"friction\.viscous .*must be finite"),
-    "negative": ("plant.mass", -1, r"plant\.mass must be above 0 kg"),
-    "zero resolution": ("sensor.resolution", 0.0, r"sensor\.resolution must be above 0 m"),
-    "micrometres": ("sensor.resolution", 0.1, r"\[sensor\] resolution: 0\.1 m is coarser .* is it in micrometres\?"),
-    "no Coulomb friction": (
-        "friction",
-        {"coulomb_screw": 0, "load_coefficient": 0},
-        "give at least a small coulomb_screw",
-    ),
-    "negative delay": ("actuator.delay_samples", -1, r"\[actuator\] delay_samples: must be a whole number of samples"),
-    "fractional delay": ("actuator.delay_samples", 0.5, r"\[actuator\] delay_samples: must be a whole number"),
-    "bool delay": ("actuator.delay_samples", True, r"\[actuator\] delay_samples: must be a whole number"),
-    "rate 0": ("sampling.rate", 0, r"sampling\.rate must lie between 10 and 1e6 Hz"),
-    "rate as a period": (
-        "sampling.rate",
-        "0.1 ms",
-        r"\[sampling\] rate: '0.1 ms' has the wrong unit: it must be in Hz",
-    ),
-    "substeps 0": ("sampling.substeps", 0, r"sampling\.substeps must be a whole number of at least 1"),
-    "bool substeps": ("sampling.substeps", True, r"substeps: must be a whole number of at least 1"),
-    "substeps as text": ("sampling.substeps", "4", r"sampling\.substeps must be a whole number of at least 1"),
-    "stroke reversed": (
-        "limits.stroke",
-        [0.1, -0.1],
-        r"\[limits\] stroke: the lowest position must be below the highest",
-    ),
-    "stroke of three": ("limits.stroke", [0.0, 0.1, 0.2], r"\[limits\] stroke: must be \[lowest, highest\]"),
-    "stroke in kg": ("limits.stroke", [0.0, "3 kg"], r"\[limits\] stroke: '3 kg' has the wrong unit: it must be in m"),
-    "speed 0": ("limits.speed", 0.0, r"\[limits\] speed: must be positive"),
-    "NaN acceleration": ("limits.acceleration", NAN, r"\[limits\] acceleration: must be positive"),
-    "unknown controller": (
-        "controller.kind",
-        "pid",
-        r"\[controller\] kind: unknown controller 'pid'; known: pd, dobvsc",
-    ),
-    "list of controllers": ("controller.kind", ["pd"], r"\[controller\] kind: unknown controller"),
-    "no controller": ("controller", MISSING, r"\[controller\] kind: is missing; known: pd, dobvsc"),
-    "feedforward as text": ("controller.feedforward", "yes", r"\[controller\] feedforward: must be true or false"),
-    "other derivative": ("controller.derivative", "filtered", r"\[controller\] derivative: only 'backward-difference'"),
-    "negative gain": ("controller.kp", -1.0, r"controller\.kp must be at least 0 N/m"),
-    "gain of another controller": (
-        "controller.cutoff",
-        240.0,
-        r"\[controller\] cutoff: belongs to kind dobvsc, pd\+ff\+dob; for kind pd remove cutoff$",
-    ),
-    "kind changed, keys left": (
-        "controller",
-        {"kind": "pd", "kp": 1e6, "kd": 1e3, "layer": 1e-3, "observer": {}, "load_estimator": {}},
-        r"\[controller\] layer: belongs to kind dobvsc; for kind pd remove layer, observer, load_estimator$",
-    ),
-    "what a controller takes from the plant": ("controller.mass", 1.0, r"\[controller\] mass: unknown key; known here"),
-    "load estimator of another observer": (
-        "controller",
-        {"kind": "pd+fc+ls", "kp": 1e6, "kd": 1e3, "load_estimator": {"gain": 100.0, "min_speed": 0.005}},
-        r"gain: belongs to kind pd\+fc\+le; for kind pd\+fc\+ls remove gain, min_speed$",
-    ),
-    "gains of a controller that is unknown": (
-        "controller",
-        {"kind": "unknown", "kp": 1e6, "kd": 1e3},
-        r"\[controller\] kp: belongs to kind pd, .*cascade; for kind unknown remove kp, kd$",
-    ),
-    "cascade over no samples": (
-        "controller",
-        {"kind": "cascade", "kp": 50.0, "kv": 1e5, "velocity_samples": 0},
-        r"\[controller\] velocity_samples: must be a whole number of at least 1",
-    ),
-    "misspelt observer": (
-        "controller",
-        {"kind": "pd+fc", "kp": 1e6, "kd": 1e3, "observer": {"positon": 1e-15}},
-        r"\[controller.observer\] positon: unknown key; did you mean 'position'\?",
-    ),
-    "load estimator of another controller": (
-        "controller",
-        {"kind": "pd+fc", "kp": 1e6, "kd": 1e3, "load_estimator": {"gain": 100.0}},
-        r"\[controller.load_estimator\] gain: belongs to kind pd\+fc\+le; for kind pd\+fc remove gain$",
-    ),
-}
-
-
-def tampered(place: str, value) -> dict:
-    tables = copy.deepcopy(TABLES)
-    table, _, key = place.partition(".")
-    owner, name = (tables[table], key) if key else (tables, table)
-    if value is MISSING:
-        del owner[name]
-    elif table == "friction" and not key:
-        owner[name] |= value
-    else:
-        owner[name] = value
-    return tables
-
-
-@pytest.mark.parametrize(("place", "value", "says"), FILES.values(), ids=FILES.keys())
-def test_a_bad_drive_file_is_refused(place, value, says):
-    with pytest.raises(DriveFileError, match="^axis.toml: .*" + says):
-        parse_drive(tampered(place, value), "axis.toml")
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        ("[plant\nmass = 1", r"drive\.toml: not a TOML file: .*line 1"),
-        ("mass = 100 kg", r"drive\.toml: not a TOML file"),
-        (b"\xff\xfe", r"drive\.toml: not a TOML file"),
-        ("", r"drive\.toml: .*\[plant\] mass: is missing"),
-        (None, r"drive\.toml: no such file; 'diffdrive template > drive\.toml' writes one"),
-    ],
-)
-def test_a_file_that_cannot_be_read_is_refused(content, says, tmp_path):
-    path = tmp_path / "drive.toml"
-    if content is not None:
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(DriveFileError, match=says):
-        read_drive(path)
-
-
-def test_a_folder_is_not_a_drive_file(tmp_path):
-    with pytest.raises(DriveFileError, match="is a folder, not a drive file"):
-        read_drive(tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(DriveFileError, match="cannot be read"):
-        read_drive(tmp_path / "file" / "drive.toml")
 
 
 # --- what is allowed, and goes wrong only when it runs ----------------------------------------------------------------
