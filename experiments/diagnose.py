@@ -32,7 +32,7 @@ from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.leftover import strain
+from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.estimates import NORMAL
@@ -129,10 +129,10 @@ def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
 
 
 def _amount_of(belief: Belief, thinning: int) -> float | None:
-    """The gain, or the delay in control periods, early or late; None of other effects."""
+    """The gain, or the delay in control periods; None of other effects."""
     values = belief.fitted.model.values(belief.fitted.u)[-1]
     if belief.effect == LoopDelay.name:
-        return abs(thinning * float(values["delay"][0]))
+        return thinning * float(values["delay"][0])
     return float(values["gain"][0]) if belief.effect == ForceGain.name else None
 
 
@@ -331,10 +331,12 @@ def _closed(found: Diagnosis) -> dict[str, Any]:
         f"{found.floor:.3g} N"
     )
     if gone is None:
-        says = (
-            f"{on}. Recalibration hides the gap, but with a nominal parameter moved by "
-            f"{strain(found.explanation.base):.0f} standard deviations, against {strain(found.found):.1f} with it"
+        moved = strain(found.explanation.base)
+        hides = (
+            f"Recalibration hides the gap, but with a nominal parameter moved by {moved:.0f} standard deviations, "
+            f"against {strain(found.found):.1f} with it"
         )
+        says = f"{on}. {hides if moved >= STRAINED else 'Recalibration alone leaves nothing there to close'}"
         return {"share": None, "interval": None, "says": says}
     percent = f"{100 * gone.share:.0f} % ({100 * gone.low:.0f} to {100 * gone.high:.0f})"
     says = f"{on}: {percent} of what was left beyond the floor is gone"

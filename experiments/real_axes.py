@@ -5,7 +5,7 @@ the rest as the nominal drive. What it finds is judged on the pulse file, sessio
 first seconds. Then the identified drive as it is: what does it lack?
 
 LAAS: a motor with strong cogging, the compensation of which is off for half of each log and on for the other half: is
-the same cogging found in both from the measured current?
+the same cogging found in both from the current that the velocity loop asks for?
 """
 
 import dataclasses

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from sound_log import DRIVE, RATE, logged, two_sines
+from sound_log import DRIVE, RATE, described, logged, two_sines
 
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
@@ -113,13 +113,14 @@ def test_an_effect_that_is_not_considered_is_not_named():
     assert "coulomb_screw" in found.verdict.says  # which was moved far in its place
 
 
-def test_parameters_come_with_intervals_about_them(tilted):
+def test_parameters_come_with_intervals_that_hold_the_truth(tilted):
     _, told = tilted
     assert len(told["causes"]) > 1
     for cause in told["causes"]:
         assert set(cause["parameters"]) == set(cause["intervals"]) != set()
-        for name, (low, high) in cause["intervals"].items():
-            assert low < cause["parameters"][name] < high
+    low, high = told["causes"][0]["intervals"]["force"]
+    assert low < 6.0 < high
+    assert high - low < 1.0
 
 
 def test_the_motion_that_would_decide_is_written_to_be_run(tmp_path):
@@ -145,7 +146,7 @@ def test_an_effect_that_the_drive_has_already_is_not_missing():
     assert float(augmented_drive(found).effects[0].force) == 6.0
 
 
-def lacks_of(position, command=None):
+def lacks_of(position, command=None, drive=DRIVE.drive):
     """Shortcomings of a log of this position (m)."""
     log = log_of()
     n = len(position)
@@ -157,7 +158,7 @@ def lacks_of(position, command=None):
         reference=position,
         load=np.zeros(n),
     )
-    at = logged_of(DRIVE.drive, [flat])
+    at = logged_of(drive, [flat])
     return [one.why for one in shortcomings(at, setting(at.drive, at.lanes, 1.0 / RATE))]
 
 
@@ -169,6 +170,17 @@ def test_logs_that_cannot_tell_say_so():
     assert any("one direction" in why for why in one_way)
     assert any("one speed" in why for why in one_way)
     assert any("limit" in why for why in lacks_of(0.02 * np.sin(3.0 * time), np.sign(np.sin(3.0 * time))))
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-6])
+def test_a_scale_that_dithers_at_rest_does_not_move(noise):
+    """Five seconds of rest, then one way at one speed; steps of 5 um, and noise of nearly half of one."""
+    time = np.arange(round(10.0 * RATE)) / RATE
+    dither = noise * np.random.default_rng(3).standard_normal(time.size)
+    position = 5e-6 * np.round((0.02 * np.maximum(time - 5.0, 0.0) + dither) / 5e-6)
+    why = lacks_of(position, drive=described(noise=noise, resolution=5e-6).drive)
+    assert any("one direction" in one for one in why)
+    assert any("one speed" in one for one in why)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     assert TOLERANCE * base.u[mass] == pytest.approx(OFF[mass], abs=5e-4)
 
 
-def test_no_effect_is_worth_it_on_a_sound_machine(sound):
+def test_no_effect_that_is_all_amplitude_is_worth_it_on_a_sound_machine(sound):
     fitter, base = sound
     for candidate in catalogue(fitter, base):
         if all(one.amplitude for one in candidate.parameters):

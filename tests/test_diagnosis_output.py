@@ -282,8 +282,9 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of,
 @pytest.mark.parametrize(
     ("resembles", "amount", "verdict"),
     [
-        ("loop_delay", 1.0, "effect"),
-        ("loop_delay", 2.0, "unknown"),
+        ("loop_delay", -1.0, "effect"),
+        ("loop_delay", -2.0, "unknown"),
+        ("loop_delay", 1.0, "unknown"),
         ("force_gain", 1.0, "unknown"),
         (None, None, "unknown"),
     ],

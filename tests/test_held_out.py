@@ -1,11 +1,16 @@
 """What held-out logs say of a verdict: withdrawn, not believed, and how much of the gap is closed."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sound_log import DRIVE, logged, two_sines
 
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.friction import AppliedLoad
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.held_out import Closed, closed, confirmed, denied, upheld
@@ -69,6 +74,25 @@ def test_what_is_closed_is_counted_from_the_floor():
     assert closed(lacking(1.02), lacking(1.0), RATE) is None  # of nothing there is no share
 
 
+def test_an_effect_that_opens_a_gap_closes_none():
+    assert closed(lacking(1.0), lacking(2.0), RATE).high < 0.0
+    assert closed(lacking(1.0), lacking(1.04), RATE) is None  # within the floor
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [((3.0, 1.0), (np.nan, 1.0)), ((np.nan, 1.0), (1.0, 1.0)), ((3.0, 1.0), (1.0, np.nan))]
+)
+def test_a_filter_that_ran_away_closes_nothing(before, after):
+    assert closed(lacking(*before), lacking(*after), RATE) == (0.0, 0.0, 0.0)
+
+
+def test_a_filter_that_ran_away_denies():
+    sound, gone = rung(0.0), SimpleNamespace(unlikely=np.full(50, np.nan), fitted=rung(0.0).fitted)
+    assert denied(gone, sound, 500.0)
+    assert denied(gone, gone, 500.0)
+    assert not denied(sound, gone, 500.0)
+
+
 @pytest.mark.parametrize(
     ("share", "verdict"),
     [(None, "effect"), ((0.9, 0.7, 1.0), "effect"), ((0.4, 0.3, 0.5), "unknown"), ((0.7, -0.1, 1.0), "unknown")],
@@ -79,3 +103,18 @@ def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, ver
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
     assert ("closed" in judged.says) == (verdict == "unknown")
+
+
+def test_what_begins_in_the_last_part_of_a_single_log_is_proved_in_other_parts():
+    """At 70 % of it: the first 60 % cannot tell how large it is."""
+    loaded = dataclasses.replace(DRIVE.drive, effects=(AppliedLoad(more=40e3, start=3.5, end=1e9),))
+    log = logged(dataclasses.replace(DRIVE, drive=loaded), two_sines(5.0))
+    others = [name for name in EFFECTS if name not in ("applied_load", "constant_force", "friction_shape")]
+    found = diagnose(DRIVE.drive, DRIVE.controller, [log], without=others, most_effects=1)
+    assert found.split.says.startswith("every other tenth of the log held out")
+    assert found.verdict.verdict == "effect"
+    assert [one.effect for one in found.verdict.beliefs if one.found] == ["applied_load"]
+    assert found.closed.share > 0.9
+    values = found.found.model.values(found.found.u)[-1]
+    assert values["more"][0] == pytest.approx(40e3, rel=0.05)
+    assert values["start"][0] == pytest.approx(3.5, abs=0.05)

@@ -9,10 +9,17 @@ from sound_log import DRIVE
 from diffdrive.parameters import Sampling
 from tuning.diagnosis import explain, leftover, verdict
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, Explanation, _better, _enough, _other_first
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leftover import lacking, unexplained
 from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _led_on, _ranked, to_its_end
+from tuning.diagnosis.setting import Setting
+
+AXIS = Setting(
+    mass=100.0, friction=70.0, load_coefficient=4e-4, viscous=2e3, delay=0.0, bristle=2e-6, period=5e-4, duration=3.0,
+    low=0.0, high=0.05, speed=0.1, command=300.0,
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -204,6 +211,24 @@ def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
     found = explain.explain(None, hypothesis(evidence=0.0), [], lambda *_: None)
     assert found.best is found.rounds[0].fits[0] is further
     assert len(looks) == 2
+
+
+@pytest.mark.parametrize("twist", [None, 1.0])
+def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_nothing(monkeypatch, twist):
+    looked = []
+
+    def look(fitter, before, few, *_):
+        looked.extend(few)
+        return Round(before, [], [], 0, 0.0)
+
+    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "complete", lambda *_: True)
+    explain.explain(SimpleNamespace(twist=twist), hypothesis(evidence=0.0), candidates(AXIS), lambda *_: None)
+    names = {one.name for one in looked}
+    assert "constant_force" in names
+    assert names.isdisjoint({"cogging", "loop_delay", "friction_dwell"})
+    seen = {"compliance", "backlash", "lead_error", "interpolation_error"}
+    assert (seen <= names) if twist else seen.isdisjoint(names)
 
 
 @pytest.mark.parametrize("base", [1e4, np.inf])

@@ -57,6 +57,11 @@ class Candidate(NamedTuple):
         return self.coupled or self.effect is friction.FrictionDwell
 
     @property
+    def twists(self) -> bool:
+        """Whether a second encoder would see it, `second_encoder.foreseen`."""
+        return issubclass(self.effect, transmission.Compliance | transmission.Backlash | scale.ScaleEffect)
+
+    @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
         alike = (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)

@@ -15,6 +15,7 @@ SATURATED = 0.5  # of the time in which it moves, at the limit
 AT_THE_LIMIT = 0.98  # of it: a measured command is noisy
 LARGEST = 99.5  # percentile: the limit that the command itself shows
 SMOOTH = 5e-3  # s
+CHATTER = 4.0  # standard deviations of the measured velocity, below which nothing says that the table moves
 
 
 class Shortcoming(NamedTuple):
@@ -33,7 +34,8 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     rate = logged.sampling.rate
     few = max(1, round(SMOOTH * rate))
     velocity = (position[:, few:] - position[:, :-few]) * rate / few
-    moves = counts[:, few:] & (np.abs(velocity) > SLOWEST)
+    seen = CHATTER * np.sqrt(2.0) * float(logged.noise) * rate / few  # a scale that dithers at rest does not move
+    moves = counts[:, few:] & (np.abs(velocity) > max(SLOWEST, seen))
     moving = velocity[moves]
     found = []
     if at.high - at.low < TRAVEL * at.bristle or len(moving) == 0:

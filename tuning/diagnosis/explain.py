@@ -85,9 +85,10 @@ def explain(
 ) -> Explanation:
     """Effects one after the other, as long as another is worth it, up to `most`.
 
-    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far. Where something
-    is missing in the end, the search goes a second way, a rival of the first effect in front, beside which only what
-    was found is looked for. Where that ends better, everything is; the other end is kept as a rival.
+    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, or what a second
+    encoder saw. Where something is missing in the end, the search goes a second way, a rival of the first effect in
+    front, beside which only what was found is looked for. Where that ends better, everything is; the other end is kept
+    as a rival.
     """
 
     def whole(base: Fitted, one: Fitted) -> bool:
@@ -103,8 +104,9 @@ def explain(
         return over(base, one) and strain(one) < STRAINED
 
     def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate]) -> Round:
-        relevant = [one for one in catalogue if one.relieves] if over(base, before) else catalogue
-        return look(fitter, before, relevant, progress, partial(whole, base))
+        if over(base, before):
+            catalogue = [one for one in catalogue if one.relieves or (one.twists and fitter.twist is not None)]
+        return look(fitter, before, catalogue, progress, partial(whole, base))
 
     def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
         while len(rounds) < most and not (rounds and done(base, best)):

@@ -25,12 +25,19 @@ class Closed(NamedTuple):
 
 
 def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
-    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor."""
+    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed.
+
+    Unless the other opens a gap there. A filter that ran away closes nothing.
+    """
     floor = after.floor
-    if not before.force.rms >= HIDDEN * floor:
-        return None
-    least = (HIDDEN**2 - 1.0) * floor**2
     squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
+    if not np.all(np.isfinite([floor, *squares[0], *squares[1]])):
+        return Closed(0.0, 0.0, 0.0)
+    least = (HIDDEN**2 - 1.0) * floor**2
+    hidden = [one[0] < HIDDEN**2 * floor**2 for one in squares]
+    opened = np.percentile(squares[1][1:] - squares[0][1:], 2.5) > 0.0
+    if hidden[0] and (hidden[1] or not opened):
+        return None
     beyond = [np.maximum(one - floor**2, bound) for one, bound in zip(squares, (least, 0.0), strict=True)]
     shares = 1.0 - beyond[1] / beyond[0]
     low, high = np.percentile(shares[1:], [2.5, 97.5])
@@ -53,8 +60,13 @@ def upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Run
 def denied(more: Rung, fewer: Rung, gained: float) -> bool:
     """Whether the held-out logs are foreseen worse with more effects: by more than chance, and than a little.
 
-    Numbers that no machine of this drive file can have may foresee a little better: they deny nothing.
+    Numbers that no machine of this drive file can have may foresee a little better: they deny nothing. A filter that
+    ran away foresees nothing.
     """
+    if not np.all(np.isfinite(more.unlikely)):
+        return True
+    if not np.all(np.isfinite(fewer.unlikely)):
+        return False
     if strain(fewer.fitted) > IMPOSSIBLE >= strain(more.fitted):
         return False
     worse = more.unlikely - fewer.unlikely

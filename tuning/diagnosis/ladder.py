@@ -1,13 +1,14 @@
 """How far the gap shrinks once an effect is added, on logs that were not fitted.
 
 The machine's parameters are fitted on some of the logs and carried over; those of the session (phases, times) are
-registered anew on the others. With a single log its later part is held out, in the same session.
+registered anew on the others. With a single log its later part is held out, in the same session; where what was found
+begins there, every other piece of it is.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
@@ -21,6 +22,8 @@ from tuning.diagnosis.threads import in_parallel
 from tuning.diagnosis.trust import comparing
 
 TRAINED = 0.6  # of a single log
+TOLD = 0.1  # of what the whole log tells of a number: less, and the part that is fitted does not know it
+TURNS = 10  # pieces of a single log, every other one held out
 SESSION = "phases, times and sizes of waves registered on it"
 PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
@@ -53,8 +56,8 @@ class Split(NamedTuple):
     says: str
 
 
-def split(fitter: Fitter) -> Split:
-    """The last log held out; of a single one, the end."""
+def split(fitter: Fitter, best: Fitted) -> Split:
+    """The last log held out; of a single one, the end, or every other piece where `best` has what begins at the end."""
     logged = fitter.logged
     counts = np.asarray(logged.lanes.counts)
     last = np.array([owner == logged.logs - 1 for owner in logged.owner])[:, None]
@@ -62,7 +65,30 @@ def split(fitter: Fitter) -> Split:
         return Split(counts * ~last, counts * last, [logged.logs - 1], f"log {logged.logs} held out, {SESSION}")
     total = np.cumsum(counts.ravel()).reshape(counts.shape)
     early = total <= TRAINED * counts.sum()
-    return Split(counts * early, counts * ~early, [0], f"the last {100 * (1 - TRAINED):.0f} % of the log held out")
+    if np.all(_told(best, early) | _of_session(best.model)):
+        return Split(counts * early, counts * ~early, [0], f"the last {100 * (1 - TRAINED):.0f} % of the log held out")
+    fitted = np.ceil(total * TURNS / counts.sum()) % 2 == 1
+    return Split(counts * fitted, counts * ~fitted, [0], f"every other tenth of the log held out, {SESSION}")
+
+
+def _of_session(model: Model) -> Bool[np.ndarray, " k"]:
+    """Which numbers are times of the session: they tell where an effect acts, not how much."""
+    sizes = {
+        (index, one.name)
+        for index, member in enumerate(model.members)
+        for one in member.candidate.parameters
+        if one.amplitude
+    }
+    return np.array(
+        [False] * len(NAMES) + [log is not None and (index, name) not in sizes for index, name, log in model.slots]
+    )
+
+
+def _told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"]) -> Bool[np.ndarray, " k"]:
+    """Which of a fit's numbers these samples tell, of what all of them do; nor do these tell more than the prior."""
+    squares = one.jacobian**2
+    every = squares.sum(axis=0)
+    return (fitted.ravel() @ squares >= TOLD * every) | (every < 1.0)
 
 
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
@@ -90,7 +116,7 @@ def climb(
     fitter: Fitter, found: Explanation, logs: list[Log], controller: Controller | None
 ) -> tuple[list[Rung], Split]:
     """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given."""
-    parts = split(fitter)
+    parts = split(fitter, found.best)
     train, test = _counting(fitter, parts.train), _counting(fitter, parts.test)
     base = found.base
     chain = [("recalibrated", base)]
@@ -103,8 +129,9 @@ def climb(
     def judged_by(one: Fitted) -> Fitted:
         model = Model(train.logged, one.model.members, one.model.tolerance)
         # what is of the session that is held out stays, to be registered from there: without data it would drift away
-        away = fitter.logged.logs > 1
-        told = np.array([1.0] * len(NAMES) + [float(not (away and log in parts.logs)) for _, _, log in model.slots])
+        away = [fitter.logged.logs > 1 and log in parts.logs for _, _, log in model.slots]
+        unknown = np.r_[[False] * len(NAMES), away] if any(away) else _of_session(model) & ~_told(one, parts.train > 0)
+        told = 1.0 - unknown
         trained = train.fit(model, one.u, one.process, one.track.course, CARRY, told)
         session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
         model = Model(test.logged, one.model.members, one.model.tolerance)

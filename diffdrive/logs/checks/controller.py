@@ -52,7 +52,10 @@ def _samples(count: float) -> str:
 
 
 def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | None, float | None]:
-    """Channel, finding, mend, what resembles it and how much of that, for C(reference[k - i], position[k - j])."""
+    """Channel, finding, mend, what resembles it and how much of that, for C(reference[k - i], position[k - j]).
+
+    A table seems to answer so many samples sooner as its command is recorded late, or its position early.
+    """
     if i == j:
         way, back = ("late", -i) if i > 0 else ("early", -i)
         return (
@@ -62,7 +65,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             f"shift the command by {back:+.2g} samples"
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
             "loop_delay",
-            abs(i),
+            -i,
         )
     if (i - j) % 1 != 0:
         way = "early" if j > i else "late"
@@ -84,7 +87,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
             f"shift the {channel} by {shift:+.2g} samples",
             "loop_delay" if channel == "position" else None,
-            abs(shift) if channel == "position" else None,
+            -shift if channel == "position" else None,
         )
     return (
         "command",
@@ -93,7 +96,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
         f"shift the reference by {i:+.2g} and the position by {j:+.2g} samples (which channel is in time cannot be "
         "told)",
         "loop_delay",
-        max(abs(i), abs(j)),
+        -j,
     )
 
 

@@ -20,7 +20,7 @@ class Finding:
     found: str  # one sentence, with numbers
     mend: str  # what to do
     resembles: str | None = None  # effect of the catalogue that would look alike, had the machine it and not the log
-    amount: float | None = None  # of it: the gain, or the delay in samples, early or late
+    amount: float | None = None  # of it: the gain, or the delay in samples
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.channel}: {self.found}; {self.mend}"
