@@ -100,7 +100,9 @@ class Section:
     def quantity(self, key: str, declared: Quantity, default: Any) -> Any:
         """The value of one declared parameter: a number, or a pair where it may differ by direction."""
         if default is dataclasses.MISSING and key not in self._left:
-            raise self.fail(key, f"is missing: give the {declared.meaning}, in {declared.unit}")
+            near = difflib.get_close_matches(key, self._left, n=1)
+            meant = f"; is it meant by '{near[0]}'?" if near else ""
+            raise self.fail(key, f"is missing: give the {declared.meaning}, in {declared.unit}{meant}")
         value = self.take(key, default)
         if value is default:
             return value

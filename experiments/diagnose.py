@@ -24,6 +24,7 @@ from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page, tell
 from experiments.payoff import in_words, payoff
 from experiments.report import Report, plain
+from experiments.scale_noise import unstated_noise
 from experiments.tuning_cases import Plan
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
@@ -33,7 +34,7 @@ from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.leftover import STRAINED, strain
-from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
+from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.estimates import NORMAL
 
@@ -84,9 +85,11 @@ def diagnose_logs(
             offer = _mended_first(found, fatal) if fatal else next_experiment(found, description)
         told = as_json(found, offer) | beside
         tell(report, told)
+        if unstated := unstated_noise(description.drive, float(found.logged.noise)):
+            report.say(unstated)
         if report.out is not None:
             augmented = _write(report, description, found)
-            _write_reference(report, reference(offer, description))
+            _write_reference(report, offer.reference)
             with report.working("drawing"):
                 draw(report, found, logs)
             _save(report, told, augmented)
@@ -150,7 +153,7 @@ def _doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     log, first = (strange or fatal)[0]
     told = f"the log checks say of {log}: {first.found}"
     if strange:
-        told = f"but {told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
+        told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(told))
     told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"
     return dataclasses.replace(found, verdict=found.verdict.and_says(told))
@@ -219,7 +222,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "ladder": [_rung(one) for one in found.rungs],
         "closed": _closed(found),
         "lacks": [one._asdict() for one in found.lacks],
-        "next_experiment": offer._asdict(),
+        "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
 
 

@@ -19,6 +19,7 @@ from experiments.identify_figures import draw
 from experiments.interruption import at_next_step
 from experiments.left_open import write_uncertainty
 from experiments.report import Report
+from experiments.scale_noise import unstated_noise
 from experiments.scenario import number
 from tuning import inverse_dynamics
 from tuning.identification import Identified, identify
@@ -72,6 +73,8 @@ def identify_drive(
             _write(report, replace(description, drive=found.drive))
             write_uncertainty(report.out, found)
         _words(report, found)
+        if unstated := unstated_noise(description.drive, found.noise):
+            report.say(unstated)
         if found.search.status == "converged":
             _next_motions(report, found, description)
         gap_table(report, description, found.drive, _delay(found), logs, others)

@@ -23,6 +23,11 @@ FILES = {
     "unknown table": ("plants", {}, r"plants: unknown key; did you mean 'plant'\?"),
     "number for a table": ("sensor", 1e-7, r"\[sensor\] must be a table"),
     "missing key": ("plant.mass", MISSING, r"\[plant\] mass: is missing: give the moving mass.* in kg"),
+    "typo in a key that must be": (
+        "plant",
+        {"mas": 100.0},
+        r"\[plant\] mass: is missing: .* in kg; is it meant by 'mas'\?",
+    ),
     "missing table": ("friction", MISSING, r"\[friction\] coulomb_screw: is missing: .* in N"),
     "missing gains": ("controller.kd", MISSING, r"\[controller\] kd: is missing: .* in N\*s/m"),
     "wrong unit": ("plant.mass", "100 mm", r"\[plant\] mass: '100 mm' has the wrong unit: it must be in kg"),

@@ -26,7 +26,7 @@ from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
-from tuning.diagnosis.next_experiment import Experiment, next_experiment, reference
+from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Belief, Verdict
 from tuning.diagnosis.where import localise
@@ -124,10 +124,7 @@ def test_parameters_come_with_intervals_that_hold_the_truth(tilted):
 
 
 def test_the_motion_that_would_decide_is_written_to_be_run(tmp_path):
-    offered = candidates(DRIVE.drive, DRIVE.limits, RATE)
-    name = list(offered)[-1]
-    motion = reference(Experiment(name, ["cogging", "lead_error"], 40.0, ""), DRIVE)
-    assert reference(Experiment("", [], 0.0, ""), DRIVE) is None
+    motion = list(candidates(DRIVE.drive, DRIVE.limits, RATE).values())[-1]
     with Report("motion", tmp_path, Console(quiet=True)) as report:
         _write_reference(report, motion)
     time, position = np.loadtxt(tmp_path / "next_reference.csv", delimiter=",", skiprows=1).T

@@ -102,7 +102,7 @@ def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, ver
     judged = confirmed(believed, [rung(one) for one in (100.0, 0.0, -500.0)], share and Closed(*share))
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
-    assert ("closed" in judged.says) == (verdict == "unknown")
+    assert ("held out only" in judged.says) == (verdict == "unknown")
 
 
 def test_what_begins_in_the_last_part_of_a_single_log_is_proved_in_other_parts():

@@ -217,6 +217,10 @@ STRUCTURES = {
         Mapping({"reference": "rec.Y.ref", "position": "rec.Y.pos", "command": "rec.Y.cmd"}),
     ),
     "Simulink": ({"out": simulink()}, Mapping({"reference": "out.axis(1)", "position": "axis(2)"})),
+    "ends of paths": (
+        {"rec": dspace()},
+        Mapping({"time": "X.time", "reference": "Y.ref", "position": "Y.pos", "command": "Y.cmd"}),
+    ),
     "units": ({name: 1e3 * values for name, values in PLAIN.items()} | {"units": dict.fromkeys(PLAIN, "")}, None),
 }
 STRUCTURES["units"] = (

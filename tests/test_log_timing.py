@@ -1,5 +1,7 @@
 """The clock of a log: its order, rounding, jitter, gaps and rate, and samples without a value."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -241,6 +243,20 @@ def test_without_time_the_rate_counts(tmp_path):
     assert log.notes == ("no column holds the time: counted at the drive file's 1000 Hz",)
     with pytest.raises(LogError, match='no column is called "time"'):
         read_log(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("header", ["Zeit [ms]", "clock_ms"])
+def test_a_clock_that_nobody_named_is_not_counted_over(header, tmp_path):
+    """At another rate than the log's every speed would be another."""
+    columns = {header: 1e3 * TIME, "position": position(TIME), "command": command(TIME)}
+    write_csv(tmp_path / "log.csv", columns)
+    told = rf'\'{re.escape(header)}\' is in a unit of time .*--column "?time={re.escape(header)}'
+    with pytest.raises(LogError, match=told):
+        read_log(tmp_path / "log.csv", rate=5 * RATE)
+    np.testing.assert_allclose(read_log(tmp_path / "log.csv", Mapping({"time": header})).time, TIME, atol=1e-12)
+    # what does not rise is no clock: the cycle's own duration, say
+    write_csv(tmp_path / "log.csv", columns | {header: np.full(len(TIME), 0.2)})
+    np.testing.assert_array_equal(read_log(tmp_path / "log.csv", rate=RATE).time, TIME)
 
 
 # --- samples without a value ------------------------------------------------------------------------------------------

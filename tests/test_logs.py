@@ -172,6 +172,8 @@ def test_a_bad_mapping_is_refused(build, says):
 def test_a_mapping_that_does_not_fit_the_file_is_refused(raw, tmp_path):
     with pytest.raises(LogError, match=r"'qmm': no such column; did you mean 'qm'\? the file has 't', 'qg', 'qm', 'u'"):
         read_log(raw, Mapping(NAMED | {"position": "qmm"}))
+    with pytest.raises(LogError, match=r"'soll': no such column.*a log needs no reference: leave that line out"):
+        read_log(raw, Mapping(NAMED | {"reference": "soll"}))
     with pytest.raises(LogError, match=r"nothing says whether the command .* \[units\] .* or give --unit command=N"):
         read_log(raw, Mapping(NAMED, force_per_volt=3.0))
     scipy.io.savemat(tmp_path / "two.mat", RAW | {"a": {"pos": RAW["t"]}, "b": {"pos": RAW["t"]}})

@@ -19,15 +19,16 @@ from tuning.diagnosis.candidates import candidates as hypotheses
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Model
-from tuning.diagnosis.next_experiment import next_experiment, reference
+from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.screening import joined
 from tuning.diagnosis.search import recalibrated
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.where import Region
-from tuning.next_motion import candidates
+from tuning.next_motion import candidates, room
 
 TIME = np.arange(6_000) / RATE
-MOTIONS = list(candidates(DRIVE.drive, DRIVE.limits, RATE))
+MIDDLE = 0.03  # m, of where `diagnosed` says that the logs went
+MOTIONS = candidates(DRIVE.drive, DRIVE.limits, RATE, MIDDLE)
 
 
 def belief(effect, found=True, alternatives=(), round=0):
@@ -68,7 +69,7 @@ def telling(monkeypatch, tells):
     def told(truth, rival, description, inputs, steps):
         number = next(
             k
-            for k, one in enumerate(candidates(DRIVE.drive, DRIVE.limits, RATE).values())
+            for k, one in enumerate(MOTIONS.values())
             if np.array_equal(one.position, np.asarray(inputs.reference.position))
         )
         asked.append((number, steps))
@@ -83,7 +84,10 @@ def test_every_motion_that_the_axis_can_do_is_tried(monkeypatch, best):
     telling(monkeypatch, lambda number, steps: 50.0 if number == best else 5.0)
     pair = belief("cogging", alternatives=["lead_error"]), belief("lead_error", found=False)
     offer = next_experiment(diagnosed("effect", *pair), DRIVE)
-    assert (offer.motion, offer.between, offer.tells) == (MOTIONS[best], ["cogging", "lead_error"], 50.0)
+    assert (offer.motion, offer.between, offer.tells) == (list(MOTIONS)[best], ["cogging", "lead_error"], 50.0)
+    run = offer.reference.position
+    np.testing.assert_allclose(run, parse_motion(offer.motion, RATE).position, rtol=0, atol=1e-12)
+    assert 0.5 * (run.min() + run.max()) == pytest.approx(MIDDLE, abs=5e-3)  # where the axis was, not at its end
 
 
 def test_a_fit_that_stopped_on_its_way_is_not_believed(monkeypatch):
@@ -91,7 +95,7 @@ def test_a_fit_that_stopped_on_its_way_is_not_believed(monkeypatch):
     asked = telling(monkeypatch, lambda number, steps: (short if steps == module.STEPS else long)[number])
     pair = belief("cogging", alternatives=["lead_error"]), belief("lead_error", found=False)
     offer = next_experiment(diagnosed("effect", *pair), DRIVE)
-    assert (offer.motion, offer.tells) == (MOTIONS[3], 40.0)
+    assert (offer.motion, offer.tells) == (list(MOTIONS)[3], 40.0)
     assert [number for number, steps in asked if steps == module.MORE] == [0, 2, 3]
 
 
@@ -106,10 +110,20 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
         model = joined(Model(log), known[name])
         u = np.zeros(model.size)
         fits.append(fitter.fit(model, u, base.process, base.track.course, 2))
-    stroke = candidates(DRIVE.drive, DRIVE.limits, RATE)[MOTIONS[-1]]
+    stroke = list(MOTIONS.values())[-1]
     inputs = inputs_of(stroke, np.zeros(len(stroke.time)))
     assert module._told(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.ENOUGH
     assert abs(module._told(fits[0], fits[0], DRIVE, inputs, module.STEPS)) < 1e-6
+
+
+def test_an_axis_whose_ends_nobody_gave_goes_no_further_than_in_the_logs():
+    lanes = diagnosed("effect").logged.lanes
+    limits, about = room(lanes, Limits())
+    motions = candidates(DRIVE.drive, limits, RATE, about)
+    assert motions
+    for one in motions.values():
+        assert 0.01 - 1e-3 <= one.position.min() <= one.position.max() <= 0.05 + 1e-3
+    assert room(lanes, DRIVE.limits) == (DRIVE.limits, pytest.approx(MIDDLE, abs=1e-6))
 
 
 def test_where_no_motion_tells_it_is_said_how_many_were_tried(monkeypatch):
@@ -163,7 +177,7 @@ def test_unknown_asks_for_a_motion_that_dwells_where_the_gap_lies(beliefs, dimen
     assert offer.motion.startswith(f"{kind}:")
     assert f"60 % of the gap lies in {name}" in offer.says
     assert offer.motion in offer.says
-    motion = require_within(reference(offer, DRIVE), DRIVE.limits)
+    motion = require_within(offer.reference, DRIVE.limits)
     np.testing.assert_allclose(motion.position, parse_motion(offer.motion, RATE).position, atol=1e-12)
     assert 0.01 <= motion.position.min() <= motion.position.max() <= 0.05  # where the logs went
     assert motion.duration < 30.0
@@ -171,10 +185,10 @@ def test_unknown_asks_for_a_motion_that_dwells_where_the_gap_lies(beliefs, dimen
 
 def test_a_speed_band_is_run_at_its_speed_and_a_reversal_turned_often():
     at_speed = next_experiment(diagnosed("unknown", where=[region("speed", "20 to 40 mm/s")]), DRIVE)
-    speed = np.abs(reference(at_speed, DRIVE).velocity)
+    speed = np.abs(at_speed.reference.velocity)
     assert np.mean(np.abs(speed - 0.03) < 1e-9) > 0.8
     turning = next_experiment(diagnosed("unknown", where=[region("phase", "reversal")]), DRIVE)
-    assert np.sum(np.diff(np.sign(reference(turning, DRIVE).velocity)) != 0) > 90
+    assert np.sum(np.diff(np.sign(turning.reference.velocity)) != 0) > 90
 
 
 def test_unknown_is_never_content_and_needs_no_controller():
@@ -192,5 +206,5 @@ def test_a_motion_that_the_axis_cannot_do_is_not_proposed():
     narrow = dataclasses.replace(DRIVE, limits=Limits(stroke=(-0.01, 0.02)))
     offer = next_experiment(diagnosed("unknown", where=[region("position", "7 to 9 mm")]), narrow)
     assert offer.motion == ""
-    assert reference(offer, narrow) is None
+    assert offer.reference is None
     assert "no motion is proposed" in offer.says

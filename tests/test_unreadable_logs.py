@@ -116,6 +116,9 @@ BAD_CSV = {
         NAMES + ",Position [mm]\n" + rows(columns=(*COLUMNS.values(), POSITION)),
         r"'position', 'Position \[mm\]' may each be the position.*--column position=",
     ),
+    "a header to be pasted": (
+        NAMES.replace("position", "positio [mm]") + "\n" + rows(), r'or --column "position=positio \[mm\]"',
+    ),
     "the same name twice": (NAMES.replace("reference", "position") + "\n" + rows(), "'position#1', 'position#2'"),
     "a unit that is none": (NAMES.replace("position", "position [foo]") + "\n" + rows(), r"'position \[foo\]': 'foo'"),
     "the wrong unit": (NAMES.replace("position", "position [V]") + "\n" + rows(), "'V' is no unit of the position"),

@@ -150,7 +150,7 @@ def identify(
         names = ", ".join(dict.fromkeys(source.log for source in sources))
         raise LogError(
             f"{names}: the table does not move faster than {min_speed:g} m/s for long enough (its peak is {speed:.3g} "
-            "m/s): nothing to identify; use a log of a motion, or a lower min_speed"
+            "m/s): nothing to identify; use a log of a motion"
         )
     columns = np.concatenate([table.columns for table in tables])
     force = np.concatenate([table.force for table in tables])

@@ -6,6 +6,7 @@ open parameter would be known; for each the sharpest candidate is named.
 """
 
 import contextlib
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -30,6 +31,7 @@ from tuning.refinement import Fit, linearised
 from tuning.uncertainty import LEVEL
 
 DURATION = 3.0  # s, of each candidate
+CLEAR = 1e-3  # m, from the ends of the axis
 SPEED, ACCELERATION = 0.1, 2.0  # m/s and m/s^2, where the axis allows as much
 
 
@@ -43,35 +45,66 @@ class Proposal(NamedTuple):
     after: float  # with that motion logged as well; NaN where that was not simulated
 
 
-def candidates(drive: Drive, limits: Limits, rate: float) -> dict[str, Motion]:
-    """Motions about this drive's own scales, by how they are written; those that the axis cannot do are left out."""
+def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) -> dict[str, Motion]:
+    """Motions of this drive's own scales about a position (m), by how they are written.
+
+    Those that the axis cannot do are left out.
+    """
     friction = drive.friction
     level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
     bend = (level + float(friction.breakaway_gap.positive)) / float(friction.bristle_stiffness.positive)
     slow = float(friction.stribeck_velocity.positive)
     fast = min(SPEED, 0.8 * limits.speed)
     strong = min(ACCELERATION, 0.8 * limits.acceleration)
-    middle = 0.0 if np.isinf(limits.stroke[0]) else limits.stroke[0] + 1e-3
+
+    def begun(travel: float) -> float:
+        """Where to begin so that the motion lies about that position, away from the ends of the axis; whole um."""
+        low, high = limits.stroke[0] + CLEAR, limits.stroke[1] - CLEAR - travel
+        return round(float(np.clip(about - 0.5 * travel, low, max(low, high))), 6)
+
     sines = [(0.15 * bend, 5.0), (0.15 * bend, 40.0), (2.0 * bend, 2.0), (strong / (2 * np.pi * 5.0) ** 2, 5.0)]
     strokes = [(slow / 3, 0.5), (slow, 0.5), (3 * slow, 0.5), (fast, 0.7)]
     found = {}
-    for amplitude, frequency in sines:
-        name = f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s"
-        with contextlib.suppress(MotionError):
-            one = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=middle)
-            found[name] = require_within(one, limits)
-    for speed, time in strokes:
-        stroke, rounding = speed * time, max(0.1, speed / strong)
+    for wanted, frequency in sines:
+        amplitude = _short(wanted)
+        start = begun(2.0 * amplitude)
         name = (
-            f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.2g}s,"
-            f"duration={DURATION:g}s"
+            f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s,"
+            f"start={1e3 * start:.6g}mm"
+        )
+        with contextlib.suppress(MotionError):
+            one = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=start)
+            found[name] = require_within(one, limits)
+    for wanted, time in strokes:
+        speed, rounding = _short(wanted), _short(max(0.1, wanted / strong))
+        stroke = _short(speed * time)
+        start = begun(stroke)
+        name = (
+            f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.3g}s,"
+            f"duration={DURATION:g}s,start={1e3 * start:.6g}mm"
         )
         with contextlib.suppress(MotionError):
             one = motion.triangular(
-                speed=speed, stroke=stroke, rounding=rounding, duration=DURATION, rate=rate, start=middle
+                speed=speed, stroke=stroke, rounding=rounding, duration=DURATION, rate=rate, start=start
             )
             found[name] = require_within(one, limits)
     return found
+
+
+def room(lanes: Lanes, limits: Limits) -> tuple[Limits, float]:
+    """The limits that a next motion keeps, and the position (m) about which the logs moved.
+
+    An axis whose ends nobody gave goes no further than it went in the logs.
+    """
+    position = np.asarray(lanes.position)[np.asarray(lanes.counts) > 0]
+    low, high = float(position.min()), float(position.max())
+    ends = np.where(np.isfinite(limits.stroke), limits.stroke, (low - CLEAR, high + CLEAR))
+    return dataclasses.replace(limits, stroke=(float(ends[0]), float(ends[1]))), 0.5 * (low + high)
+
+
+def _short(value: float) -> float:
+    """To three figures, as it is written: who runs what is written runs the same."""
+    return float(f"{value:.3g}")
 
 
 @eqx.filter_jit
@@ -94,7 +127,8 @@ def proposals(
         if path.startswith("load_coefficient")
     ]
     open_ones = [(k, free) for k, free in enumerate(wide.residuals.free) if free.path in identified.undetermined]
-    motions = candidates(identified.drive, limits, sampling.rate)
+    limits, about = room(wide.problem.lanes, limits)
+    motions = candidates(identified.drive, limits, sampling.rate, about)
     if not open_ones or not motions or isinstance(controller, UnknownController):
         return found
     width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))

@@ -24,6 +24,8 @@ def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conve
     The time may be absent: whether that is an error depends on whether the rate is known.
     """
     chosen = _chosen(table, mapping)
+    if "time" not in chosen:
+        _require_no_clock(table, list(chosen.values()))
     lengths = {channel: len(table.columns[column]) for channel, column in chosen.items()}
     reference = "time" if "time" in chosen else "position"
     for channel, length in lengths.items():
@@ -55,7 +57,7 @@ def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
         if len(found) > 1:
             raise LogError(
                 f"{table.source}: the columns {_listed(found)} may each be the {channel}; say which: [columns] "
-                f'{channel} = "{found[0]}", or --column {channel}={found[0]}'
+                f'{channel} = "{found[0]}", or {_option(channel, found[0])}'
             )
         if found:
             chosen[channel] = found[0]
@@ -71,8 +73,31 @@ def missing(table: Table, channel: str) -> LogError:
     guess = near[0] if near else "COLUMN"
     return LogError(
         f'{table.source}: no column is called "{channel}"; say which is the {READABLE[channel].meaning}, such as '
-        f'[columns] {channel} = "{guess}" or --column {channel}={guess}; the file has {_listed(names)}'
+        f'[columns] {channel} = "{guess}" or {_option(channel, guess)}; the file has {_listed(names)}'
     )
+
+
+def _option(channel: str, column: str) -> str:
+    """How that is said on the command line, to be pasted there."""
+    told = f"{channel}={column}"
+    return f"--column {told}" if re.fullmatch(r"[\w.=/-]+", told) else f'--column "{told}"'
+
+
+def _require_no_clock(table: Table, taken: list[str]) -> None:
+    """Where no column is the time, none may look like it: counted at another rate, every speed would be another."""
+    for column in table.columns:
+        said = table.units.get(column) or split(column, "time")[1]
+        if column in taken or said is None or not fits("time", said):
+            continue
+        try:
+            values = table.numbers(column)
+        except LogError:
+            continue
+        if len(values) > 1 and np.all(np.diff(values) > 0):
+            raise LogError(
+                f"{table.source}: no column is called \"time\", but '{column}' is in a unit of time and rises "
+                f'throughout: say [columns] time = "{column}", or {_option("time", column)}'
+            )
 
 
 def _mapped(table: Table, channel: str, column: str) -> str:
@@ -85,9 +110,10 @@ def _mapped(table: Table, channel: str, column: str) -> str:
         )
     near = difflib.get_close_matches(column, list(table.columns), n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
+    without = "" if READABLE[channel].required else f"; a log needs no {channel}: leave that line out"
     raise LogError(
         f"{table.source}: [columns] {channel} = '{column}': no such column; {hint}the file has "
-        f"{_listed(list(table.columns))}"
+        f"{_listed(list(table.columns))}{without}"
     )
 
 
@@ -101,6 +127,7 @@ def _find(columns: list[str], name: str, channel: str, *, exact: bool) -> list[s
     rules: list[Callable[[str], bool]] = [
         lambda column: exact and column == name,
         lambda column: wanted in names(column),
+        lambda column: any(one.endswith((f".{wanted}", f"/{wanted}")) for one in names(column)),
         lambda column: any(wanted == re.split(r"[./]", one)[-1].strip('" ') for one in names(column)),
     ]
     for rule in rules:

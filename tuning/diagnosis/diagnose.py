@@ -184,7 +184,7 @@ def _credible(verdict: Verdict, best: Fitted) -> Verdict:
     """No sure cause beside a number that no machine of this drive file has."""
     if verdict.verdict != "effect" or strain(best, SLIDING) <= IMPOSSIBLE:
         return verdict
-    return verdict.doubted(f"but {furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
+    return verdict.doubted(f"{furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:

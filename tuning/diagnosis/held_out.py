@@ -80,8 +80,8 @@ def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verd
     if not names:
         return verdict
     if denied(rungs[-1], rungs[1], gained):
-        return verdict.doubted("but what is held out is foreseen worse than without")
+        return verdict.doubted("what is held out is foreseen worse than without")
     if share is not None and (share.share < PROVED or share.low <= 0.0):
         told = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
-        return verdict.doubted(f"but of the gap in what is held out only {told} is closed")
+        return verdict.doubted(f"of the force that is missing in what is held out only {told} is gone")
     return verdict

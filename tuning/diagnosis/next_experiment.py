@@ -27,7 +27,7 @@ from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import MOVING, drive_of
 from tuning.diagnosis.model import Logged, Member, Model, thinned
 from tuning.diagnosis.where import SIGNIFICANT, Region
-from tuning.next_motion import ACCELERATION, candidates
+from tuning.next_motion import ACCELERATION, candidates, room
 from tuning.prediction import Lanes
 
 STEPS, MORE = 3, 12  # of the rival's fit: to choose a motion, and before it is believed
@@ -50,6 +50,7 @@ class Experiment(NamedTuple):
     between: list[str]
     tells: float  # difference of the costs that it would make
     says: str
+    reference: Motion | None = None  # that motion, to be run
 
 
 _rollout = eqx.filter_jit(rollout)
@@ -80,7 +81,8 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
     between = [first.effect, rival.effect]
     if isinstance(description.controller, UnknownController):
         return Experiment("", between, 0.0, "no motion can be tried: the drive file names no controller to simulate")
-    tried = candidates(description.drive, description.limits, description.sampling.rate)
+    limits, about = room(found.logged.lanes, description.limits)
+    tried = candidates(description.drive, limits, description.sampling.rate, about)
 
     def tells_of(name: str, steps: int) -> float:
         inputs = inputs_of(tried[name], np.zeros(len(tried[name].time)))
@@ -94,7 +96,7 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
         )
         return Experiment("", between, tells, says)
     says = f"{best} would tell {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)"
-    return Experiment(best, between, tells, says)
+    return Experiment(best, between, tells, says, tried[best])
 
 
 def _surest(told: dict[str, float], again: Callable[[str], float]) -> tuple[str, float]:
@@ -106,15 +108,6 @@ def _surest(told: dict[str, float], again: Callable[[str], float]) -> tuple[str,
             return name, looked[name]
         looked[name] = min(told[name], again(name))
     return "", 0.0
-
-
-def reference(offer: Experiment, description: DriveDescription) -> Motion | None:
-    """The motion that was offered; None where none was."""
-    if not offer.motion:
-        return None
-    rate = description.sampling.rate
-    known = candidates(description.drive, description.limits, rate)
-    return known[offer.motion] if offer.motion in known else _built(offer.motion, rate)
 
 
 def _written(kind: str, **settings: float | list[float]) -> str:
@@ -164,10 +157,10 @@ def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
         f"of what the recalibrated drive lacks, {telling[0].says}" if telling else "the gap lies nowhere in particular"
     )
     try:
-        require_within(_built(text, description.sampling.rate), limits)
+        run = require_within(_built(text, description.sampling.rate), limits)
     except MotionError as problem:
         return Experiment("", [], 0.0, f"{lies}; no motion is proposed: {problem}")
-    return Experiment(text, [], 0.0, f"{lies}: log {text}, which {does}")
+    return Experiment(text, [], 0.0, f"{lies}: log {text}, which {does}", run)
 
 
 def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:

@@ -52,7 +52,8 @@ class Verdict(NamedTuple):
 
     def doubted(self, why: str) -> "Verdict":
         """The same causes, none of them sure."""
-        return self._replace(verdict="unknown", beliefs=_unsure(self.beliefs)).and_says(why)
+        joined = "but" if self.verdict == "effect" else "and"
+        return self._replace(verdict="unknown", beliefs=_unsure(self.beliefs)).and_says(f"{joined} {why}")
 
 
 def _unsure(beliefs: list[Belief]) -> list[Belief]:
