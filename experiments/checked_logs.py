@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
-from diffdrive.logs.plausibility import examine
+from diffdrive.logs.plausibility import Finding, examine
 from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
 from experiments.scenario import number
@@ -18,22 +18,21 @@ from tuning.fit import SHORTEST
 EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
 
-def read_checked(
+def looked_over(
     paths: Sequence[Path],
     description: DriveDescription,
     report: Report,
     *,
     name: str,
-    force: bool,
     loads: Mapping[str, float] | None = None,
     used: Sequence[str] = (),
     beside: Sequence[Log] = (),
-) -> tuple[Log, ...]:
-    """Read logs, say what the reader repaired and what is implausible (the table `name`), and refuse what is fatal.
+) -> tuple[tuple[Log, ...], list[tuple[str, Finding]]]:
+    """Read logs, and say what the reader repaired and what is implausible (the table `name`), by the log's name.
 
     `loads` (N) by file name: what was on the table where no column says it. `used` are channels of `EXTRA` that are
     looked at after all; `beside` are logs that were read before. Raises `LogError` for a log at another rate than the
-    drive file's, one too short to be used, one that is given twice and, without `force`, for a fatal finding.
+    drive file's, one too short to be used and one that is given twice.
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
         logs = read_logs(paths, description.mapping, description.sampling.rate)
@@ -56,7 +55,27 @@ def read_checked(
             [[log, one.severity, one.channel, one.found, one.mend] for log, one in found],
             f"What {', '.join(log.name for log in logs)} would mislead about, or limits",
         )
-    fatal = [(log, one) for log, one in found if one.severity == "fatal"]
+    return logs, found
+
+
+def fatal_of(found: Sequence[tuple[str, Finding]]) -> list[tuple[str, Finding]]:
+    """The findings over which nothing should go on."""
+    return [(log, one) for log, one in found if one.severity == "fatal"]
+
+
+def read_checked(
+    paths: Sequence[Path],
+    description: DriveDescription,
+    report: Report,
+    *,
+    name: str,
+    force: bool,
+    loads: Mapping[str, float] | None = None,
+    beside: Sequence[Log] = (),
+) -> tuple[Log, ...]:
+    """Logs that were `looked_over`; raises `LogError` for a fatal finding, too, unless it is to go on by `force`."""
+    logs, found = looked_over(paths, description, report, name=name, loads=loads, beside=beside)
+    fatal = fatal_of(found)
     if fatal and not force:
         log, one = fatal[0]
         raise LogError(

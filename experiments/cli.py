@@ -178,6 +178,23 @@ def tune(
 
 
 @app.command()
+def check(
+    logs: Logs, drive: Believed, out: Out = None, column: Columns = None, unit: Units = None, load: Loads = None
+) -> None:
+    """Look over logs before anything is made of them: how they read, what was repaired, what they would mislead about.
+
+    Each finding (volts for newtons, a shifted command, a filtered position, lost rows) comes with its numbers and what
+    to do. Ends with code 3 where one is fatal.
+
+    Example: `diffdrive check lap1.csv lap2.csv --drive drive.toml --column "position=Istposition [mm]"`
+    """
+    from experiments.check_logs import check_logs
+
+    if not check_logs(logs, drive, out, columns=column or (), units=unit or (), loads=load or ()):
+        raise typer.Exit(3)
+
+
+@app.command()
 def identify(
     logs: Logs,
     drive: Believed,

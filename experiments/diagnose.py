@@ -8,7 +8,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.console import Console
 
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
@@ -16,10 +15,10 @@ from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.logs.plausibility import Finding, examine
+from diffdrive.logs.plausibility import Finding
 from diffdrive.motion import Motion
 from diffdrive.parameters import Directional, Drive
-from experiments.checked_logs import parse_loads, read_checked
+from experiments.checked_logs import fatal_of, looked_over, parse_loads
 from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page, tell
 from experiments.payoff import in_words, payoff
@@ -104,25 +103,14 @@ def _read(
     report: Report, paths: Sequence[Path], description: DriveDescription, loads: Sequence[str]
 ) -> tuple[tuple[Log, ...], list[dict[str, str]], Fatal]:
     """The logs, and what is wrong with them, in words and where it is fatal: that lowers the confidence, no more."""
-    quiet = Report("reading", None, Console(quiet=True))  # what it says of forcing is not for this command
-    with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
-        logs = read_checked(
-            paths, description, quiet, name="findings", force=True, loads=parse_loads(loads, list(paths)),
-            used=("motor_position",),
-        )  # fmt: skip
-    rows = quiet.data.get("tables", {}).get("findings", {"rows": []})["rows"]
-    fatal = [row for row in rows if row[1] == "fatal"]
-    notes = quiet.data.get("notes", [])
-    for note in notes[:-1] if fatal else notes:
-        report.say(note)
-    if rows:
-        report.table("findings", FINDING, rows, "What the logs would mislead about, or limit")
+    logs, found = looked_over(
+        paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=("motor_position",)
+    )
+    fatal = fatal_of(found)
     if fatal:
         report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, and is believed accordingly.")
-    told = [dict(zip(FINDING, row, strict=True)) for row in rows if row[1] != "note"]
-    if not fatal:
-        return logs, told, []
-    return logs, told, [(log.name, one) for log in logs for one in examine(log, description) if one.severity == "fatal"]
+    told = [(log, one.severity, one.channel, one.found, one.mend) for log, one in found if one.severity != "note"]
+    return logs, [dict(zip(FINDING, row, strict=True)) for row in told], fatal
 
 
 def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:

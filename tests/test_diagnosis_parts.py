@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sound_log import DRIVE, RATE, described, logged, two_sines
+from sound_log import DRIVE, RATE, SOUND, described, logged, two_sines
 
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
@@ -289,6 +289,14 @@ def test_the_noise_of_a_position_is_seen_through_its_motion(rate):
     lanes = SimpleNamespace(position=position[None], counts=np.ones((1, len(time))))
     silent = dataclasses.replace(DRIVE.drive, sensor=Sensor())
     assert noise_floor(silent, lanes, rate) == pytest.approx(5e-8, rel=0.08)
+
+
+def test_a_payload_may_be_missing_but_not_half_of_the_table():
+    log = logged_of(DRIVE.drive, [SOUND])  # of 100 kg
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    payload = next(one for one in candidates(at) if one.name == "payload_mass")
+    found = [payload.plausible({"mass": np.array([one])}, np.ones(1)) for one in (80.0, -40.0, -60.0, -95.0)]
+    assert found == [True, True, False, False]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from tuning.diagnosis.setting import SLIPPERY, Setting
 
 SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
 LARGE = 0.3  # of its largest in any log
+PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -38,8 +39,10 @@ class Candidate(NamedTuple):
 
     def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
         """Whether an engineer would call it that: a process swings several times while it is on in a log of that many
-        seconds in which it is large.
+        seconds in which it is large; a payload that is missing takes no half of the table with it.
         """
+        if self.effect is machine.PayloadMass:
+            return bool(np.min(values["mass"]) > -LIGHTER / PAYLOAD * self.parameters[0].spread)
         if self.effect is not forces.ProcessForce:
             return True
         large = np.sqrt(sum(values[name] ** 2 for name in ("cosine", "sine", "cosine2", "sine2")))
@@ -89,7 +92,7 @@ def _share(name: str, middle: float, spread: float) -> Parameter:
 
 
 def _payload_mass(at: Setting) -> Candidate:
-    return Candidate(machine.PayloadMass, (_amplitude("mass", 0.2 * at.mass),))
+    return Candidate(machine.PayloadMass, (_amplitude("mass", PAYLOAD * at.mass),))
 
 
 def _friction_shape(at: Setting) -> Candidate:
