@@ -10,7 +10,7 @@ from sound_log import DRIVE, RATE, logged, two_sines
 
 from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
-from diffdrive.effects.friction import PreslidingHysteresis
+from diffdrive.effects.friction import AppliedLoad, PreslidingHysteresis
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.effects.transmission import Backlash
 from diffdrive.parameters import Sampling, as_arrays
@@ -19,6 +19,7 @@ from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.curvature import FARTHEST
+from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.explain import _further
 from tuning.diagnosis.fitting import LEAST, Fitter, quiet
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
@@ -26,6 +27,7 @@ from tuning.diagnosis.model import Logged, Model
 from tuning.diagnosis.screening import _directions, begin, joined, screen, tried
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
+    RACE,
     WORTH,
     fit_from,
     look,
@@ -36,6 +38,7 @@ from tuning.diagnosis.setting import setting
 from tuning.fit import lanes_of, noise_floor
 
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+HIDDEN = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))
 
 
 def fitter_of(*effects):
@@ -382,3 +385,20 @@ def test_a_filter_under_a_rough_cost_tries_every_small_sudden_force(sound, monke
     assert sudden[0, 1] == LEAST
     assert np.all(sudden[:, 0] == base.process[0])
     assert any(one.shape == sudden.shape and np.allclose(one, sudden) for one in tried_for)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.2])
+def test_what_recalibration_hid_is_found_however_coarsely_the_command_was_logged(step):
+    """It begins far off, in a long valley: after a few steps it is still on its way, and looks worse than nothing."""
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(HIDDEN)))
+    loaded = dataclasses.replace(machine, effects=(AppliedLoad(load=30e3),))
+    log = logged(dataclasses.replace(DRIVE, drive=loaded), two_sines())
+    if step:
+        log = dataclasses.replace(log, command=step * np.round(log.command / step))
+    fitter = Fitter(logged_of(DRIVE.drive, [log]))
+    base = recalibrated(fitter, TOLERANCE)
+    load = next(one for one in catalogue(fitter, base) if one.name == "applied_load")
+    found = screen(base, load)
+    fit = fit_from(fitter, base, found, RACE)
+    assert base.evidence - fit.evidence > 0.9 * found.gain > 100.0
+    assert fit.model.values(fit.u)[0]["load"][0] == pytest.approx(30e3, rel=0.1)
