@@ -354,6 +354,20 @@ def test_what_was_found_is_not_said_to_be_open(monkeypatch):
     assert verdict.judge(None, Explanation(base, rounds, both)).says == "cogging and lead_error explain the gap"
 
 
+@pytest.mark.parametrize(("left", "says"), [(3.0, "effect"), (IMPOSSIBLE + 1.0, "unknown")])
+def test_an_effect_that_leaves_a_number_where_it_cannot_be_does_not_explain_how_it_came_there(monkeypatch, left, says):
+    """Nothing is missing: how far the drive file's numbers were moved is all that speaks for an effect."""
+    monkeypatch.setattr(verdict, "complete", lambda *_: True)
+    base = hypothesis(evidence=0.0, strain=17.0)
+    gain = hypothesis("force_gain", evidence=-100.0, strain=left)
+    for one in (base, gain):
+        one.model.tolerance = 0.02
+    told = verdict.judge(None, Explanation(base, [Round(base, [], [gain], 1, 0.0)], gain))
+    assert told.verdict == says
+    assert told.beliefs[0].confidence == (verdict.UNSURE if says == "unknown" else pytest.approx(1.0, abs=0.01))
+    assert (f"still {NAMES[0]} had to be moved" in told.says) == (says == "unknown")
+
+
 def test_no_cause_is_sure_where_the_logs_say_unknown(monkeypatch):
     """Also where what is left is but a little more than what the details of a model may leave."""
     monkeypatch.setattr(verdict, "complete", lambda *_: False)

@@ -149,6 +149,9 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         return Verdict("unknown", _unsure(beliefs), share, says)
     named = " and ".join(one.effect for one in beliefs if one.found)
     explains = "explain" if effects > 1 else "explains"
+    if not lacks and strain(best) > IMPOSSIBLE:
+        says = f"recalibration hides the gap, and {named} {explains} it no better: still {furthest(best)}"
+        return Verdict("unknown", _unsure(beliefs), 0.0, says)
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
     much = f", but for {100 * share:.0f} % of it" if share >= TOLD else ""
     says = f"{named} {explains} the gap{much}" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
