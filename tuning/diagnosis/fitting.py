@@ -250,24 +250,17 @@ class Fitter:
     def sought(
         self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None
     ) -> tuple[Point, int]:
-        """Where `fit` ends, and after how many steps: at the least, and on from there if quite another noise gains.
-
-        After the last step allowed, too, it is under the small noise that suits it: fits that were not led to their end
-        are compared.
-        """
+        """Where `fit` ends, and after how many steps: at the least, and on from there if quite another noise gains."""
         free = np.ones(model.size) if free is None else free
         point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, FIRST)
         point, steps = self._down(model, point, most, free, BOLDNESS)
-        loud = point.process[0] >= MISSED
-        if steps == most and loud:
+        if steps == most:
             return point, steps
-        other = self.with_process(point, model, FIRST if loud else quiet(point.process))
+        other = self.with_process(point, model, FIRST if point.process[0] >= MISSED else quiet(point.process))
         if point.cost - other.cost < ENOUGH:
             return point, steps
-        if steps == most:
-            return other, steps
         point, more = self._down(model, other, most - steps, free, 1.0)
         return point, steps + more
 

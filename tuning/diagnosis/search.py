@@ -101,7 +101,7 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
     if cost <= before.cost or not amplitudes:
         return ended
     if ended.steps == most and ended.evidence > before.evidence and not found.candidate.coupled:
-        ended = fitter.fit(model, ended.u, ended.process, ended.track.course, most)  # it came from far
+        ended = fitter.fit(model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
     none = begin(model, {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()})
     other = fitter.fit(model, np.r_[before.u, none], before.process, before.track.course, most)
     return min(ended, other, key=lambda one: one.evidence)
