@@ -13,6 +13,12 @@ from tuning.diagnosis.laps import laps, pairs_of, period_of
 rng = np.random.default_rng(4)
 
 
+@pytest.fixture(autouse=True)
+def begun_anew():
+    """No test draws what another left."""
+    rng.bit_generator.state = np.random.default_rng(4).bit_generator.state
+
+
 def lapped(count, period, noise=0.0, force=0.0):
     """A log of so many laps of a motion there and back, with noise on position and command."""
     n, time = count * period, np.arange(count * period) / RATE

@@ -364,7 +364,7 @@ def test_an_effect_that_leaves_a_number_where_it_cannot_be_does_not_explain_how_
         one.model.tolerance = 0.02
     told = verdict.judge(None, Explanation(base, [Round(base, [], [gain], 1, 0.0)], gain))
     assert told.verdict == says
-    assert told.beliefs[0].confidence == (verdict.UNSURE if says == "unknown" else pytest.approx(1.0, abs=0.01))
+    assert told.beliefs[0].confidence == (verdict.UNSURE if says == "unknown" else verdict.SUREST)
     assert (f"still {NAMES[0]} had to be moved" in told.says) == (says == "unknown")
 
 

@@ -23,6 +23,7 @@ ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from mac
 TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
+SUREST = 0.97  # the most that any is: fits end in false minima, and machines have what no catalogue lists
 NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
 
 
@@ -56,8 +57,12 @@ class Verdict(NamedTuple):
         return self._replace(verdict="unknown", beliefs=_unsure(self.beliefs)).and_says(f"{joined} {why}")
 
 
+def _at_most(most: float, beliefs: list[Belief]) -> list[Belief]:
+    return [one._replace(confidence=min(one.confidence, most)) for one in beliefs]
+
+
 def _unsure(beliefs: list[Belief]) -> list[Belief]:
-    return [one._replace(confidence=min(one.confidence, UNSURE)) for one in beliefs]
+    return _at_most(UNSURE, beliefs)
 
 
 def _probabilities(gains: Float[np.ndarray, " k"], left: float) -> Float[np.ndarray, " k"]:
@@ -131,7 +136,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
         certain = (NEAREST + (1.0 - NEAREST) * known) * expit((gain - looked.enough) / COLDEST)
         beliefs += _believed(looked, number, share, number < effects, float(certain))
-    beliefs = _shared(beliefs, found, share, known)
+    beliefs = _at_most(SUREST, _shared(beliefs, found, share, known))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         if not lacks and strain(base) >= STRAINED:

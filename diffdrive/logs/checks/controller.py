@@ -133,8 +133,8 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
             f"the command is {ratio:.5g} times what the drive file's controller gives (to {percent(fit.error)} %): "
             + what
             + (who_is_wrong(balance(log, description), ratio) if large else ""),
-            "multiply what one unit of the command is (force_per_volt, force_per_ampere or command in [units]; 1 N "
-            f"where nothing says it) by {factor:.4g}, or correct the controller's gains",
+            f"multiply the command by {factor:.4g} N per unit of it (where [units] says what one is, multiply that by "
+            f"{factor:.4g}), or correct the controller's gains",
             None if large else "force_gain",
             None if large else 1.0 / ratio - 1.0,
         )
