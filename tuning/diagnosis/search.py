@@ -100,10 +100,11 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
     amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
     if cost <= before.cost or not amplitudes:
         return ended
-    if ended.steps == most and ended.evidence > before.evidence and not found.candidate.coupled:
-        ended = fitter.fit(model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
     none = begin(model, {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()})
     other = fitter.fit(model, np.r_[before.u, none], before.process, before.track.course, most)
+    lost = min(ended.evidence, other.evidence) > before.evidence - PROMISING  # neither way has led anywhere yet
+    if lost and ended.steps == most and not found.candidate.coupled:
+        ended = fitter.fit(model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
     return min(ended, other, key=lambda one: one.evidence)
 
 
