@@ -1,5 +1,6 @@
 """Effects on the friction: along the stroke, in time, with the time at rest, before sliding."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -7,11 +8,12 @@ from jax import lax
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
-from diffdrive.friction import bristle_at, coulomb, decay_of, slide
+from diffdrive.friction import Bristle, bristle_at, coulomb, decay_of, slide
 from diffdrive.parameters import Drive, Scalar, quantity
 from diffdrive.turning import cosine_sine
 
 ELEMENTS = 6  # Maxwell elements of presliding hysteresis
+FINE = 1e-4  # s, in which they are stepped
 
 
 class AppliedLoad(TableEffect):
@@ -128,16 +130,37 @@ class PreslidingHysteresis(TableEffect):
         return (jnp.zeros(()),) * (ELEMENTS + 1)
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
-        """Each element sticks or slips; the bristle bends."""
+        """Each element sticks or slips, and the bristle bends, as the forces move the table within the period.
+
+        A reversal is over within milliseconds: a velocity held over the period of a log would be far off. Midpoint
+        rule, in steps of about `FINE`.
+        """
         *elements, deflection = state
-        at = bristle_at(drive.friction, seen.velocity, deflection, seen.load)
-        moved = period * seen.velocity
-        stretched, mean = [], 0.0
-        for k, one in enumerate(elements):
-            distance = self.longest * (self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1))
-            ahead = jnp.clip(one + moved / distance, -1.0, 1.0)
-            stretched.append(ahead)
-            mean = mean + 0.5 * (one + ahead) / ELEMENTS
-        bent = slide(deflection, seen.velocity, at.rate, period)
-        replaced = at.level * mean - 0.5 * at.stiffness * (deflection + bent)
-        return (*stretched, bent), Acts(force=-self.share * replaced)
+        steps = max(1, round(period / FINE))
+        duration, load, mass = period / steps, seen.load, drive.plant.mass
+        spread = [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
+        distances = [self.longest * part for part in spread]
+
+        def forces(at: Bristle, stretched: Sequence[Scalar], bent: Scalar, bending: Scalar) -> tuple[Scalar, Scalar]:
+            more = at.level * sum(stretched) / ELEMENTS - at.stiffness * bent
+            return at.stiffness * bent + at.damping * bending + self.share * more, more
+
+        def body(carry: Any, _: None) -> Any:
+            elements, bristle, velocity, total = carry
+            at = bristle_at(drive.friction, velocity, bristle, load)
+            resisting, _ = forces(at, elements, bristle, velocity - at.rate * bristle)
+            mean = velocity + 0.5 * duration * (pushed - resisting) / mass
+            at = bristle_at(drive.friction, mean, bristle, load)
+            pairs = zip(elements, distances, strict=True)
+            ahead = tuple(jnp.clip(one + duration * mean / distance, -1.0, 1.0) for one, distance in pairs)
+            bent = slide(bristle, mean, at.rate, duration)
+            midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]
+            resisting, more = forces(at, midway, 0.5 * (bristle + bent), (bent - bristle) / duration)
+            return (ahead, bent, velocity + duration * (pushed - resisting) / mass, total + more), None
+
+        at = bristle_at(drive.friction, seen.velocity, seen.bristle, load)
+        own = at.stiffness * seen.bristle + at.damping * (seen.velocity - at.rate * seen.bristle)
+        pushed = seen.force + seen.pushes(drive) - (seen.friction - own)  # by all but the bristle
+        begin = (tuple(elements), deflection, seen.velocity, jnp.zeros_like(seen.velocity))
+        (stretched, bent, _, total), _ = lax.scan(body, begin, None, length=steps)
+        return (*stretched, bent), Acts(force=-self.share * total / steps)

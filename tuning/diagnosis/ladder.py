@@ -154,7 +154,8 @@ def climb(
         foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST, quiet(one.process)]))
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
-        floor = force_floor(test, one, gap.counts, process)
+        # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end
+        floor = force_floor(test, fits[1][1] if one.model.coupled else one, gap.counts, process)
         loop = None
         if controller is not None:
             drives = [drive_of(one, log) for log in parts.logs]
