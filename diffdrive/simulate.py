@@ -90,7 +90,8 @@ def move(
     carried, acts = lax.optimization_barrier((carried, acts))
     machine = acting.bent(drive, acts)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps)
-    return moved._replace(position=moved.position + acting.displaced(drive, push.tilt, sampling.period)), carried
+    shift = acts.shift + acting.displaced(drive, push.tilt, sampling.period)
+    return moved._replace(position=moved.position + shift), carried
 
 
 def step(

@@ -47,6 +47,7 @@ class Acts(NamedTuple):
     coulomb: Scalar = 0.0  # N, to the Coulomb friction
     gap: Scalar = 0.0  # N, to the gap between breakaway and Coulomb friction
     viscous: Scalar = 0.0  # N s/m, to the viscous friction
+    shift: Scalar = 0.0  # m, by which the force's course within the period carries the table further than its mean
 
 
 class Effect(eqx.Module):

@@ -146,7 +146,7 @@ class PreslidingHysteresis(TableEffect):
             return at.stiffness * bent + at.damping * bending + self.share * more, more
 
         def body(carry: Any, _: None) -> Any:
-            elements, bristle, velocity, total = carry
+            elements, bristle, velocity, impulse, travel = carry
             at = bristle_at(drive.friction, velocity, bristle, load)
             resisting, _ = forces(at, elements, bristle, velocity - at.rate * bristle)
             mean = velocity + 0.5 * duration * (pushed - resisting) / mass
@@ -156,11 +156,15 @@ class PreslidingHysteresis(TableEffect):
             bent = slide(bristle, mean, at.rate, duration)
             midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]
             resisting, more = forces(at, midway, 0.5 * (bristle + bent), (bent - bristle) / duration)
-            return (ahead, bent, velocity + duration * (pushed - resisting) / mass, total + more), None
+            velocity = velocity + duration * (pushed - resisting) / mass
+            travel = travel + duration * (impulse + 0.5 * duration * more)
+            return (ahead, bent, velocity, impulse + duration * more, travel), None
 
         at = bristle_at(drive.friction, seen.velocity, seen.bristle, load)
         own = at.stiffness * seen.bristle + at.damping * (seen.velocity - at.rate * seen.bristle)
         pushed = seen.force + seen.pushes(drive) - (seen.friction - own)  # by all but the bristle
-        begin = (tuple(elements), deflection, seen.velocity, jnp.zeros_like(seen.velocity))
-        (stretched, bent, _, total), _ = lax.scan(body, begin, None, length=steps)
-        return (*stretched, bent), Acts(force=-self.share * total / steps)
+        zero = jnp.zeros_like(seen.velocity)
+        begin = (tuple(elements), deflection, seen.velocity, zero, zero)
+        (stretched, bent, _, impulse, travel), _ = lax.scan(body, begin, None, length=steps)
+        shift = (0.5 * period * impulse - travel) / mass
+        return (*stretched, bent), Acts(force=-self.share * impulse / period, shift=self.share * shift)

@@ -25,7 +25,7 @@ from diffdrive.effects.oscillator import Oscillator, swinging
 from diffdrive.friction import coulomb, resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
 
-LONGEST_SUBSTEP = 25e-6  # s
+LONGEST_SUBSTEP = 50e-6  # s
 REGAINED = 0.01  # s, in which an observer brings the motor to the side of the gap from which it pushes
 
 
@@ -40,10 +40,11 @@ class Screw(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """The motor's deflection against the table, and its friction's bristle (m)."""
+    """The motor's deflection against the table, its friction's bristle (m), and the deflection's last acceleration."""
 
     against: Oscillator
     bristle: Scalar
+    swing: Scalar  # m/s^2
 
 
 def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
@@ -55,36 +56,41 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     h = period / count
     pushed, friction, damping = seen.pushes(drive), under(drive.friction, seen.load), drive.plant.damping
     # by products: divisions cost as much as the rest of the balance
-    per_motor, per_table = 1.0 / (s * mass), 1.0 / ((1.0 - s) * mass)
+    per_motor, per_share = 1.0 / (s * mass), 1.0 / (1.0 - s)
+    per_table = per_share / mass
     contact = swinging(angular, screw.damping, h)
 
     def substep(carry: Any, ripple: Any) -> tuple[Any, None]:
-        (q, bristle), velocity, rising, deflection, pulled, resisted = carry
+        (q, bristle, swing), velocity, rising, deflection, impulse, travel = carry
         middle = velocity + 0.5 * h * rising
         table, deflection = resisting_midway(friction, damping, middle, deflection, h)
-        own, bristle = resisting_midway(friction, damping, middle + q.rate, bristle, h)
+        own, bristle = resisting_midway(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
         force = seen.force if ripple is None else seen.force + ripple
         push = (force - (1.0 - r) * own) * per_motor + (r * table - pushed) * per_table
-        inside = jnp.clip(q.deflection, -half, half)
+        midway = q.deflection + 0.5 * h * q.rate
+        inside = jnp.clip(midway, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest
         there = contact.step(Oscillator(q.deflection - inside, q.rate), push)
-        touching = (q.deflection != inside) | (half <= 0.0)
+        touching = (midway != inside) | (half <= 0.0)
         free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
         deflected = jnp.where(touching, there.deflection + inside, free.deflection)
         ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
-        pull = reduced * (push - (ahead.rate - q.rate) * (1.0 / h))
+        swing = (ahead.rate - q.rate) * (1.0 / h)
+        pull = reduced * (push - swing)
         rising = (pull - r * table + pushed) * per_table
         velocity = velocity + h * rising
-        carry = (Motor(ahead, bristle), velocity, rising, deflection, pulled + pull, resisted + table)
+        more = (pull - r * table) * per_share + table
+        impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
+        carry = (Motor(ahead, bristle, swing), velocity, rising, deflection, impulse, travel)
         return lax.optimization_barrier(carry), None
 
     zero = jnp.zeros_like(seen.velocity)
     rising = (seen.force + pushed - seen.friction) / mass
     begin = (motor, seen.velocity, rising, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
-    (motor, *_, pulled, resisted), _ = lax.scan(substep, begin, ripple, length=count)
-    pulled, resisted = pulled / count, resisted / count  # means over the period
-    return motor, Acts(force=(pulled - r * resisted + pushed) / (1.0 - s) - seen.force - pushed + resisted)
+    (motor, *_, impulse, travel), _ = lax.scan(substep, begin, ripple, length=count)
+    force = impulse / period + pushed * per_share - seen.force - pushed
+    return motor, Acts(force=force, shift=(travel - 0.5 * period * impulse) / mass)
 
 
 class Compliance(TableEffect):
@@ -101,7 +107,7 @@ class Compliance(TableEffect):
 
     def init(self) -> Any:
         """The screw relaxed."""
-        return Motor(Oscillator.at_rest(), jnp.zeros(()))
+        return Motor(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()))
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """No dead zone."""
@@ -124,7 +130,7 @@ class Backlash(TableEffect):
 
     def init(self) -> Any:
         """In the middle of the dead zone."""
-        return Motor(Oscillator.at_rest(), jnp.zeros(()))
+        return Motor(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()))
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """Free within the dead zone, an oscillator in contact."""

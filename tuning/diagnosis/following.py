@@ -138,7 +138,7 @@ def exposure(
             seen = Seen(start + count * period, position, velocity, bristle, force, friction, load, pushed)
             states, acts = acting.upon(effects, states, seen, machine, period)
             scale = acting.scale_error(effects, position)
-            shift = sum(acting.displaced(machine, push.tilt, period / parts) for push in pushes)
+            shift = acts.shift + sum(acting.displaced(machine, push.tilt, period / parts) for push in pushes)
             beside = pushed + acts.force
             one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
             return states, Exposure(*(value + 0.0 * force for value in one), ripple)
@@ -263,7 +263,7 @@ def follow(
             effects, more = acting.upon(coupled, effects, seen, machine, sampling.period)
             effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
-            acts = Exposure(*both, acts.shift, acts.scale, acts.beside, None if shielded else acts.ripple)
+            acts = Exposure(*both, acts.scale, acts.beside, None if shielded else acts.ripple)
             machine = acting.bent(drive, acts)
 
         one, nil = jnp.ones_like(velocity), jnp.zeros_like(velocity)

@@ -1,0 +1,161 @@
+"""Effects that follow the table within a period, against the naive oracle: the equations as they stand, microsecond by
+microsecond.
+"""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffdrive.effects import acting
+from diffdrive.effects.friction import ELEMENTS, FrictionDwell, PreslidingHysteresis
+from diffdrive.effects.transmission import Backlash, Compliance
+from diffdrive.parameters import as_arrays
+from diffdrive.plant import advance, at_rest
+from diffdrive.presets import paper_drive
+
+LOAD = 2_000.0
+FORCE = 220.0  # N, to and fro
+STEP = 1e-6  # s, of the oracle
+DRIVE = paper_drive()
+MASS = float(DRIVE.plant.mass)
+
+
+def forces(rate):
+    """There and back, held over each period: through presliding into sliding, three times."""
+    time = np.arange(round(0.1 * rate)) / rate
+    return FORCE * np.sin(2.0 * np.pi * 30.0 * time)
+
+
+def side(pair, sign):
+    return float(pair.positive if sign >= 0 else pair.negative)
+
+
+def gap_of(v, growth=0.0):
+    return side(DRIVE.friction.breakaway_gap, v) * (1.0 + growth)
+
+
+def resisting(v, z, gap, share=0.0, stretched=0.0):
+    """Friction and damping (N) and the bristle's rate; Maxwell elements in the place of a share of the bristle."""
+    friction = DRIVE.friction
+    level = side(friction.coulomb_screw, v)
+    level += side(friction.load_coefficient, v) * (float(friction.initial_load) + LOAD)
+    level += gap * math.exp(-abs(v) / side(friction.stribeck_velocity, v))
+    stiffness = side(friction.bristle_stiffness, z)
+    drift = v - stiffness * abs(v) / level * z
+    held = (1.0 - share) * stiffness * z + share * level * stretched
+    drag = (side(friction.viscous, v) + side(DRIVE.plant.damping, v)) * v
+    return held + side(friction.bristle_damping, v) * drift + drag, drift
+
+
+def of_elements(effect, rate):
+    distances = [
+        effect.longest * (effect.shortest + (1.0 - effect.shortest) * k / (ELEMENTS - 1)) for k in range(ELEMENTS)
+    ]
+    x, v, z, stretched, found = 0.0, 0.0, 0.0, [0.0] * ELEMENTS, []
+    for u in forces(rate):
+        found.append(x)
+        for _ in range(round(1.0 / rate / STEP)):
+            force, drift = resisting(v, z, gap_of(v), effect.share, sum(stretched) / ELEMENTS)
+            a = (u - force) / MASS
+            x, z = x + STEP * (v + 0.5 * STEP * a), z + STEP * drift
+            stretched = [min(max(e + STEP * v / d, -1.0), 1.0) for e, d in zip(stretched, distances, strict=True)]
+            v += STEP * a
+    return np.array(found)
+
+
+def of_dwell(effect, rate):
+    x, v, z, age, found = 0.0, 0.0, 0.0, effect.rested, []
+    for u in forces(rate):
+        found.append(x)
+        for _ in range(round(1.0 / rate / STEP)):
+            force, drift = resisting(v, z, gap_of(v, effect.growth * math.log1p(age / effect.onset)))
+            a = (u - force) / MASS
+            x, z = x + STEP * (v + 0.5 * STEP * a), z + STEP * drift
+            age += STEP * (1.0 - abs(v) * age / effect.slip)
+            v += STEP * a
+    return np.array(found)
+
+
+def of_screw(effect, rate):
+    """Motor and table: q is by how far the motor is ahead."""
+    s, r, half = effect.motor_share, effect.table_friction, 0.5 * getattr(effect, "gap", 0.0)
+    reduced = s * (1.0 - s) * MASS
+    stiffness = reduced * (2.0 * math.pi * effect.frequency) ** 2
+    damping = 2.0 * effect.damping * math.sqrt(stiffness * reduced)
+    x = v = z = q = w = y = 0.0
+    found = []
+    for u in forces(rate):
+        found.append(x)
+        for _ in range(round(1.0 / rate / STEP)):
+            table, drift = resisting(v, z, gap_of(v))
+            motor, turn = resisting(v + w, y, gap_of(v + w))
+            beyond = q - min(max(q, -half), half)
+            pull = stiffness * beyond + (damping * w if beyond != 0.0 or half == 0.0 else 0.0)
+            a = (pull - r * table) / ((1.0 - s) * MASS)
+            ahead = (u - (1.0 - r) * motor - pull) / (s * MASS) - a
+            x, z = x + STEP * (v + 0.5 * STEP * a), z + STEP * drift
+            q, y = q + STEP * (w + 0.5 * STEP * ahead), y + STEP * turn
+            v, w = v + STEP * a, w + STEP * ahead
+    return np.array(found)
+
+
+def ours(effect, rate):
+    drive = as_arrays(dataclasses.replace(DRIVE, effects=(effect,)))
+    period = 1.0 / rate
+
+    def body(carry, force):
+        table, states = carry
+        seen = acting.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
+        states, acts = acting.upon(drive.effects, states, seen, drive, period)
+        moved = advance(acting.bent(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5))
+        return (moved._replace(position=moved.position + acts.shift), states), table.position
+
+    begin = (at_rest(0.0), acting.at_rest(drive.effects, 0.0))
+    return np.asarray(jax.lax.scan(body, jax.tree.map(jnp.asarray, begin), jnp.asarray(forces(rate)))[1])
+
+
+def pushes(off, rate):
+    """The force (N) that would move the table so from period to period: what a filter sees of an error."""
+    return MASS * rate**2 * np.diff(off, 2)
+
+
+def rms(signal):
+    return np.sqrt(np.mean(signal**2))
+
+
+@pytest.mark.parametrize("rate", [2_000.0, 10_000.0])
+@pytest.mark.parametrize("longest", [2e-6, 1e-5])
+def test_elements_move_the_table_as_the_equations_say(rate, longest):
+    """Also where the whole hysteresis is over within a few periods."""
+    effect = PreslidingHysteresis(1.0, longest, 0.2)
+    truth, without = of_elements(effect, rate), ours(PreslidingHysteresis(0.0, longest, 0.2), rate)
+    assert np.ptp(truth) > 1e-4
+    assert np.max(np.abs(ours(effect, rate) - truth)) < 7e-3 * np.max(np.abs(without - truth))
+
+
+@pytest.mark.parametrize("slip", [3e-6, 1e-5])
+def test_a_dwell_holds_the_table_as_the_equations_say(slip):
+    effect, rate = FrictionDwell(1.0, 0.05, slip, 5.0), 2_000.0
+    truth, without = of_dwell(effect, rate), ours(FrictionDwell(0.0, 0.05, slip, 5.0), rate)
+    assert np.max(np.abs(ours(effect, rate) - truth)) < 7e-3 * np.max(np.abs(without - truth))
+
+
+@pytest.mark.parametrize(
+    ("screw", "share"),
+    [
+        (Compliance(150.0, 0.05, 0.3, 0.6), 0.01),
+        (Compliance(400.0, 0.05, 0.4, 0.5), 0.03),
+        (Backlash(4e-6, 400.0, 0.1, 0.3, 0.6), 0.02),
+        (Backlash(1e-5, 250.0, 0.08, 0.4, 0.5), 0.02),
+    ],
+)
+def test_a_screw_moves_the_table_as_two_masses_would(screw, share):
+    """At a period in which the screw swings through a fifth of a turn and more, and bounces in its play."""
+    rate = 2_000.0
+    truth, found = of_screw(screw, rate), ours(screw, rate)
+    stiff = dataclasses.replace(screw, frequency=1e5, **({"gap": 0.0} if isinstance(screw, Backlash) else {}))
+    assert rms(pushes(found - truth, rate)) < share * rms(pushes(ours(stiff, rate) - truth, rate))
