@@ -322,3 +322,13 @@ def as_arrays(tree: Tree) -> Tree:
         return jnp.asarray(leaf, dtype=jnp.float64)
 
     return jax.tree.map(convert, tree)
+
+
+def in_precision_of(number: Any, tree: Tree) -> Tree:
+    """The same tree with every array of floats in the precision of `number`."""
+    wanted = jnp.result_type(number)
+
+    def convert(leaf: Any) -> Any:
+        return leaf.astype(wanted) if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(convert, tree)

@@ -29,7 +29,16 @@ from diffdrive.load import Ramp, require_possible
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate
-from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
+from diffdrive.parameters import (
+    Drive,
+    Sampling,
+    Scalar,
+    as_arrays,
+    check,
+    check_drive,
+    in_precision_of,
+    require_double_precision,
+)
 from diffdrive.run import Run, judged
 
 
@@ -64,14 +73,15 @@ class LoopState(NamedTuple):
 
 
 def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
-    """Everything at rest at `position` (m)."""
-    return LoopState(
+    """Everything at rest at `position` (m), in its precision."""
+    state = LoopState(
         plant.at_rest(position),
         actuator.init(drive.actuator),
         controller.init(position),
         jnp.zeros((), jnp.uint32),
         acting.at_rest(drive.effects, jnp.zeros(())),
     )
+    return in_precision_of(position, state)
 
 
 def move(
@@ -99,8 +109,11 @@ def step(
 ) -> tuple[LoopState, Frame]:
     """One control period of the closed loop of a drive that has been `altered`."""
     table = state.plant
-    normal = None if key is None else jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
     shown = table.position + acting.scale_error(drive.effects, table.position)
+    normal = None
+    if key is not None:  # the same noise in either precision
+        drawn = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
+        normal = in_precision_of(shown, drawn)
     measured = sensor.measure(drive.sensor, shown, normal)
     controller_state, command = controller.step(
         state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
@@ -204,6 +217,7 @@ def running_costs(
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
 
     `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `kept`: as `rollout`.
+    The loop runs in the precision of the arrays that it is given, all of one kind; its sums are always double.
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
@@ -230,14 +244,15 @@ def running_costs(
         )
         return (state, frame.command, sums), None
 
-    zero = jnp.zeros(())
+    zero = jnp.zeros(())  # sums stay in double precision, whatever the loop runs in
     begin = start(drive, controller, inputs.reference.position[0])
+    still = jnp.zeros_like(begin.plant.position)
     at_first = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
     estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, at_first)[1].estimate)
     missed = None if estimate is None or estimate.load is None else zero
     sums = (zero, zero, zero, missed, zero, jnp.zeros((), jnp.uint32))
     (_, _, (square, largest, change, missed, limited, finite)), _ = _scanned(
-        body, (begin, zero, sums), (inputs, counts), kept
+        body, (begin, still, sums), (inputs, counts), kept
     )
     total = jnp.sum(counts)
     # reciprocals, once: of a division by the same number in every lane the compiler makes one at its whim

@@ -54,6 +54,10 @@ def sweep(
         int | None, typer.Option(min=1, help="Worker processes (Dask); by default this process, on all cores.")
     ] = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler: `tcp://host:8786`.")] = None,
+    precision: Annotated[
+        str,
+        typer.Option(help="double; or single, in about half the time, errors off by some nm and more on long strokes."),
+    ] = "double",
     out: Out = None,
 ) -> None:
     """Monte Carlo: over the machines, loads and noise that this axis will meet, how often does it miss, and why?
@@ -72,7 +76,7 @@ def sweep(
     texts, correlation = varying(machine or drive, vary or (), spread, identified)
     asked = Asked.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
-        seed=seed, load=load, settle=settle, correlation=correlation,
+        seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,
     )  # fmt: skip
     engine = None
     if workers is not None or cluster is not None:

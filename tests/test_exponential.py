@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.exponential import FARTHEST, fading
+from diffdrive.exponential import FARTHEST, FARTHEST_SINGLE, fading
 
 COMPILED = jax.jit(fading)
 
@@ -31,6 +31,14 @@ def test_its_ends():
     assert 0.0 < float(fading(jnp.inf)) < 1e-300
     assert np.isnan(fading(jnp.nan))
     assert float(fading(5e-324)) == 1.0
+
+
+@given(st.floats(0.0, FARTHEST_SINGLE, width=32))
+def test_of_a_float_it_is_the_exponential_of_a_float(x):
+    found, exact = COMPILED(jnp.float32(x)), np.exp(-np.longdouble(x))
+    assert found.dtype == jnp.float32
+    assert abs(np.longdouble(float(found)) - exact) <= 2.5e-7 * exact
+    assert float(jax.grad(fading)(jnp.float32(x))) == -float(fading(jnp.float32(x)))
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 0.3, np.log(2.0) / 2, 40.0])

@@ -9,6 +9,7 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive
+from diffdrive.errors import ParameterError
 from experiments.cli import app
 from experiments.demo import PAPER_DRIVE
 
@@ -42,6 +43,19 @@ def swept(drives):
     if result.exit_code:
         raise AssertionError(result.output) from result.exception
     return result, out, json.loads((out / "result.json").read_text())
+
+
+def test_a_sweep_in_single_precision_is_another_sweep_and_replays_to_the_bit(drives, swept, tmp_path):
+    arguments = ("sweep", drives / "axis.toml", *VARY, "--motion", MOTION, "--samples", 64, "--settle", 0.02)
+    result = run(*arguments, "--precision", "single", "--out", tmp_path / "swept")
+    assert result.exit_code == 0, result.output
+    told = json.loads((tmp_path / "swept" / "result.json").read_text())
+    assert told["sweep"]["precision"] == "single"
+    refused = run(*arguments, "--out", tmp_path / "swept")
+    assert isinstance(refused.exception, ParameterError)
+    result = run("replay", tmp_path / "swept", "--machine", 5, "--out", tmp_path / "again")
+    assert json.loads((tmp_path / "again" / "result.json").read_text())["as_in_the_sweep"]["to_the_last_bit"]
+    assert "half" in str(run(*arguments, "--precision", "half").exception)
 
 
 def test_it_says_how_often_the_axis_misses_and_why(swept):

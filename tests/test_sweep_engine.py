@@ -1,5 +1,6 @@
 """A machine in a sweep has the costs that it has alone, whatever stands beside it."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from diffdrive import motion
+from diffdrive.effects import actuator, forces, friction, scale, transmission
+from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.parameters import Drive, Sampling, Sensor, as_arrays
 from diffdrive.presets import paper_drive
 from diffdrive.simulate import inputs_of, running_costs
@@ -17,7 +20,7 @@ from experiments import paper
 from experiments.sweeps.engine import costs_of
 from experiments.sweeps.machines import lane, machines
 from experiments.sweeps.samples import shares
-from experiments.sweeps.varied import parse_varied
+from experiments.sweeps.varied import parse_varied, with_effects
 
 NOISY = Drive(paper_drive().plant, paper_drive().friction, paper_drive().actuator, Sensor(1e-7, 2e-8))
 TEXTS = (
@@ -30,15 +33,15 @@ SAMPLING = Sampling(1e4, 2)
 THERE = motion.sine(amplitude=1e-3, frequency=5.0, duration=0.1, rate=1e4)
 
 
-def swept(name="PD+FC+LE", count=128, first=0, to=None):
-    drive = NOISY
+def swept(name="PD+FC+LE", count=128, first=0, to=None, precision="double", drive=NOISY):
     drawn = shares("sobol", len(TEXTS), 3, 0, count)[first:to]
     machine, ramp, _ = machines(drive, [parse_varied(text, drive) for text in TEXTS], drawn)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(3), k))(jnp.arange(first, first + len(drawn)))
     inputs = inputs_of(THERE, np.zeros(len(THERE.time)))
     counts = (THERE.time > 0.02).astype(float)
     controller = paper.controllers(drive)[name]
-    return costs_of(machine, ramp, keys, controller, inputs, counts, SAMPLING), (machine, ramp, keys, controller)
+    found = costs_of(machine, ramp, keys, controller, inputs, counts, SAMPLING, precision)
+    return found, (machine, ramp, keys, controller)
 
 
 @pytest.mark.parametrize("name", ["PD", "PD+FC+LE"])
@@ -60,6 +63,27 @@ def test_a_lane_does_not_hang_on_its_neighbours():
     few, _ = swept(first=37, to=90)
     assert np.array_equal(whole.rms[37:90], few.rms)
     assert np.array_equal(whole.load_error[37:90], few.load_error)
+
+
+@pytest.mark.parametrize("name", ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS"])
+def test_in_single_precision_errors_are_off_by_nanometres(name):
+    """A float's grid is 0.1 nm at 1 mm; the same machines under the same loads and noise."""
+    double, single = swept(name)[0], swept(name, precision="single")[0]
+    assert np.max(np.abs(single.rms - double.rms)) < 5e-9
+    assert 0.0 < np.median(np.abs(single.rms - double.rms)) < 1e-9
+    assert np.array_equal(single.steps_finite, double.steps_finite)
+    assert np.median(np.abs(single.command_noise / double.command_noise - 1.0)) < 0.03  # quanta fall as they may
+
+
+def test_every_effect_runs_in_single_precision():
+    """Its state and its waves in the precision of the loop: a scan refuses a carry of another kind."""
+    at_work = (friction.FrictionDwell(0.3, 0.02, 1e-5), friction.PreslidingHysteresis(0.7, 5e-6, 0.3),
+               transmission.Backlash(4e-6, 400.0, 0.1, 0.3, 0.6), forces.Cogging(0.002, 3.0, 1.0),
+               scale.InterpolationError(2e-5, 2e-7, 1e-7), actuator.LoopDelay(1.3), actuator.ForceLimit(900.0))  # fmt: skip
+    neutral = with_effects(NOISY, set(EFFECTS) - {effect.name for effect in at_work})
+    drive = dataclasses.replace(neutral, effects=(*at_work, *neutral.effects))
+    double, single = (swept("PD", 64, precision=one, drive=drive)[0] for one in ("double", "single"))
+    assert np.max(np.abs(single.rms / double.rms - 1.0)) < 5e-3
 
 
 def test_lanes_are_the_same_to_the_bit_on_any_number_of_devices():

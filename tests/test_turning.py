@@ -30,6 +30,13 @@ def test_they_are_so_where_the_quarter_changes():
         assert np.max(np.abs(np.asarray(ours) - true)) < 3e-16
 
 
+@given(st.floats(-6e3, 6e3, width=32))
+def test_of_a_float_they_are_those_of_a_float(angle):
+    for ours, true in zip(COMPILED(jnp.float32(angle)), exact(angle), strict=True):
+        assert ours.dtype == jnp.float32
+        assert abs(np.longdouble(float(ours)) - true) < 2e-7
+
+
 def test_at_rest_there_is_no_wave_and_no_number_stays_none():
     assert [float(one) for one in cosine_sine(0.0)] == [1.0, 0.0]
     for odd in (jnp.nan, jnp.inf):

@@ -22,7 +22,7 @@ from experiments.bench.arithmetic import of_step
 from experiments.bench.figures import drawn
 from experiments.bench.parameters import row
 from experiments.report import Report
-from experiments.sweeps.engine import costs_of
+from experiments.sweeps.engine import Precision, costs_of
 from experiments.sweeps.varied import with_effects
 
 RATE = 10_000.0
@@ -35,6 +35,7 @@ BARS = {
     "one lane over numba": ("at most", 1.0),
     "real-time factor": ("at least", 600.0),
     "lanes, numba prange over ours": ("at least", 9.0),
+    "the same, ours in single precision": ("at least", 17.0),
     "jacfwd over forward": ("at most", 1.7),
     "reverse over forward, 64 lanes": ("at most", 4.5),
     "reverse, MB a lane at 50,000 steps": ("at most", 6.0),
@@ -184,15 +185,20 @@ def _sweep(report: Report) -> dict[str, float]:
     given, none = loops.inputs(steps), np.zeros(steps)
     length = (steps - 1) * sampling.period
 
-    def swept(count: int) -> Callable[[], Any]:
+    def swept(count: int, precision: Precision = "double") -> Callable[[], Any]:
         machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
         top = float(given.load[-1]) * np.linspace(0.5, 1.5, count)
         ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
         unloaded = given._replace(load=jnp.asarray(none))
-        return lambda: costs_of(machines, ramp, None, controller, unloaded, np.ones(steps), sampling)
+        return lambda: costs_of(machines, ramp, None, controller, unloaded, np.ones(steps), sampling, precision)
 
     with report.working(f"{MANY} lanes on all cores"), _others(report, given, sampling, MANY) as others:
         jobs = {f"ours, {count} lanes": swept(count) for count in (MANY, *SWEPT)}
+        single = jobs[f"ours in single precision, {MANY} lanes"] = swept(MANY, "single")
+        double, rough = (job().rms for job in (jobs[f"ours, {MANY} lanes"], single))
+        off = 1e9 * np.abs(rough - double)
+        report.values("single precision", rms_nm=1e9 * float(np.median(double)), off_nm_median=float(np.median(off)),
+                      off_nm_99_percent=float(np.quantile(off, 0.99)), off_nm_worst=float(np.max(off)))  # fmt: skip
         if "numba, lanes, prange" in others:
             prange = jobs[f"numba prange, {MANY} lanes"] = others["numba, lanes, prange"]
             _require_alike(np.asarray(prange())[:, 0], jobs[f"ours, {MANY} lanes"]().rms)
@@ -204,7 +210,12 @@ def _sweep(report: Report) -> dict[str, float]:
         "Machines as `diffdrive sweep` runs them, on all cores",
     )  # fmt: skip
     numba = each.get(f"numba prange, {MANY} lanes")
-    return {} if numba is None else {"lanes, numba prange over ours": numba / ours}
+    if numba is None:
+        return {}
+    return {
+        "lanes, numba prange over ours": numba / ours,
+        "the same, ours in single precision": numba / each[f"ours in single precision, {MANY} lanes"],
+    }
 
 
 def _require_alike(others: np.ndarray, ours: np.ndarray) -> None:

@@ -12,6 +12,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.motion_file import parse_motion_table, read_motion
 from experiments.scenario import MOTIONS, parse_motion
+from experiments.sweeps.engine import Precision
 from experiments.sweeps.plan import MOST_IN_A_PART, Plan
 from experiments.sweeps.samples import Method
 
@@ -35,6 +36,7 @@ class Asked:
     against: dict[str, dict[str, Any]] = field(default_factory=dict)  # further controllers, by the name of their file
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     most_in_a_part: int = MOST_IN_A_PART
+    precision: Precision = "double"
 
     @classmethod
     def of(
@@ -75,7 +77,7 @@ class Asked:
         return Plan.of(
             axis, controllers, self._motions(axis), self.vary, self.samples,
             method=self.method, seed=self.seed, load=self.load, settle=self.settle, correlation=self.correlation,
-            most_in_a_part=self.most_in_a_part,
+            most_in_a_part=self.most_in_a_part, precision=self.precision,
         )  # fmt: skip
 
     def _motions(self, axis: DriveDescription) -> dict[str, Motion]:

@@ -16,6 +16,7 @@ from experiments.scenario import require_choice
 from experiments.single import run_figure, write_run
 from experiments.sweeps import figures
 from experiments.sweeps.asked import Asked, keep, read_asked
+from experiments.sweeps.engine import Precision
 from experiments.sweeps.parts import Engine, here, kept, missing, run
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.replay import SIGNALS, costs_again, machine_of, run_of, traces
@@ -37,6 +38,7 @@ def sweep_drive(
     """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
     require_choice("--by", "error", by.removesuffix("_m"), [one.removesuffix("_m") for one in ERRORS])
     require_choice("--method", "method", asked.method, get_args(Method))
+    require_choice("--precision", "precision", asked.precision, get_args(Precision))
     if recorded and out is None:
         raise ParameterError("--record: give --out, a folder for the traces")
     for name in recorded:
@@ -49,7 +51,10 @@ def sweep_drive(
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
             rows = run(plan, folder, done, _noted(asked, engine or here, out))
-        report.values("sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts)
+        report.values(
+            "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
+            precision=plan.precision,
+        )  # fmt: skip
         found = groups(rows, list(plan.controllers), list(plan.motions))
         told = [(one, _influences(plan, one, by)) for one in found]
         _tell(report, plan, told, tolerance, by)

@@ -1,6 +1,6 @@
 """The costs of many machines: lanes side by side in blocks that stay in cache, shared out among the devices."""
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,8 +11,10 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
 from diffdrive.load import Ramp
-from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.parameters import Drive, Sampling, as_arrays, in_precision_of
 from diffdrive.simulate import Costs, Inputs, running_costs
+
+Precision = Literal["double", "single"]  # as numpy calls them, too
 
 BLOCK = 64  # lanes at a time (docs/performance.md)
 
@@ -48,7 +50,7 @@ def _costs(
 
 def costs_of(
     machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, inputs: Inputs,
-    counts: Float[np.ndarray, " t"], sampling: Sampling,
+    counts: Float[np.ndarray, " t"], sampling: Sampling, precision: Precision = "double",
 ) -> Costs:  # fmt: skip
     """Costs of machines whose varied leaves, loads and keys are [n], over one motion; [n] each, as numpy arrays.
 
@@ -59,5 +61,6 @@ def costs_of(
     again = np.arange(total) % count  # whole blocks on every device
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
     lanes = jax.tree.map(lambda leaf: leaf[again], Lanes(varied, ramp, keys))
-    found = _costs(lanes, fixed, as_arrays(controller), inputs, jnp.asarray(counts, float), sampling)
+    models = (lanes, fixed, as_arrays(controller), inputs, jnp.asarray(counts, float))
+    found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling)
     return Costs(*(None if one is None else np.asarray(one)[:count] for one in found))

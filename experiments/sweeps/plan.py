@@ -22,7 +22,7 @@ from diffdrive.parameters import Drive, require_double_precision
 from diffdrive.simulate import Costs, inputs_of
 from experiments.edition import edition
 from experiments.scenario import parse_load, require_left
-from experiments.sweeps.engine import costs_of
+from experiments.sweeps.engine import Precision, costs_of
 from experiments.sweeps.machines import Values, machines
 from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
@@ -48,6 +48,7 @@ class Plan:
     settle: float = 0.0  # s at the start that do not count
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     most_in_a_part: int = MOST_IN_A_PART  # a power of two
+    precision: Precision = "double"
 
     @classmethod
     def of(
@@ -156,7 +157,8 @@ class Plan:
         planned = self.motions[motion]
         counts = (planned.time >= self.settle).astype(float)
         inputs = inputs_of(planned, self.loads(planned))
-        return costs_of(drives, ramps, keys, self.controllers[controller], inputs, counts, self.axis.sampling)
+        control, sampling = self.controllers[controller], self.axis.sampling
+        return costs_of(drives, ramps, keys, control, inputs, counts, sampling, self.precision)
 
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
@@ -206,6 +208,7 @@ class Plan:
             self.part_size,
             self.load,
             self.settle,
+            self.precision,
             [one.text for one in self.varied],
         ]
         asked += [{one: dict(others) for one, others in self.correlation.items()}]
