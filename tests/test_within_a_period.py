@@ -95,6 +95,7 @@ def of_screw(effect, rate):
             motor, turn = resisting(v + w, y, gap_of(v + w))
             beyond = q - min(max(q, -half), half)
             pull = stiffness * beyond + (damping * w if beyond != 0.0 or half == 0.0 else 0.0)
+            pull = pull if half == 0.0 or pull * beyond > 0.0 else 0.0  # the sides of a gap push, they do not hold on
             a = (pull - r * table) / ((1.0 - s) * MASS)
             ahead = (u - (1.0 - r) * motor - pull) / (s * MASS) - a
             x, z = x + STEP * (v + 0.5 * STEP * a), z + STEP * drift

@@ -71,7 +71,9 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
         inside = jnp.clip(midway, -half, half)
         # exact where it touches: the dead zone's wall moves the point of rest
         there = contact.step(Oscillator(q.deflection - inside, q.rate), push)
-        touching = (midway != inside) | (half <= 0.0)
+        pressed = reduced * (push - (there.rate - q.rate) * (1.0 / h))
+        # the sides of a gap push, they do not hold on
+        touching = (half <= 0.0) | ((midway - inside) * pressed > 0.0)
         free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
         deflected = jnp.where(touching, there.deflection + inside, free.deflection)
         ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
@@ -133,7 +135,7 @@ class Backlash(TableEffect):
         return Motor(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()))
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
-        """Free within the dead zone, an oscillator in contact."""
+        """Free within the dead zone, an oscillator in contact, which lasts as long as it pushes."""
         screw = Screw(self.gap, self.frequency, self.damping, self.motor_share, self.table_friction)
         return driven(screw, state, seen, drive, period)
 
