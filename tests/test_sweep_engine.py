@@ -79,7 +79,8 @@ def test_every_effect_runs_in_single_precision():
     """Its state and its waves in the precision of the loop: a scan refuses a carry of another kind."""
     at_work = (friction.FrictionDwell(0.3, 0.02, 1e-5), friction.PreslidingHysteresis(0.7, 5e-6, 0.3),
                transmission.Backlash(4e-6, 400.0, 0.1, 0.3, 0.6), forces.Cogging(0.002, 3.0, 1.0),
-               scale.InterpolationError(2e-5, 2e-7, 1e-7), actuator.LoopDelay(1.3), actuator.ForceLimit(900.0))  # fmt: skip
+               scale.InterpolationError(2e-5, 2e-7, 1e-7), actuator.LoopDelay(1.3),
+               actuator.ForceLimit(900.0))  # fmt: skip
     neutral = with_effects(NOISY, set(EFFECTS) - {effect.name for effect in at_work})
     drive = dataclasses.replace(neutral, effects=(*at_work, *neutral.effects))
     double, single = (swept("PD", 64, precision=one, drive=drive)[0] for one in ("double", "single"))
