@@ -1,14 +1,12 @@
 """`diffdrive check`: what logs hold, what was repaired when they were read, and what they would mislead about."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from diffdrive.drive_file import read_drive
 from diffdrive.logs.log import CHANNELS, Log
-from experiments.checked_logs import EXTRA, fatal_of, looked_over, parse_loads
+from experiments.checked_logs import EXTRA, described, fatal_of, looked_over, parse_loads
 from experiments.report import Report
 
 SMOOTH = 5e-3  # s, over which a speed is taken
@@ -28,8 +26,7 @@ def check_logs(
     `columns`, `units` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
     `ParameterError`, one line each.
     """
-    description = read_drive(drive)
-    description = replace(description, mapping=description.mapping.overridden(columns, units))
+    description = described(drive, columns, units)
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
         logs, found = looked_over(
             paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA

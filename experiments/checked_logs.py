@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.drive_file import DriveDescription, read_drive
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.plausibility import Finding, examine
@@ -16,6 +16,12 @@ from experiments.scenario import number
 from tuning.fit import SHORTEST
 
 EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
+
+
+def described(drive: Path, columns: Sequence[str], units: Sequence[str]) -> DriveDescription:
+    """A drive file, its mapping of columns and units as texts on the command line override it."""
+    description = read_drive(drive)
+    return replace(description, mapping=description.mapping.overridden(columns, units))
 
 
 def looked_over(

@@ -18,7 +18,7 @@ from diffdrive.logs import Log
 from diffdrive.logs.plausibility import Finding
 from diffdrive.motion import Motion
 from diffdrive.parameters import Directional, Drive
-from experiments.checked_logs import fatal_of, looked_over, parse_loads
+from experiments.checked_logs import described, fatal_of, looked_over, parse_loads
 from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page, tell
 from experiments.payoff import in_words, payoff
@@ -67,8 +67,7 @@ def diagnose_logs(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
-    description = read_drive(drive)
-    description = dataclasses.replace(description, mapping=description.mapping.overridden(columns, units))
+    description = described(drive, columns, units)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = _read(report, paths, description, loads)
         with report.stages() as progress:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from diffdrive.controllers import UnknownController
-from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, write_drive
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, quantities
-from experiments.checked_logs import parse_loads, read_checked
+from experiments.checked_logs import described, parse_loads, read_checked
 from experiments.gaps import gap_table
 from experiments.identify_figures import draw
 from experiments.interruption import at_next_step
@@ -51,8 +51,7 @@ def identify_drive(
     `columns`, `units`, `fixed`, `bounds` and `loads` are texts as on the command line. Raises `DriveFileError`,
     `LogError` and `ParameterError`, one line each.
     """
-    description = read_drive(drive)
-    description = replace(description, mapping=description.mapping.overridden(columns, units))
+    description = described(drive, columns, units)
     bounded = parse_bounds(bounds, description.drive)
     _require_known(fixed, "--fix", NAMES)
     applied = parse_loads(loads, [*paths, *held_out])

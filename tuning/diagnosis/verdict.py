@@ -139,23 +139,32 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     beliefs = _at_most(SUREST, _shared(beliefs, found, share, known))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
-        if not lacks and strain(base) >= STRAINED:
-            says = f"{furthest(base)}: the drive file is wrong by that much, or it makes up for an effect"
-            return Verdict("unknown", _unsure(beliefs), 0.0, says)
-        if not lacks:
-            says = "the recalibrated drive explains the logs to the noise: no effect is missing"
-            return Verdict("none", beliefs, 0.0, says)
-        says = "structure remains that no effect of the catalogue explains"
-        return Verdict("unknown", _unsure(beliefs), 1.0, says)
+        return _nothing_found(base, beliefs, lacks)
     if not known >= 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
         comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
         says = f"{named} {comes} closest, but {leaves} {100 * share:.0f} % of the gap unexplained"
         return Verdict("unknown", _unsure(beliefs), share, says)
+    return _found(found, beliefs, lacks, share)
+
+
+def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
+    """The verdict where no effect was worth it."""
+    if lacks:
+        says = "structure remains that no effect of the catalogue explains"
+        return Verdict("unknown", _unsure(beliefs), 1.0, says)
+    if strain(base) >= STRAINED:
+        says = f"{furthest(base)}: the drive file is wrong by that much, or it makes up for an effect"
+        return Verdict("unknown", _unsure(beliefs), 0.0, says)
+    return Verdict("none", beliefs, 0.0, "the recalibrated drive explains the logs to the noise: no effect is missing")
+
+
+def _found(found: Explanation, beliefs: list[Belief], lacks: bool, share: float) -> Verdict:
+    """The verdict on effects that leave only a `share` of the gap."""
     named = " and ".join(one.effect for one in beliefs if one.found)
-    explains = "explain" if effects > 1 else "explains"
-    if not lacks and strain(best) > IMPOSSIBLE:
-        says = f"recalibration hides the gap, and {named} {explains} it no better: still {furthest(best)}"
+    explains = "explain" if found.best.model.added > 1 else "explains"
+    if not lacks and strain(found.best) > IMPOSSIBLE:
+        says = f"recalibration hides the gap, and {named} {explains} it no better: still {furthest(found.best)}"
         return Verdict("unknown", _unsure(beliefs), 0.0, says)
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
     much = f", but for {100 * share:.0f} % of it" if share >= TOLD else ""
