@@ -72,6 +72,14 @@ class Loaded(NamedTuple):
             rate=stiffness * speed / level,
         )
 
+    def levels(self, velocity: Scalar) -> Directional:
+        """Friction level g, N, at this speed in either direction."""
+        speed = jnp.abs(velocity)
+        return Directional(
+            self.coulomb.positive + self.gap.positive * fading(speed * self.fade.positive),
+            self.coulomb.negative + self.gap.negative * fading(speed * self.fade.negative),
+        )
+
 
 def under(friction: Friction, load: Scalar) -> Loaded:
     """The friction under an applied load (N)."""

@@ -38,15 +38,20 @@ def gap_of(v, growth=0.0):
     return side(DRIVE.friction.breakaway_gap, v) * (1.0 + growth)
 
 
-def resisting(v, z, gap, share=0.0, stretched=0.0):
-    """Friction and damping (N) and the bristle's rate; Maxwell elements in the place of a share of the bristle."""
+def level_of(way, speed, gap):
+    """Friction level (N) in a direction at a speed."""
     friction = DRIVE.friction
-    level = side(friction.coulomb_screw, v)
-    level += side(friction.load_coefficient, v) * (float(friction.initial_load) + LOAD)
-    level += gap * math.exp(-abs(v) / side(friction.stribeck_velocity, v))
+    level = side(friction.coulomb_screw, way)
+    level += side(friction.load_coefficient, way) * (float(friction.initial_load) + LOAD)
+    return level + gap * math.exp(-speed / side(friction.stribeck_velocity, way))
+
+
+def resisting(v, z, gap, share=0.0, elements=0.0):
+    """Friction and damping (N) and the bristle's rate; what Maxwell elements hold (N) in the place of a share of it."""
+    friction, level = DRIVE.friction, level_of(v, abs(v), gap)
     stiffness = side(friction.bristle_stiffness, z)
     drift = v - stiffness * abs(v) / level * z
-    held = (1.0 - share) * stiffness * z + share * level * stretched
+    held = (1.0 - share) * stiffness * z + share * elements
     drag = (side(friction.viscous, v) + side(DRIVE.plant.damping, v)) * v
     return held + side(friction.bristle_damping, v) * drift + drag, drift
 
@@ -59,7 +64,9 @@ def of_elements(effect, rate):
     for u in forces(rate):
         found.append(x)
         for _ in range(round(1.0 / rate / STEP)):
-            force, drift = resisting(v, z, gap_of(v), effect.share, sum(stretched) / ELEMENTS)
+            up, down = (level_of(way, abs(v), gap_of(way)) for way in (1.0, -1.0))
+            held = sum(e * (up if e >= 0.0 else down) for e in stretched) / ELEMENTS
+            force, drift = resisting(v, z, gap_of(v), effect.share, held)
             a = (u - force) / MASS
             x, z = x + STEP * (v + 0.5 * STEP * a), z + STEP * drift
             stretched = [min(max(e + STEP * v / d, -1.0), 1.0) for e, d in zip(stretched, distances, strict=True)]

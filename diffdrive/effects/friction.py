@@ -8,7 +8,7 @@ from jax import lax
 
 from diffdrive.effects.base import Acts, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
-from diffdrive.friction import Bristle, bristle_at, coulomb, decay_of, slide
+from diffdrive.friction import coulomb, decay_of, slide, under
 from diffdrive.parameters import Drive, Scalar, quantity
 from diffdrive.turning import cosine_sine
 
@@ -116,7 +116,9 @@ class PreslidingHysteresis(TableEffect):
     """Maxwell elements of several slip distances in the place of the one bristle, or of a share of it.
 
     What acts is the difference between the elements and a bristle, both stretched by the same motion: nothing in
-    steady sliding, another hysteresis before it. (Generalised Maxwell-slip: Al-Bender, Lampaert, Swevers 2005.)
+    steady sliding, another hysteresis before it. An element holds with the friction level of the direction in which it
+    is stretched, so that nothing jumps where the table turns. (Generalised Maxwell-slip: Al-Bender, Lampaert, Swevers
+    2005.)
     """
 
     name: ClassVar[str] = "presliding_hysteresis"
@@ -137,30 +139,33 @@ class PreslidingHysteresis(TableEffect):
         """
         *elements, deflection = state
         steps = max(1, round(period / FINE))
-        duration, load, mass = period / steps, seen.load, drive.plant.mass
+        duration, mass, friction = period / steps, drive.plant.mass, under(drive.friction, seen.load)
         spread = [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
         distances = [self.longest * part for part in spread]
 
-        def forces(at: Bristle, stretched: Sequence[Scalar], bent: Scalar, bending: Scalar) -> tuple[Scalar, Scalar]:
-            more = at.level * sum(stretched) / ELEMENTS - at.stiffness * bent
-            return at.stiffness * bent + at.damping * bending + self.share * more, more
+        def held(speed: Scalar, stretched: Sequence[Scalar]) -> Scalar:
+            level = friction.levels(speed)
+            return sum(one * level.towards(one) for one in stretched) / ELEMENTS
 
         def body(carry: Any, _: None) -> Any:
             elements, bristle, velocity, impulse, travel = carry
-            at = bristle_at(drive.friction, velocity, bristle, load)
-            resisting, _ = forces(at, elements, bristle, velocity - at.rate * bristle)
+            at = friction.at(velocity, bristle)
+            more = held(velocity, elements) - at.stiffness * bristle
+            resisting = at.stiffness * bristle + at.damping * (velocity - at.rate * bristle) + self.share * more
             mean = velocity + 0.5 * duration * (pushed - resisting) / mass
-            at = bristle_at(drive.friction, mean, bristle, load)
+            at = friction.at(mean, bristle)
             pairs = zip(elements, distances, strict=True)
             ahead = tuple(jnp.clip(one + duration * mean / distance, -1.0, 1.0) for one, distance in pairs)
             bent = slide(bristle, mean, at.rate, duration)
             midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]
-            resisting, more = forces(at, midway, 0.5 * (bristle + bent), (bent - bristle) / duration)
+            bending = at.stiffness * 0.5 * (bristle + bent)
+            more = held(mean, midway) - bending
+            resisting = bending + at.damping * (bent - bristle) / duration + self.share * more
             velocity = velocity + duration * (pushed - resisting) / mass
             travel = travel + duration * (impulse + 0.5 * duration * more)
             return (ahead, bent, velocity, impulse + duration * more, travel), None
 
-        at = bristle_at(drive.friction, seen.velocity, seen.bristle, load)
+        at = friction.at(seen.velocity, seen.bristle)
         own = at.stiffness * seen.bristle + at.damping * (seen.velocity - at.rate * seen.bristle)
         pushed = seen.force + seen.pushes(drive) - (seen.friction - own)  # by all but the bristle
         zero = jnp.zeros_like(seen.velocity)

@@ -132,20 +132,23 @@ def _friction(
     """Friction with damping (N), the bristle's rate (m/s), and the level (N)."""
     own, speed = drive.friction, jnp.abs(v)
     put_on = f.extra_load * _window(t, f.load_start, f.load_end, 0.05)
-    level = own.coulomb_screw.towards(v) + own.load_coefficient.towards(v) * (own.initial_load + load + put_on)
     place = 1.0 + f.slope * (x - f.middle) + f.wave * jnp.sin(2 * jnp.pi * x / f.wave_period + f.wave_phase) + rub
     warm = jnp.exp(-t / f.drift_time)
-    level = level * place * (1.0 + f.drift_coulomb * warm)
     spot = jnp.exp(-0.5 * ((x - f.chip_place) / f.chip_width) ** 2) * jnp.where(t > f.chip_start, 1.0, 0.0)
-    level = level + f.chip * spot
-    gap = own.breakaway_gap.towards(v) * (1.0 + f.growth * jnp.log1p(s.age / f.onset))
-    level = level + gap * jnp.exp(-speed / own.stribeck_velocity.towards(v))
+
+    def level_of(way: Scalar) -> Scalar:
+        level = own.coulomb_screw.towards(way) + own.load_coefficient.towards(way) * (own.initial_load + load + put_on)
+        level = level * place * (1.0 + f.drift_coulomb * warm) + f.chip * spot
+        gap = own.breakaway_gap.towards(way) * (1.0 + f.growth * jnp.log1p(s.age / f.onset))
+        return level + gap * jnp.exp(-speed / own.stribeck_velocity.towards(way))
+
+    level = level_of(v)
     stiff = own.bristle_stiffness.towards(z)
     rate = v - stiff * z * speed / level
     viscous = (own.viscous.towards(v) + drive.plant.damping.towards(v)) * (1.0 + f.drift_viscous * warm) * v
     bend = stiff * z + own.bristle_damping.towards(v) * rate
-    if kind.maxwell:
-        bend = level * jnp.mean(s.elements)
+    if kind.maxwell:  # each holds with the level of its own direction: a level of the table's would jump where it turns
+        bend = jnp.mean(s.elements * jnp.where(s.elements >= 0.0, level_of(1.0), level_of(-1.0)))
     return bend + viscous, rate, level
 
 
