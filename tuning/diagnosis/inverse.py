@@ -60,7 +60,8 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     delay = jnp.asarray(own.actuator.delay_samples + float(own.actuator.delay_fraction or 0.0))
     begins = jnp.asarray([float(source.time[0] - log.time[0])])
     acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period), begins)
-    bent = Acts(jnp.zeros_like(velocity), acts.coulomb[0], acts.gap[0], acts.viscous[0])
+    none = jnp.zeros_like(velocity)
+    bent = Acts(none, acts.coulomb[0], acts.gap[0], acts.viscous[0], none)
     needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent)
     there = acts.force[0] + machine.plant.constant_force
     held = 0.5 * (there + jnp.concatenate([there[:1], there[:-1]]))
