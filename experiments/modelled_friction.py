@@ -31,7 +31,7 @@ def friction_on(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -
     """Friction and damping (N) of `drive` at these velocities (m/s) of a stretch, the bristle relaxed at the start."""
     load = np.zeros_like(velocity) if stretch.load is None else stretch.load
     given = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
-    return np.asarray(_along(*given))
+    return np.asarray(_along(*given).friction)
 
 
 def modelled_hysteresis(

@@ -225,7 +225,7 @@ def test_no_cause_is_sure_beside_a_number_that_cannot_be(name, moved, verdict):
 
 def gap_with(force, surprise, velocity, position):
     """A gap as `localise` takes it, of one lane."""
-    course = Course(*(np.asarray(one)[None] for one in (position, velocity, 0 * velocity, 0 * velocity)))
+    course = Course(*(np.asarray(one)[None] for one in (position, velocity, 0 * velocity, 0 * velocity, 0 * velocity)))
     return ForceGap(force[None], course, surprise[None], np.ones((1, len(force))))
 
 

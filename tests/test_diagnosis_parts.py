@@ -13,7 +13,7 @@ from sound_log import DRIVE, RATE, SOUND, described, logged, two_sines
 
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
-from diffdrive.effects.friction import FrictionDwell
+from diffdrive.effects.friction import FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.scale import InterpolationError
 from diffdrive.motion import from_array
 from diffdrive.parameters import Sensor, as_arrays
@@ -160,6 +160,15 @@ def test_inverse_dynamics_know_the_effects_of_a_drive():
     assert right < 0.5
     assert wrong > 4.0 * right
     assert force_error(DRIVE.drive, logged(DRIVE, two_sines())) < 0.5
+
+
+def test_inverse_dynamics_count_presliding_elements_once():
+    """They replace the bristle's force, which the friction along the motion has: mostly a motion of presliding."""
+    elements, reference = PreslidingHysteresis(1.0, 8e-6, 0.2), two_sines()
+    small = from_array(reference.time, 0.01 * reference.position)
+    log = logged(with_effects(elements), small)
+    known, missing = (force_error(with_effects(*one).drive, log) for one in ((elements,), ()))
+    assert known < 0.1 * missing
 
 
 def test_a_session_is_registered_anew():

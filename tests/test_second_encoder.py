@@ -31,7 +31,7 @@ def sliding(speed=0.02, seconds=1.0, beside=0.0):
     level = float(coulomb(drive.friction, 1.0, 0.0))
     friction = level + speed * float(drive.friction.viscous.positive + drive.plant.damping.positive)
     bristle = level / float(drive.friction.bristle_stiffness.positive)
-    course = Course(jnp.asarray(position)[None], speed * one, bristle * one, friction * one)
+    course = Course(jnp.asarray(position)[None], speed * one, bristle * one, friction * one, 0.0 * one)
     lanes = Lanes(course.position, friction * one, 0 * one, 0 * one, one, speed * jnp.ones(1))
     acts = Exposure(friction * one, *(0 * one for _ in range(5)), beside * one)
     return drive, acts, lanes, course, at.sampling, friction

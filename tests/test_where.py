@@ -34,7 +34,7 @@ def located(force, position, **more):
     """The regions of a force (N) along a position (m), with everything counted."""
     ones, flat = np.ones((1, len(force))), np.zeros((1, len(force)))
     velocity = np.gradient(position)[None] * RATE
-    gap = ForceGap(force[None], Course(position[None], velocity, flat, flat), force[None] ** 2, ones)
+    gap = ForceGap(force[None], Course(position[None], velocity, flat, flat, flat), force[None] ** 2, ones)
     lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
     return localise(gap, lanes, (0,), RATE, **more)
 
@@ -150,7 +150,9 @@ def test_in_noise_hardly_any_region_is_significant():
         force = coloured(seed, len(time))
         white = np.random.default_rng(seed).standard_normal((1, len(time))) ** 2
         flat, ones = np.zeros((1, len(time))), np.ones((1, len(time)))
-        gap = ForceGap(force[None], Course(position[None], np.gradient(position)[None] * RATE, flat, flat), white, ones)
+        gap = ForceGap(
+            force[None], Course(position[None], np.gradient(position)[None] * RATE, flat, flat, flat), white, ones
+        )
         lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
         alarms += any(one.p_value < SIGNIFICANT for one in localise(gap, lanes, (0,), RATE, noise=noise))
     assert alarms <= 2
@@ -199,7 +201,7 @@ def test_times_are_those_of_the_log_where_it_has_a_gap():
     force = np.random.default_rng(0).standard_normal((2, len(time)))
     position = np.stack([0.02 * np.sin(3.0 * time)] * 2)
     flat, ones = np.zeros(force.shape), np.ones(force.shape)
-    gap = ForceGap(force, Course(position, np.gradient(position, axis=1) * RATE, flat, flat), force**2, ones)
+    gap = ForceGap(force, Course(position, np.gradient(position, axis=1) * RATE, flat, flat, flat), force**2, ones)
     lanes = Lanes(*(jnp.asarray(one) for one in (position, flat, flat, flat, ones)), velocity=jnp.zeros(2))
     times = [one.region for one in localise(gap, lanes, (0, 0), RATE, starts=[0.0, 7.0]) if one.dimension == "time"]
     assert any(one.endswith("9 s") for one in times)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from diffdrive.effects import acting
+from diffdrive.effects.forces import ConstantForce, FrameVibration
 from diffdrive.effects.friction import ELEMENTS, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.parameters import as_arrays
@@ -112,8 +113,12 @@ def of_screw(effect, rate):
 
 
 def ours(effect, rate):
-    drive = as_arrays(dataclasses.replace(DRIVE, effects=(effect,)))
-    period = 1.0 / rate
+    return driven(dataclasses.replace(DRIVE, effects=(effect,)), rate, forces(rate))
+
+
+def driven(drive, rate, forces):
+    """Positions of the table under these forces, period by period."""
+    drive, period = as_arrays(drive), 1.0 / rate
 
     def body(carry, force):
         table, states = carry
@@ -123,7 +128,7 @@ def ours(effect, rate):
         return (moved._replace(position=moved.position + acts.shift), states), table.position
 
     begin = (at_rest(0.0), acting.at_rest(drive.effects, 0.0))
-    return np.asarray(jax.lax.scan(body, jax.tree.map(jnp.asarray, begin), jnp.asarray(forces(rate)))[1])
+    return np.asarray(jax.lax.scan(body, jax.tree.map(jnp.asarray, begin), jnp.asarray(forces))[1])
 
 
 def pushes(off, rate):
@@ -167,3 +172,45 @@ def test_a_screw_moves_the_table_as_two_masses_would(screw, share):
     truth, found = of_screw(screw, rate), ours(screw, rate)
     stiff = dataclasses.replace(screw, frequency=1e5, **({"gap": 0.0} if isinstance(screw, Backlash) else {}))
     assert rms(pushes(found - truth, rate)) < share * rms(pushes(ours(stiff, rate) - truth, rate))
+
+
+FOLLOWERS = [
+    PreslidingHysteresis(1.0, 5e-6, 0.2),
+    FrictionDwell(1.0, 0.05, 1e-5, 0.0),
+    FrameVibration(0.05, 20.0, 0.03),
+    Compliance(150.0, 0.05, 0.3, 0.6),
+    Backlash(4e-6, 400.0, 0.1, 0.3, 0.6),
+]
+
+
+@pytest.mark.parametrize("rate", [500.0, 2_000.0, 10_000.0])
+@pytest.mark.parametrize("effect", FOLLOWERS, ids=lambda effect: effect.name)
+def test_under_a_held_force_the_table_comes_to_rest(effect, rate):
+    """Below breakaway: what is left of the motion after a second is rounding."""
+    drive = dataclasses.replace(DRIVE, effects=(effect,))
+    held = 40.0 * np.clip(np.arange(round(3.0 * rate)) / rate / 0.2, 0.0, 1.0)
+    last = driven(drive, rate, held)[round(2.0 * rate) :]
+    assert last[0] > 1e-7
+    assert np.ptp(last) < 1e-12 + 1e-4 * last[0] * (effect.name == "frame_vibration")  # that one rings on
+
+
+@pytest.mark.parametrize("effect", FOLLOWERS, ids=lambda effect: effect.name)
+def test_a_constant_force_is_the_same_beside_the_drive_and_in_it(effect):
+    rate = 2_000.0
+    beside = dataclasses.replace(DRIVE, effects=(effect, ConstantForce(20.0)))
+    plant = dataclasses.replace(DRIVE.plant, constant_force=DRIVE.plant.constant_force + 20.0)
+    within = dataclasses.replace(DRIVE, plant=plant, effects=(effect,))
+    found, wanted = (driven(drive, rate, forces(rate)) for drive in (beside, within))
+    assert np.max(np.abs(found - wanted)) < 1e-9 * np.ptp(wanted)
+
+
+@pytest.mark.parametrize("effect", FOLLOWERS[:2], ids=lambda effect: effect.name)
+def test_a_force_that_something_else_holds_moves_nothing(effect):
+    """An observer that finds the table at rest although it is pushed: no element is stretched, and the contact ages."""
+    drive, period = as_arrays(DRIVE), 5e-4
+    seen = acting.seen_by(drive, 0.0, 0.0, 0.0, 0.0, 20.0, 0.0, LOAD)
+    pushes = seen.pushes(drive)
+    state, acts = effect.step(effect.init(), seen._replace(lacking=-20.0 - pushes), drive, period)
+    still, none = effect.step(effect.init(), seen._replace(force=-pushes), drive, period)
+    np.testing.assert_allclose(state, still, rtol=1e-12, atol=1e-15)
+    assert float(acts.force) == float(none.force) == 0.0

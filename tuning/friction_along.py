@@ -1,5 +1,7 @@
 """The friction that a drive would have shown along a measured motion."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -10,26 +12,34 @@ from diffdrive.friction import bristle_at, friction_force, slide
 from diffdrive.parameters import Drive, Scalar
 
 
+class Along(NamedTuple):
+    """What resists a motion, sample by sample."""
+
+    friction: Float[Array, " n"]  # N, and damping
+    bristle: Float[Array, " n"]  # m, its deflection
+
+
 def friction_along(
     drive: Drive,
     velocity: Float[Array, " n"],
     load: Float[Array, " n"],
     period: Scalar,
     acts: Acts | None = None,
-) -> Float[Array, " n"]:
-    """Friction and damping (N) at these velocities (m/s) and loads (N), the bristle relaxed at the start.
+) -> Along:
+    """Friction and its bristle at these velocities (m/s) and loads (N), the bristle relaxed at the start.
 
     Between two samples, `period` (s) apart, the bristle moves at their mean velocity. `acts`, [n] each, bend the
     friction.
     """
 
-    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, Scalar]:
+    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, Along]:
         now, ahead, applied, acts = at
         friction = bent(drive, acts).friction
         force = friction_force(bristle_at(friction, now, deflection, applied), now, deflection)
         mean = 0.5 * (now + ahead)
         rate = bristle_at(friction, mean, deflection, applied).rate
-        return slide(deflection, mean, rate, period), force + drive.plant.damping.towards(now) * now
+        resisting = force + drive.plant.damping.towards(now) * now
+        return slide(deflection, mean, rate, period), Along(resisting, deflection)
 
     ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
     nothing = Acts(*(jnp.zeros_like(velocity) for _ in Acts._fields))

@@ -165,7 +165,7 @@ def _misfits(
 ) -> Float[Array, " s"]:
     def one(y: Float[Array, " k"]) -> Float[Array, ""]:
         there = Space(free, origin).insert(unknowns, y).drive(drive)
-        friction = friction_along(there, way.velocity, way.load, way.period)
+        friction = friction_along(there, way.velocity, way.load, way.period).friction
         return jnp.sum(way.counts * (friction - way.friction) ** 2)
 
     return lax.map(one, points, batch_size=BLOCK)

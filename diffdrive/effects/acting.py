@@ -5,7 +5,17 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from diffdrive.effects.base import Acts, ActuatorEffect, Effect, MachineEffect, Push, ScaleEffect, Seen, TableEffect
+from diffdrive.effects.base import (
+    Acts,
+    ActuatorEffect,
+    Effect,
+    MachineEffect,
+    Place,
+    Push,
+    ScaleEffect,
+    Seen,
+    TableEffect,
+)
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.parameters import Directional, Drive, Scalar
 
@@ -52,19 +62,19 @@ def upon(
 ) -> tuple[tuple[Any, ...], Acts]:
     """What acts on the table and its friction over the coming period.
 
-    What stands between motor and table comes last: it carries what the others push, and the friction as they bend it.
+    What an effect is to know of the others, those of an earlier `Place` tell it: what they push, and how they bend
+    the friction.
     """
-    ahead, total = list(states), Acts()
-
-    def act(between: bool, seen: Seen, drive: Drive, total: Acts) -> Acts:
-        for k, effect in enumerate(effects):
-            if isinstance(effect, TableEffect) and effect.between == between:
-                ahead[k], acts = effect.step(states[k], seen, drive, period)
-                total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
-        return total
-
-    total = act(False, seen, drive, total)
-    total = act(True, seen._replace(push=seen.push + total.force), bent(drive, total), total)
+    ahead, total, before = list(states), Acts(), (seen, drive)
+    for place in Place:
+        mine = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.place == place]
+        for k in mine:
+            ahead[k], acts = effects[k].step(states[k], *before, period)
+            total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
+        if mine:
+            machine = bent(drive, total)
+            friction = resistance(machine, seen.velocity, seen.bristle, seen.load)
+            before = (seen._replace(push=seen.push + total.force, friction=friction), machine)
     return tuple(ahead), total
 
 

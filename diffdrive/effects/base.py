@@ -8,6 +8,7 @@ simulator steps effects in its loop; the diagnosis steps the same code along a m
 """
 
 import abc
+import enum
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -27,10 +28,15 @@ class Seen(NamedTuple):
     load: Scalar  # N, on the guides
     push: Scalar = 0.0  # N, of what else acts on the table, but for the plant's constant force
     ripple: Any = None  # N, by how much the force differs in each equal part of the period; None: not at all
+    lacking: Scalar = 0.0  # N, that an observer finds to act as well
 
     def pushes(self, drive: Drive) -> Scalar:
-        """All that acts on the table beside the actuator and friction (N)."""
+        """All that is known to act on the table beside the actuator and friction (N)."""
         return self.push + drive.plant.constant_force
+
+    def resultant(self, drive: Drive) -> Scalar:
+        """All that accelerates the table at the beginning of the period (N)."""
+        return self.force + self.pushes(drive) + self.lacking - self.friction
 
 
 class Push(NamedTuple):
@@ -76,15 +82,19 @@ class ActuatorEffect(Effect):
         """The force over the coming period, of length `period` (s), when `force` (N) is asked for."""
 
 
-class TableEffect(Effect):
-    """On the table and its friction.
+class Place(enum.IntEnum):
+    """What an effect on the table has to know, in the order in which effects are stepped."""
 
-    It `remembers` where its state outlasts a tenth of a second, and stands `between` motor and table where the motor's
-    force reaches the table only through it.
-    """
+    GIVEN = 0  # where the table is
+    FOLLOWING = 1  # how it moves within the period, as all forces and the friction of those before drive it
+    BETWEEN = 2  # all that pushes the table, which the motor's force reaches only through it
+
+
+class TableEffect(Effect):
+    """On the table and its friction; it `remembers` where its state outlasts a tenth of a second."""
 
     remembers: ClassVar[bool] = False
-    between: ClassVar[bool] = False
+    place: ClassVar[Place] = Place.GIVEN
 
     @abc.abstractmethod
     def init(self) -> Any:

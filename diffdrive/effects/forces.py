@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from diffdrive.effects.base import Acts, Seen, TableEffect
+from diffdrive.effects.base import Acts, Place, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swinging
 from diffdrive.friction import resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
@@ -20,7 +20,7 @@ def middle(seen: Seen, period: float) -> Scalar:
 
 def ending(seen: Seen, drive: Drive, period: float) -> Scalar:
     """The table's velocity at the end of the coming period (m/s), were its friction constant."""
-    return seen.velocity + period * (seen.force + seen.pushes(drive) - seen.friction) / drive.plant.mass
+    return seen.velocity + period * seen.resultant(drive) / drive.plant.mass
 
 
 def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE) -> Scalar:
@@ -120,6 +120,7 @@ class FrameVibration(TableEffect):
 
     name: ClassVar[str] = "frame_vibration"
     remembers: ClassVar[bool] = True
+    place: ClassVar[Place] = Place.FOLLOWING
     ratio: Scalar = quantity("1", "moving mass over the base's", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "natural frequency of the base", above=0.0, default=20.0)
     damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, default=0.03)
@@ -131,7 +132,7 @@ class FrameVibration(TableEffect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The force of inertia seen from the base."""
         # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
-        rising = (1.0 + self.ratio) * (seen.force - seen.friction) + seen.pushes(drive)
+        rising = seen.resultant(drive) + self.ratio * (seen.force - seen.friction)
         halfway = seen.velocity + 0.5 * period * rising / drive.plant.mass
         friction = under(drive.friction, seen.load)
         resisting = resisting_midway(friction, drive.plant.damping, halfway, seen.bristle, period)[0]

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jax import lax
 
-from diffdrive.effects.base import Acts, Seen, TableEffect
+from diffdrive.effects.base import Acts, Place, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
 from diffdrive.friction import coulomb, decay_of, slide, under
 from diffdrive.parameters import Drive, Scalar, quantity
@@ -92,6 +92,7 @@ class FrictionDwell(TableEffect):
     """Breakaway that grows with the logarithm of the contact's age, d age/dt = 1 - |v| age / D (Dieterich)."""
 
     name: ClassVar[str] = "friction_dwell"
+    place: ClassVar[Place] = Place.FOLLOWING
     growth: Scalar = quantity("1", "growth of the breakaway gap per e-fold of time at rest", default=0.0)
     onset: Scalar = quantity("s", "time at rest from which it grows", above=0.0, default=0.1)
     slip: Scalar = quantity("m", "travel over which it is forgotten", above=0.0, default=1e-5)
@@ -123,6 +124,7 @@ class PreslidingHysteresis(TableEffect):
 
     name: ClassVar[str] = "presliding_hysteresis"
     remembers: ClassVar[bool] = True
+    place: ClassVar[Place] = Place.FOLLOWING
     share: Scalar = quantity("1", "of the bristle that elements replace", default=0.0)
     longest: Scalar = quantity("m", "longest slip distance", above=0.0, default=5e-6)
     shortest: Scalar = quantity("1", "shortest slip distance over the longest", above=0.0, default=0.2)
@@ -167,7 +169,7 @@ class PreslidingHysteresis(TableEffect):
 
         at = friction.at(seen.velocity, seen.bristle)
         own = at.stiffness * seen.bristle + at.damping * (seen.velocity - at.rate * seen.bristle)
-        pushed = seen.force + seen.pushes(drive) - (seen.friction - own)  # by all but the bristle
+        pushed = seen.resultant(drive) + own  # by all but the bristle
         zero = jnp.zeros_like(seen.velocity)
         begin = (tuple(elements), deflection, seen.velocity, zero, zero)
         (stretched, bent, _, impulse, travel), _ = lax.scan(body, begin, None, length=steps)

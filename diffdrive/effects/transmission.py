@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from diffdrive.effects.base import Acts, Seen, TableEffect
+from diffdrive.effects.base import Acts, Place, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swinging
 from diffdrive.friction import coulomb, resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
@@ -40,11 +40,20 @@ class Screw(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """The motor's deflection against the table, its friction's bristle (m), and the deflection's last acceleration."""
+    """The motor's deflection against the table, its friction's bristle (m), and both masses' last accelerations.
+
+    The table's is not that of a rigid drive: the screw carries what friction holds.
+    """
 
     against: Oscillator
     bristle: Scalar
-    swing: Scalar  # m/s^2
+    swing: Scalar  # m/s^2, of the deflection
+    rising: Scalar  # m/s^2, of the table
+
+    @classmethod
+    def at_rest(cls) -> "Motor":
+        """Nothing deflected."""
+        return cls(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
 
 
 def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
@@ -61,7 +70,7 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     contact = swinging(angular, screw.damping, h)
 
     def substep(carry: Any, ripple: Any) -> tuple[Any, None]:
-        (q, bristle, swing), velocity, rising, deflection, impulse, travel = carry
+        (q, bristle, swing, rising), velocity, deflection, impulse, travel = carry
         middle = velocity + 0.5 * h * rising
         table, deflection = resisting_midway(friction, damping, middle, deflection, h)
         own, bristle = resisting_midway(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
@@ -83,12 +92,11 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
         velocity = velocity + h * rising
         more = (pull - r * table) * per_share + table
         impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
-        carry = (Motor(ahead, bristle, swing), velocity, rising, deflection, impulse, travel)
+        carry = (Motor(ahead, bristle, swing, rising), velocity, deflection, impulse, travel)
         return lax.optimization_barrier(carry), None
 
     zero = jnp.zeros_like(seen.velocity)
-    rising = (seen.force + pushed - seen.friction) / mass
-    begin = (motor, seen.velocity, rising, seen.bristle, zero, zero)
+    begin = (motor, seen.velocity, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
     (motor, *_, impulse, travel), _ = lax.scan(substep, begin, ripple, length=count)
     force = impulse / period + pushed * per_share - seen.force - pushed
@@ -99,7 +107,7 @@ class Compliance(TableEffect):
     """An elastic screw: motor and table swing against one another. Neutral: an infinite frequency."""
 
     name: ClassVar[str] = "compliance"
-    between: ClassVar[bool] = True
+    place: ClassVar[Place] = Place.BETWEEN
     frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio", at_least=0.0, default=0.03)
     motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)
@@ -109,7 +117,7 @@ class Compliance(TableEffect):
 
     def init(self) -> Any:
         """The screw relaxed."""
-        return Motor(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()))
+        return Motor.at_rest()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """No dead zone."""
@@ -121,7 +129,7 @@ class Backlash(TableEffect):
     """A dead zone between motor and table, behind an elastic screw."""
 
     name: ClassVar[str] = "backlash"
-    between: ClassVar[bool] = True
+    place: ClassVar[Place] = Place.BETWEEN
     gap: Scalar = quantity("m", "full width of the dead zone", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)
@@ -132,7 +140,7 @@ class Backlash(TableEffect):
 
     def init(self) -> Any:
         """In the middle of the dead zone."""
-        return Motor(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()))
+        return Motor.at_rest()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """Free within the dead zone, an oscillator in contact, which lasts as long as it pushes."""

@@ -23,7 +23,7 @@ from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.effects import acting
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
-from diffdrive.effects.base import Effect, Seen, TableEffect
+from diffdrive.effects.base import Effect, Place, Seen, TableEffect
 from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
@@ -50,12 +50,11 @@ class Exposure(NamedTuple):
     # N, in each control period of a sample, of the force about its mean
     ripple: Float[Array, "lanes n k"] | None = None
 
-    def seen(
-        self, time: Any, position: Scalar, velocity: Scalar, bristle: Scalar, friction: Scalar, load: Scalar
-    ) -> Seen:
-        """One sample of it as coupled effects see it."""
+    def seen(self, time: Any, course: "Course", load: Scalar) -> Seen:
+        """One sample of it, at one of a course, as coupled effects see it."""
+        position, velocity, bristle, friction, lacking = course
         force = self.force - self.beside
-        return Seen(time, position, velocity, bristle, force, friction, load, self.beside)
+        return Seen(time, position, velocity, bristle, force, friction, load, self.beside, self.ripple, lacking)
 
 
 class Process(NamedTuple):
@@ -72,18 +71,23 @@ class Course(NamedTuple):
     velocity: Float[Array, "lanes n"]  # m/s
     bristle: Float[Array, "lanes n"]  # m
     friction: Float[Array, "lanes n"]  # N, all that resists
+    lacking: Float[Array, "lanes n"]  # N, force that the model lacks
 
 
 class Track(NamedTuple):
     """What the filter saw, [lanes, n] each: the table after each correction."""
 
     course: Course
-    lacking: Float[Array, "lanes n"]  # N, force that the model lacks
     innovation: Float[Array, "lanes n"]  # m
     scatter: Float[Array, "lanes n"]  # m, standard deviation expected of it
     pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
     deviance: Scalar  # -2 log likelihood up to a constant, the scale of all noises free
     size: Scalar  # that scale, squared
+
+    @property
+    def lacking(self) -> Float[Array, "lanes n"]:
+        """Force that the model lacks (N)."""
+        return self.course.lacking
 
 
 class Slopes(NamedTuple):
@@ -128,23 +132,33 @@ def exposure(
         parts = asked.shape[1]
 
         def step(states: Any, at: tuple[Any, ...]) -> tuple[Any, Exposure]:
-            count, position, velocity, bristle, friction, forces, pushed, load = at
+            count, table, forces, pushed, load = at
             pushes = []
             for k in range(parts):
                 states, push = acting.through(effects, states, forces[k], period / parts)
                 pushes.append(push)
             force = sum(push.mean for push in pushes) / parts
             ripple = jnp.stack([push.mean - force for push in pushes]) if parts > 1 else None
-            seen = Seen(start + count * period, position, velocity, bristle, force, friction, load, pushed)
+            seen = Seen(
+                start + count * period,
+                table.position,
+                table.velocity,
+                table.bristle,
+                force,
+                table.friction,
+                load,
+                pushed,
+                lacking=table.lacking,
+            )
             states, acts = acting.upon(effects, states, seen, machine, period)
-            scale = acting.scale_error(effects, position)
+            scale = acting.scale_error(effects, table.position)
             shift = acts.shift + sum(acting.displaced(machine, push.tilt, period / parts) for push in pushes)
             beside = pushed + acts.force
             one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
             return states, Exposure(*(value + 0.0 * force for value in one), ripple)
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
-        signals = (count, *course, asked, lane.disturbance, lane.load)
+        signals = (count, course, asked, lane.disturbance, lane.load)
         return lax.scan(step, acting.at_rest(effects, asked[0, 0]), signals)[1]
 
     return lax.map(lambda each: one(*each), (lanes, course, effects, starts))
@@ -197,13 +211,13 @@ def _begun(
     rest = acting.at_rest(coupled, under.force[0])
 
     def step(states: Any, at: Any) -> tuple[Any, Any]:
-        count, acts, load, position, velocity, bristle, friction = at
-        seen = acts.seen(count * period, position, velocity, bristle, friction, load)
+        count, acts, load, table = at
+        seen = acts.seen(count * period, table, load)
         return acting.upon(lasting, states, seen, acting.bent(drive, acts), period)[0], states
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.remembers)
     count = jnp.arange(len(load), dtype=load.dtype)
-    along = lax.scan(step, acting.at_rest(lasting, under.force[0]), (count, under, load, *course))[1]
+    along = lax.scan(step, acting.at_rest(lasting, under.force[0]), (count, under, load, course))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
     return tuple(
         next(found) if effect in lasting else jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, state)
@@ -239,7 +253,7 @@ def follow(
     spread = (measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)
     again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
 
-    shielded = any(isinstance(effect, TableEffect) and effect.between for effect in coupled)
+    shielded = any(isinstance(effect, TableEffect) and effect.place == Place.BETWEEN for effect in coupled)
 
     def body(carry: Any, at: Any) -> Any:
         state, covariance, effects = carry
@@ -258,9 +272,9 @@ def follow(
         position, velocity, deflection, lacking = state
         machine = acting.bent(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
+        now = Course(position, velocity, deflection, resisting, lacking)
         if coupled:
-            seen = acts.seen(time, position, velocity, deflection, resisting, load)._replace(ripple=acts.ripple)
-            effects, more = acting.upon(coupled, effects, seen, machine, sampling.period)
+            effects, more = acting.upon(coupled, effects, acts.seen(time, now, load), machine, sampling.period)
             effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
             acts = Exposure(*both, acts.scale, acts.beside, None if shielded else acts.ripple)
@@ -275,7 +289,7 @@ def follow(
         rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
-        return (ahead, covariance, effects), (*state, resisting, innovation, scatter, pull)
+        return (ahead, covariance, effects), (now, innovation, scatter, pull)
 
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
@@ -304,10 +318,9 @@ def follow(
         return jax.tree.map(pieces.joined, found)
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, course))
-    position, velocity, bristle, lacking, friction, innovation, scatter, pull = found
+    course, innovation, scatter, pull = found
     deviance, size = deviance_of(innovation, scatter, lanes.counts)
-    course = Course(position, velocity, bristle, friction)
-    return Track(course, lacking, innovation, scatter, pull, deviance, size)
+    return Track(course, innovation, scatter, pull, deviance, size)
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:

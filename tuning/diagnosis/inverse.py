@@ -55,14 +55,15 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     machine = acting.altered(own, effects)
     period = 1.0 / source.rate
     rigid = friction_along(machine, velocity, load, period)
-    course = Course(position[None], velocity[None], jnp.zeros_like(velocity)[None], rigid[None])
+    seen = Course(position, velocity, rigid.bristle, rigid.friction, jnp.zeros_like(velocity))
+    course = jax.tree.map(lambda signal: signal[None], seen)
     in_lanes = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], effects)
     delay = jnp.asarray(own.actuator.delay_samples + float(own.actuator.delay_fraction or 0.0))
     begins = jnp.asarray([float(source.time[0] - log.time[0])])
     acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period), begins)
     none = jnp.zeros_like(velocity)
     bent = Acts(none, acts.coulomb[0], acts.gap[0], acts.viscous[0], none)
-    needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent)
+    needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent).friction
     there = acts.force[0] + machine.plant.constant_force
     held = 0.5 * (there + jnp.concatenate([there[:1], there[:-1]]))
     return _decimated(held - needed, source, dynamics)

@@ -51,7 +51,7 @@ class Round(NamedTuple):
 def standing(logged: Logged) -> Course:
     """The course before any filter: where the table was measured, at rest."""
     zero = jnp.zeros_like(logged.lanes.position)
-    return Course(logged.lanes.position, zero, zero, zero)
+    return Course(logged.lanes.position, zero, zero, zero, zero)
 
 
 def recalibrated(fitter: Fitter, tolerance: float, members: tuple[Member, ...] = ()) -> Fitted:

@@ -63,12 +63,12 @@ def _deflection(
 
     def one(effect: Any, under: Exposure, lane: Lanes, course: Course) -> Float[Array, " n"]:
         def step(state: Any, at: Any) -> tuple[Any, Array]:
-            count, acts, load, position, velocity, bristle, friction = at
-            seen = acts.seen(count * sampling.period, position, velocity, bristle, friction, load)
+            count, acts, load, table = at
+            seen = acts.seen(count * sampling.period, table, load)
             return effect.step(state, seen, acting.bent(drive, acts), sampling.period)[0], state.against.deflection
 
         count = jnp.arange(len(lane.load), dtype=lane.load.dtype)
-        return lax.scan(step, effect.init(), (count, under, lane.load, *course))[1]
+        return lax.scan(step, effect.init(), (count, under, lane.load, course))[1]
 
     return lax.map(lambda each: one(*each), (effect, under, lanes, course))
 
