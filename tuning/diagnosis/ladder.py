@@ -1,14 +1,13 @@
 """How far the gap shrinks once an effect is added, on logs that were not fitted.
 
 The machine's parameters are fitted on some of the logs and carried over; those of the session (phases, times) are
-registered anew on the others. With a single log its later part is held out, in the same session; where what was found
-begins there, every other piece of it is.
+registered anew on the others. Which samples those are, `splitting` says.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
@@ -18,13 +17,10 @@ from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter, quiet
 from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap
 from tuning.diagnosis.model import Model
+from tuning.diagnosis.splitting import Split, of_session, split, told
 from tuning.diagnosis.threads import in_parallel
 from tuning.diagnosis.trust import comparing
 
-TRAINED = 0.6  # of a single log
-TOLD = 0.1  # of what the whole log tells of a number: less, and the part that is fitted does not know it
-TURNS = 10  # pieces of a single log, every other one held out
-SESSION = "phases, times and sizes of waves registered on it"
 PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
 
@@ -45,50 +41,6 @@ class Rung(NamedTuple):
     def deviance(self) -> float:
         """-2 log probability of what is held out, up to a constant shared by the rungs."""
         return float(np.sum(self.unlikely))
-
-
-class Split(NamedTuple):
-    """Weights of the samples to fit and of those to judge by, [lanes, n] each, and what they are."""
-
-    train: Float[np.ndarray, "lanes n"]
-    test: Float[np.ndarray, "lanes n"]
-    logs: list[int]  # judged by
-    says: str
-
-
-def split(fitter: Fitter, best: Fitted) -> Split:
-    """The last log held out; of a single one, the end, or every other piece where `best` has what begins at the end."""
-    logged = fitter.logged
-    counts = np.asarray(logged.lanes.counts)
-    last = np.array([owner == logged.logs - 1 for owner in logged.owner])[:, None]
-    if logged.logs > 1:
-        return Split(counts * ~last, counts * last, [logged.logs - 1], f"log {logged.logs} held out, {SESSION}")
-    total = np.cumsum(counts.ravel()).reshape(counts.shape)
-    early = total <= TRAINED * counts.sum()
-    if np.all(_told(best, early) | _of_session(best.model)):
-        return Split(counts * early, counts * ~early, [0], f"the last {100 * (1 - TRAINED):.0f} % of the log held out")
-    fitted = np.ceil(total * TURNS / counts.sum()) % 2 == 1
-    return Split(counts * fitted, counts * ~fitted, [0], f"every other tenth of the log held out, {SESSION}")
-
-
-def _of_session(model: Model) -> Bool[np.ndarray, " k"]:
-    """Which numbers are times of the session: they tell where an effect acts, not how much."""
-    sizes = {
-        (index, one.name)
-        for index, member in enumerate(model.members)
-        for one in member.candidate.parameters
-        if one.amplitude
-    }
-    return np.array(
-        [False] * len(NAMES) + [log is not None and (index, name) not in sizes for index, name, log in model.slots]
-    )
-
-
-def _told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"]) -> Bool[np.ndarray, " k"]:
-    """Which of a fit's numbers these samples tell, of what all of them do; nor do these tell more than the prior."""
-    squares = one.jacobian**2
-    every = squares.sum(axis=0)
-    return (fitted.ravel() @ squares >= TOLD * every) | (every < 1.0)
 
 
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
@@ -129,13 +81,12 @@ def climb(
     def judged_by(one: Fitted) -> Fitted:
         model = Model(train.logged, one.model.members, one.model.tolerance)
         # what is of the session that is held out stays, to be registered from there: without data it would drift away
-        away = [fitter.logged.logs > 1 and log in parts.logs for _, _, log in model.slots]
-        unknown = np.r_[[False] * len(NAMES), away] if any(away) else _of_session(model) & ~_told(one, parts.train > 0)
-        told = 1.0 - unknown
-        trained = train.fit(model, one.u, one.process, one.track.course, CARRY, told)
+        away = [log in parts.whole for _, _, log in model.slots]
+        unknown = np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~told(one, parts.train > 0)
+        trained = train.fit(model, one.u, one.process, one.track.course, CARRY, 1.0 - unknown)
         session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
         model = Model(test.logged, one.model.members, one.model.tolerance)
-        register = REGISTER if session.any() and fitter.logged.logs > 1 else 0
+        register = REGISTER if session.any() and parts.whole else 0
         return test.fit(model, trained.u, one.process, one.track.course, register, session)
 
     carried = in_parallel(judged_by, [one for _, one in chain])
@@ -155,7 +106,9 @@ def climb(
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end
-        floor = force_floor(test, fits[1][1] if one.model.coupled else one, gap.counts, process)
+        alike = [one, fits[1][1]] if one.model.coupled else [one]
+        floors = [force_floor(test, each, gap.counts, process) for each in alike]
+        floor = min((each for each in floors if np.isfinite(each)), default=np.inf)
         loop = None
         if controller is not None:
             drives = [drive_of(one, log) for log in parts.logs]

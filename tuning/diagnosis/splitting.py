@@ -1,0 +1,80 @@
+"""Which samples the models of a ladder are fitted to, and which they are judged by.
+
+What is held out has to move, since at rest the friction may be anything; and what is fitted has to tell every number
+that is carried over, or the effect would be judged by a size that nothing but its prior gave it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.gap import SLID, sliding
+from tuning.diagnosis.model import Model
+
+TRAINED = 0.6  # of a single log's motion
+TOLD = 0.1  # of what all samples tell of a number: less, and the part that is fitted does not know it
+TURNS = 10  # pieces of a log, every other one held out
+SESSION = "phases, times and sizes of waves registered on it"
+
+
+class Split(NamedTuple):
+    """Weights of the samples to fit and of those to judge by, [lanes, n] each, and what they are."""
+
+    train: Float[np.ndarray, "lanes n"]
+    test: Float[np.ndarray, "lanes n"]
+    logs: list[int]  # judged by
+    whole: list[int]  # of those, the ones of which nothing is fitted
+    says: str
+
+
+def split(fitter: Fitter, best: Fitted) -> Split:
+    """The last log that the others need not; of a single one, the end. Where the rest would not tell what `best` has
+    found, every other piece of each log.
+    """
+    logged = fitter.logged
+    counts = np.asarray(logged.lanes.counts)
+    moves = counts * sliding(np.asarray(best.track.course.velocity), logged.sampling.rate)
+    if moves.sum() <= SLID * counts.sum():
+        moves = counts
+    travelled = np.cumsum(moves).reshape(moves.shape) / moves.sum()
+    if logged.logs == 1:
+        early = travelled <= TRAINED
+        if np.all(told(best, early) | of_session(best.model)):
+            says = f"the last {100 * (1 - TRAINED):.0f} % of the motion held out"
+            return Split(counts * early, counts * ~early, [0], [], says)
+    for log in reversed(range(logged.logs)) if logged.logs > 1 else ():
+        mine = np.array([owner == log for owner in logged.owner])[:, None]
+        goes = (moves * mine).sum() > SLID * (counts * mine).sum()
+        if goes and np.all(told(best, counts * ~mine > 0) | ~_of_machine(best.model)):
+            return Split(counts * ~mine, counts * mine, [log], [log], f"log {log + 1} held out, {SESSION}")
+    fitted = np.floor(travelled * TURNS * logged.logs) % 2 == 0
+    says = f"every other tenth of {'the log' if logged.logs == 1 else 'the logs'} held out, {SESSION}"
+    return Split(counts * fitted, counts * ~fitted, list(range(logged.logs)), [], says)
+
+
+def of_session(model: Model) -> Bool[np.ndarray, " k"]:
+    """Which numbers are times of the session: they tell where an effect acts, not how much."""
+    sizes = {
+        (index, one.name)
+        for index, member in enumerate(model.members)
+        for one in member.candidate.parameters
+        if one.amplitude
+    }
+    return np.array(
+        [False] * len(NAMES) + [log is not None and (index, name) not in sizes for index, name, log in model.slots]
+    )
+
+
+def _of_machine(model: Model) -> Bool[np.ndarray, " k"]:
+    """Which numbers are those of an effect, the same in every log."""
+    return np.array([False] * len(NAMES) + [log is None for _, _, log in model.slots])
+
+
+def told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"]) -> Bool[np.ndarray, " k"]:
+    """Which of a fit's numbers these samples tell, of what all of them do; nor do these tell more than the prior."""
+    squares = one.jacobian**2
+    every = squares.sum(axis=0)
+    return (fitted.ravel() @ squares >= TOLD * every) | (every < 1.0)
