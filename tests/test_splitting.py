@@ -64,6 +64,16 @@ def test_sizes_of_the_session_are_registered_anew_and_need_not_be_told():
     tells[0, :, 0] = tells[1, :, 1] = 1.0
     found = split(*of([moving(), moving()], tells, [(0, "cosine", 0), (0, "cosine", 1)]))
     assert found.whole == [1]
+    assert np.flatnonzero(found.register[1]).max() + 1 == np.flatnonzero(found.test[1]).min() == 1_000
+    assert not (found.register * found.test).any()
+
+
+def test_what_sets_in_late_in_the_log_held_out_is_registered_on_all_of_it():
+    tells = np.zeros((2, 2_000, 2))
+    tells[0, :, 0] = tells[1, 1_500:, 1] = 1.0
+    found = split(*of([moving(), moving()], tells, [(0, "start", 0), (0, "start", 1)]))
+    assert found.register[1].all()
+    assert found.test[1].all()
 
 
 def test_a_log_at_rest_is_not_held_out():

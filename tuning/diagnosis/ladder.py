@@ -69,7 +69,7 @@ def climb(
 ) -> tuple[list[Rung], Split]:
     """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given."""
     parts = split(fitter, found.best)
-    train, test = _counting(fitter, parts.train), _counting(fitter, parts.test)
+    train, there, test = (_counting(fitter, each) for each in (parts.train, parts.register, parts.test))
     base = found.base
     chain = [("recalibrated", base)]
     for number in range(found.best.model.added):
@@ -85,9 +85,12 @@ def climb(
         unknown = np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~told(one, parts.train > 0)
         trained = train.fit(model, one.u, one.process, one.track.course, CARRY, 1.0 - unknown)
         session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
+        u = trained.u
+        if parts.whole and session.any():
+            model = Model(there.logged, one.model.members, one.model.tolerance)
+            u = there.fit(model, u, one.process, one.track.course, REGISTER, session).u
         model = Model(test.logged, one.model.members, one.model.tolerance)
-        register = REGISTER if session.any() and parts.whole else 0
-        return test.fit(model, trained.u, one.process, one.track.course, register, session)
+        return test.fit(model, u, one.process, one.track.course, 0)
 
     carried = in_parallel(judged_by, [one for _, one in chain])
     fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]

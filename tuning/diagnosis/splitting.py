@@ -1,7 +1,8 @@
 """Which samples the models of a ladder are fitted to, and which they are judged by.
 
 What is held out has to move, since at rest the friction may be anything; and what is fitted has to tell every number
-that is carried over, or the effect would be judged by a size that nothing but its prior gave it.
+that is carried over, or the effect would be judged by a size that nothing but its prior gave it. What is of the session
+is registered on the first half of a log that is held out, and judged by the second, where the first half tells it.
 """
 
 from typing import NamedTuple
@@ -17,14 +18,18 @@ from tuning.diagnosis.model import Model
 TRAINED = 0.6  # of a single log's motion
 TOLD = 0.1  # of what all samples tell of a number: less, and the part that is fitted does not know it
 TURNS = 10  # pieces of a log, every other one held out
-SESSION = "phases, times and sizes of waves registered on it"
+SESSION = "phases, times and sizes of waves registered on "
+
+
+Weights = Float[np.ndarray, "lanes n"]
 
 
 class Split(NamedTuple):
     """Weights of the samples to fit and of those to judge by, [lanes, n] each, and what they are."""
 
-    train: Float[np.ndarray, "lanes n"]
-    test: Float[np.ndarray, "lanes n"]
+    train: Weights
+    register: Weights  # to fit the numbers of the session to
+    test: Weights
     logs: list[int]  # judged by
     whole: list[int]  # of those, the ones of which nothing is fitted
     says: str
@@ -44,15 +49,27 @@ def split(fitter: Fitter, best: Fitted) -> Split:
         early = travelled <= TRAINED
         if np.all(told(best, early) | of_session(best.model)):
             says = f"the last {100 * (1 - TRAINED):.0f} % of the motion held out"
-            return Split(counts * early, counts * ~early, [0], [], says)
+            return Split(counts * early, counts * early, counts * ~early, [0], [], says)
     for log in reversed(range(logged.logs)) if logged.logs > 1 else ():
         mine = np.array([owner == log for owner in logged.owner])[:, None]
         goes = (moves * mine).sum() > SLID * (counts * mine).sum()
         if goes and np.all(told(best, counts * ~mine > 0) | ~_of_machine(best.model)):
-            return Split(counts * ~mine, counts * mine, [log], [log], f"log {log + 1} held out, {SESSION}")
+            return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
     fitted = np.floor(travelled * TURNS * logged.logs) % 2 == 0
-    says = f"every other tenth of {'the log' if logged.logs == 1 else 'the logs'} held out, {SESSION}"
-    return Split(counts * fitted, counts * ~fitted, list(range(logged.logs)), [], says)
+    says = f"every other tenth of {'the log' if logged.logs == 1 else 'the logs'} held out, {SESSION}the rest"
+    return Split(counts * fitted, counts * fitted, counts * ~fitted, list(range(logged.logs)), [], says)
+
+
+def _held_out(best: Fitted, train: Weights, there: Weights, moves: Weights, log: int) -> Split:
+    """A whole log held out; judged by its second half if the first tells what is of the session."""
+    session = np.array([False] * len(NAMES) + [one == log for _, _, one in best.model.slots])
+    says = f"log {log + 1} held out"
+    if not session.any():
+        return Split(train, there, there, [log], [log], says)
+    first = (np.cumsum(moves) <= 0.5 * moves.sum()).reshape(moves.shape)
+    if np.all(told(best, (there * first) > 0) | ~session):
+        return Split(train, there * first, there * ~first, [log], [log], f"{says}, {SESSION}its first half")
+    return Split(train, there, there, [log], [log], f"{says}, {SESSION}it")
 
 
 def of_session(model: Model) -> Bool[np.ndarray, " k"]:
