@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from imagined import hypothesis
 from sound_log import DRIVE
 
 from diffdrive.parameters import Sampling
@@ -27,13 +28,6 @@ def seeing(monkeypatch):
     """No filter is lost."""
     for module in (explain, leftover):
         monkeypatch.setattr(module, "blind", lambda *_: False)
-
-
-def hypothesis(*effects, evidence, strain=0.0, coarse=False):
-    """A fit as far as the search looks at it."""
-    members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
-    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, possible=lambda u: True)
-    return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
 
 
 def names(looked):

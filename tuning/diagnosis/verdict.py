@@ -13,13 +13,13 @@ from scipy.special import expit
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leftover import LEFT, STRAINED, complete, furthest, strain, unexplained
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, furthest, strain, unexplained
 from tuning.diagnosis.search import IMPOSSIBLE, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
-ROUGHLY = 0.5  # in the place of LEFT, for effects whose details differ from machine to machine
+ROUGHLY = 0.2  # in the place of LEFT, for one effect alone whose details differ from machine to machine
 TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
@@ -121,13 +121,23 @@ def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float
     return told
 
 
+def _may_leave(best: Fitted) -> float:
+    """The share of what was missing that an explanation may leave.
+
+    An effect alone whose details differ leaves what is its own; beside it, another would be believed for filling that.
+    """
+    if not best.model.coarse:
+        return LEFT
+    return ROUGHLY if best.model.added == 1 else COARSE
+
+
 def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
     effects = best.model.added
     lacks = not complete(fitter, base)
     share = unexplained(fitter, base, best) if lacks else 0.0
-    left = share / (ROUGHLY if best.model.coarse else LEFT)
+    left = share / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):

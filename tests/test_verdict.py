@@ -1,0 +1,47 @@
+"""What an explanation may leave, and how sure its causes are."""
+
+import pytest
+from imagined import hypothesis
+
+from tuning.diagnosis import verdict
+from tuning.diagnosis.explain import Explanation
+from tuning.diagnosis.search import Round
+
+
+@pytest.fixture
+def leaving(monkeypatch):
+    """Let every explanation leave such a share of what was missing."""
+
+    def leave(share):
+        monkeypatch.setattr(verdict, "complete", lambda *_: False)
+        monkeypatch.setattr(verdict, "unexplained", lambda *_: share)
+
+    return leave
+
+
+def explained(*effects, coarse=False):
+    """These effects found one after the other, each by far."""
+    fits = [hypothesis(evidence=0.0)]
+    rounds = []
+    for count in range(1, len(effects) + 1):
+        fits.append(hypothesis(*effects[:count], evidence=-1e5 * count, coarse=coarse))
+        rounds.append(Round(fits[-2], [], [fits[-1]], 1, 0.0))
+    return Explanation(fits[0], rounds, fits[-1])
+
+
+@pytest.mark.parametrize(
+    ("effects", "coarse", "share", "says"),
+    [
+        (("backlash",), True, 0.15, "effect"),
+        (("backlash",), True, 0.3, "unknown"),
+        (("backlash", "cogging"), True, 0.04, "effect"),
+        (("backlash", "cogging"), True, 0.06, "unknown"),
+        (("cogging",), False, 0.019, "effect"),
+        (("cogging",), False, 0.03, "unknown"),
+    ],
+)
+def test_only_alone_may_an_effect_whose_details_differ_leave_much(leaving, effects, coarse, share, says):
+    leaving(share)
+    told = verdict.judge(None, explained(*effects, coarse=coarse))
+    assert told.verdict == says
+    assert all(one.confidence > 0.5 for one in told.beliefs) == (says == "effect")
