@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from imagined import hypothesis
 from sound_log import DRIVE, RATE, logged, two_sines
 
 from diffdrive.controllers import UnknownController
@@ -35,13 +36,14 @@ def belief(effect, found=True, alternatives=(), round=0):
     return SimpleNamespace(effect=effect, found=found, round=round, alternatives=list(alternatives), fitted=effect)
 
 
-def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as it is"):
+def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as it is", rounds=((), ())):
     """A diagnosis of a log that went to and fro over 40 mm, as far as is looked at here."""
     position = 0.01 + 0.02 * (1 - np.cos(3.0 * TIME))[None]
     lanes = SimpleNamespace(position=position, counts=np.ones_like(position))
     velocity = 0.06 * np.sin(3.0 * TIME)[None]
     return SimpleNamespace(
         verdict=SimpleNamespace(verdict=verdict, beliefs=list(beliefs), unexplained=unexplained, says=says),
+        explanation=SimpleNamespace(rounds=[SimpleNamespace(fits=list(fits)) for fits in rounds]),
         lacks=list(lacks),
         where=list(where),
         logged=SimpleNamespace(lanes=lanes),
@@ -148,6 +150,18 @@ def test_the_rival_that_a_second_way_found_is_decided_where_its_own_round_has_no
     elsewhere, own = belief("constant_force", found=False, round=1), belief("cogging", found=False, round=0)
     assert next_experiment(diagnosed("effect", first, elsewhere), DRIVE).between == ["backlash", "constant_force"]
     assert next_experiment(diagnosed("effect", first, elsewhere, own), DRIVE).between == ["backlash", "cogging"]
+
+
+def test_a_rival_that_is_surer_in_another_round_is_read_as_it_was_beside_the_cause(monkeypatch):
+    """There it stands beside the cause itself, and no motion would tell the two apart."""
+    read = []
+    monkeypatch.setattr(module, "_told", lambda truth, rival, *_: read.append((truth, rival)) or 50.0)
+    beside = hypothesis("lead_error", evidence=-900.0)
+    first = belief("cogging", alternatives=["lead_error", "constant_force"])
+    others = belief("lead_error", found=False, round=1), belief("constant_force", found=False, round=1)
+    offer = next_experiment(diagnosed("effect", first, *reversed(others), rounds=([beside], ())), DRIVE)
+    assert offer.between == ["cogging", "lead_error"]
+    assert all(truth == "cogging" and rival is beside for truth, rival in read)
 
 
 @pytest.mark.parametrize("beliefs", [(), (belief("cogging"),), (belief("cogging", found=False),)])

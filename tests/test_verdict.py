@@ -45,3 +45,22 @@ def test_only_alone_may_an_effect_whose_details_differ_leave_much(leaving, effec
     told = verdict.judge(None, explained(*effects, coarse=coarse))
     assert told.verdict == says
     assert all(one.confidence > 0.5 for one in told.beliefs) == (says == "effect")
+
+
+def test_of_each_effect_there_is_one_belief(leaving):
+    """What was found of it, however sure it seemed in another round; else what is surest."""
+    leaving(0.001)
+    found = explained("cogging", "lead_error")
+    rival, worse = hypothesis("lead_error", evidence=-1e5 + 1e3), hypothesis("backlash", evidence=-1e4)
+    nearer = hypothesis("cogging", "backlash", evidence=-2e5 + 1e3)
+    first, second = found.rounds
+    first = first._replace(fits=[*first.fits, rival, worse], rivals=3)
+    second = second._replace(fits=[*second.fits, nearer], rivals=2)
+    told = verdict.judge(None, found._replace(rounds=[first, second])).beliefs
+    assert [(one.effect, one.found, one.round) for one in told] == [
+        ("cogging", True, 0),
+        ("lead_error", True, 1),
+        ("backlash", False, 1),
+    ]
+    assert told[2].fitted is nearer
+    assert told[2].alternatives == ["lead_error"]

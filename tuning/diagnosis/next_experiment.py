@@ -26,6 +26,7 @@ from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import MOVING, drive_of
 from tuning.diagnosis.model import Logged, Member, Model, thinned
+from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT, Region
 from tuning.next_motion import ACCELERATION, candidates, room
 from tuning.prediction import Lanes
@@ -66,19 +67,14 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
         return Experiment("", [], 0.0, "nothing is left to decide")
     if verdict.verdict == "unknown" and not causes and verdict.unexplained == 0.0:
         return Experiment("", [], 0.0, f"measure that parameter by itself, no motion is proposed: {verdict.says}")
-    pairs = [
-        (cause, one)
-        for cause in causes
-        for one in sorted(verdict.beliefs, key=lambda one: one.round != cause.round)  # of its own round, if there is
-        if not one.found and one.effect in cause.alternatives
-    ]
+    pairs = [(cause, *rival) for cause in causes for rival in _rivals(found, cause)]
     if not pairs and verdict.verdict == "unknown":
         return _exciting(found, description)
     if not pairs:
         says = "these logs leave no rival: no further motion is needed"
         return Experiment("", [one.effect for one in causes], 0.0, says)
-    first, rival = pairs[0]
-    between = [first.effect, rival.effect]
+    first, rival, fitted = pairs[0]
+    between = [first.effect, rival]
     if isinstance(description.controller, UnknownController):
         return Experiment("", between, 0.0, "no motion can be tried: the drive file names no controller to simulate")
     limits, about = room(found.logged.lanes, description.limits)
@@ -86,7 +82,7 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
 
     def tells_of(name: str, steps: int) -> float:
         inputs = inputs_of(tried[name], np.zeros(len(tried[name].time)))
-        return _told(first.fitted, rival.fitted, description, inputs, steps)
+        return _told(first.fitted, fitted, description, inputs, steps)
 
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
     if tells < ENOUGH:
@@ -97,6 +93,19 @@ def next_experiment(found: Diagnosis, description: DriveDescription) -> Experime
         return Experiment("", between, tells, says)
     says = f"{best} would tell {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)"
     return Experiment(best, between, tells, says, tried[best])
+
+
+def _rivals(found: Diagnosis, cause: Belief) -> list[tuple[str, Fitted]]:
+    """What the logs cannot exclude in the place of a cause, first what was fitted beside the same effects.
+
+    A rival may be surer in another round: there it stands beside others, maybe beside the cause itself.
+    """
+    beliefs = found.verdict.beliefs
+    beside = {one.model.members[-1].candidate.name: one for one in found.explanation.rounds[cause.round].fits}
+    beside |= {one.effect: one.fitted for one in beliefs if one.round == cause.round}
+    rivals = [one for one in beliefs if not one.found and one.effect in cause.alternatives]
+    rivals.sort(key=lambda one: one.effect not in beside)
+    return [(one.effect, beside.get(one.effect, one.fitted)) for one in rivals]
 
 
 def _surest(told: dict[str, float], again: Callable[[str], float]) -> tuple[str, float]:

@@ -43,7 +43,7 @@ class Verdict(NamedTuple):
     """What the logs say."""
 
     verdict: str  # "none", "effect" or "unknown"
-    beliefs: list[Belief]  # found effects first, then the surest
+    beliefs: list[Belief]  # one of each effect: what was found first, then the surest
     unexplained: float  # share of the gap beyond the noise that nothing explains
     says: str
 
@@ -121,6 +121,14 @@ def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float
     return told
 
 
+def _one_of_each(beliefs: list[Belief]) -> list[Belief]:
+    """Of each effect, which every round may have fitted anew, what was found of it, else what is surest."""
+    kept: dict[str, Belief] = {}
+    for one in sorted(beliefs, key=lambda one: (not one.found, -one.confidence)):
+        kept.setdefault(one.effect, one)
+    return list(kept.values())
+
+
 def _may_leave(best: Fitted) -> float:
     """The share of what was missing that an explanation may leave.
 
@@ -146,7 +154,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
         certain = (NEAREST + (1.0 - NEAREST) * known) * expit((gain - looked.enough) / COLDEST)
         beliefs += _believed(looked, number, share, number < effects, float(certain))
-    beliefs = _at_most(SUREST, _shared(beliefs, found, share, known))
+    beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, known)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         return _nothing_found(base, beliefs, lacks)
