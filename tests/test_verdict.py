@@ -1,5 +1,6 @@
 """What an explanation may leave, and how sure its causes are."""
 
+import numpy as np
 import pytest
 from imagined import hypothesis
 
@@ -64,3 +65,27 @@ def test_of_each_effect_there_is_one_belief(leaving):
     ]
     assert told[2].fitted is nearer
     assert told[2].alternatives == ["lead_error"]
+
+
+def second(gain, enough):
+    """How sure a second effect is that brings so much evidence, where so much is enough."""
+    first, both = hypothesis("cogging", evidence=-1e5), hypothesis("cogging", "lead_error", evidence=-1e5 - gain)
+    base = hypothesis(evidence=0.0)
+    rounds = [Round(base, [], [first], 1, 0.0), Round(first, [], [both], 1, 0.0, enough)]
+    best = both if gain >= enough else first
+    told = verdict.judge(None, Explanation(base, rounds, best)).beliefs
+    return next(one.confidence for one in told if one.effect == "lead_error")
+
+
+def test_what_is_enough_is_no_step_where_it_is_much(leaving):
+    leaving(0.0)
+    assert second(4040.0, 4000.0) == pytest.approx(second(3960.0, 4000.0), abs=0.05)
+    assert second(9000.0, 4000.0) > 0.95
+    assert second(1000.0, 4000.0) < 0.1
+    assert second(52.0, 12.0) > 0.95  # few are told as sharply as the fits are
+    assert second(40.0, 32.0) - second(24.0, 32.0) == pytest.approx(0.46, abs=0.01)
+
+
+def test_what_was_withdrawn_is_not_believed(leaving):
+    leaving(0.0)
+    assert second(500.0, np.inf) == 0.0

@@ -18,6 +18,7 @@ from tuning.diagnosis.search import IMPOSSIBLE, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
+BLURRED = 0.25  # of the evidence that is enough: by so much it is not known
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
 ROUGHLY = 0.2  # in the place of LEFT, for one effect alone whose details differ from machine to machine
 TOLD = 0.005  # unexplained, from which on it is said
@@ -139,6 +140,17 @@ def _may_leave(best: Fitted) -> float:
     return ROUGHLY if best.model.added == 1 else COARSE
 
 
+def _worth(gain: float, enough: float) -> float:
+    """How sure it is that a gain is more than chance and the other effect's details make.
+
+    What is enough is thousands where it is a share of much evidence, and no sharper than that share; it is without end
+    for what was withdrawn.
+    """
+    if not np.isfinite(enough):
+        return 0.0
+    return float(expit((gain - enough) / max(COLDEST, BLURRED * enough)))
+
+
 def judge(fitter: Fitter, found: Explanation) -> Verdict:
     """The verdict on an explanation."""
     base, best = found.base, found.best
@@ -152,8 +164,8 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
         if not looked.fits:
             continue
         gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
-        certain = (NEAREST + (1.0 - NEAREST) * known) * expit((gain - looked.enough) / COLDEST)
-        beliefs += _believed(looked, number, share, number < effects, float(certain))
+        certain = (NEAREST + (1.0 - NEAREST) * known) * _worth(gain, looked.enough)
+        beliefs += _believed(looked, number, share, number < effects, certain)
     beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, known)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
