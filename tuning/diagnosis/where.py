@@ -91,7 +91,7 @@ def ranked(regions: Sequence[Region], unlisted: int = 0) -> list[Region]:
     """The regions with p-values paid for by how many were looked at, `unlisted` ones besides these.
 
     Significant ones first, and among these those with most of the gap beyond what was expected. To be called once, with
-    every region and p-values that nothing was paid for yet.
+    every region of a kind and p-values that nothing was paid for yet.
     """
     if not regions:
         return []
@@ -161,7 +161,8 @@ def localise(
     `starts` (s) is when each lane begins in its log. `noise` (N) is the force that a sound model would seem to lack,
     from the measuring noise alone: without it no band of frequencies is significant, since the filter colours noise.
     With `lead` (m), where that of the screw is known, periods are given per turn as well. `others` are regions from
-    elsewhere, their p-values not yet paid for, to be ranked among these.
+    elsewhere, their p-values not yet paid for: they are paid for among themselves, since what explains a gap is next to
+    certain to do so, and would pay for all that stand beside it.
     """
     motion, every = motion_of(gap, rate), np.asarray(lanes.counts)
     asked: list[_Asked] = []
@@ -189,15 +190,13 @@ def localise(
             asked.append(_Asked("log", f"log {log + 1}", mine, f"in log {log + 1}"))
         named = f"in log {log + 1} at times of" if len(set(owner)) > 1 else "at times of"
         asked += _bands("time", time, mine, every, TIMES, 1.0, "s", named)
-    regions = [*others, *_shares(gap, every, asked, rate, seed)]
+    regions = _shares(gap, every, asked, rate, seed)
     bands = _frequencies(gap, rate, noise)
     lines = [*lines_in_time(gap.force, rate), *lines_in_position(gap.force, motion.position, gap.counts)]
     clear = [one for one in lines if one.p_value < SIGNIFICANT]
     apart = told_apart(clear, gap.force, motion.position, motion.velocity, gap.counts, rate)
     told = [one for one in (*bands, *(_line(one, lead) for one in apart)) if one.share > FAINT]
-    paid = ranked([*regions, *told], len(bands) + len(lines) - len(told))
-    elsewhere = {one.dimension for one in others}
-    return sorted(paid, key=lambda one: one.dimension in elsewhere)
+    return [*ranked([*regions, *told], len(bands) + len(lines) - len(told)), *ranked(others)]
 
 
 def _bands(
