@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from sound_log import DRIVE, RATE, SOUND, described, logged, two_sines, without
 
+from diffdrive.drive_file import write_drive
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.friction import ViscousDrift
 from diffdrive.errors import LogError, ParameterError
+from diffdrive.logs import write_log
 from diffdrive.parameters import Directional, as_arrays
+from experiments.diagnose import diagnose_logs
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose, logged_of
@@ -133,3 +136,21 @@ def test_the_loop_is_judged_by_what_is_held_out():
     )
     assert judged.position_rms < 2e-7
     assert all_of_it.position_rms > 5e-5
+
+
+def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
+    """Not one innovation of it differs from zero: no scale of the noise fits that, and no force is missing."""
+    count = 4000
+    flat = np.full(count, 0.01)
+    off = dataclasses.replace(
+        SOUND, time=np.arange(count) / RATE, position=flat, command=np.zeros(count), reference=flat
+    )
+    write_log(tmp_path / "off.parquet", off)
+    write_drive(tmp_path / "drive.toml", DRIVE)
+    told = diagnose_logs([tmp_path / "off.parquet"], tmp_path / "drive.toml", tmp_path / "out")
+    assert told["verdict"] == "unknown"
+    assert "the table travels 0 um" in told["says"]
+    assert told["causes"] == []
+    assert told["gap"]["force_rms_N"] < 1e-9 < told["gap"]["noise_floor_force_N"]
+    assert [one["shrink"] for one in told["ladder"]] == [0.0, 0.0]
+    assert "travels 0 um" in (tmp_path / "out" / "report.html").read_text()

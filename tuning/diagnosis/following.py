@@ -34,6 +34,7 @@ UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 LASTING = 0.02  # s, that a missing force lasts
 LOST = 6.0  # scatters; a filter that is so far off begins again from the measurement
 FOUND = 1e-5  # m, standard deviation of the position when it does
+QUIETEST = 1e-6  # the square of the scale of all noises, at least: a log that never changes shows no noise at all
 BATCH = 512  # samples that are differentiated at once
 
 
@@ -333,7 +334,7 @@ def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:
 def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Scalar, Scalar]:
     """-2 log likelihood up to a constant, and the square of the scale of all noises, which is free."""
     squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
-    size = jnp.sum(counts * squares) / jnp.sum(counts)
+    size = jnp.maximum(jnp.sum(counts * squares) / jnp.sum(counts), QUIETEST)
     return jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter)), size
 
 

@@ -34,6 +34,7 @@ DRAWS = 400
 NOISES = 8  # draws of the measuring noise
 SEEDS = 3  # simulations with noise
 DITHER = 0.3  # of the noise that quantisation makes: without any, simulations would not differ, and have no floor
+NONE = 1e-24  # N^2, at least: a table that never moves lacks no force at all, and shares of nothing are undefined
 APART = 10.0  # of the log's travel, that a simulation may be off before it counts as diverged
 
 
@@ -48,7 +49,7 @@ class ForceGap(NamedTuple):
     @property
     def rms(self) -> float:
         """Root mean square (N)."""
-        return float(np.sqrt(np.sum(self.force**2) / max(np.sum(self.counts), 1.0)))
+        return float(np.sqrt(max(np.sum(self.force**2) / max(np.sum(self.counts), 1.0), NONE)))
 
     def interval(self, rate: float, seed: int = 0) -> tuple[float, float]:
         """95 % interval of `rms`, from whole blocks of the logs drawn anew."""
@@ -67,7 +68,7 @@ class ForceGap(NamedTuple):
         counts = np.add.reduceat(self.counts, edges, axis=1).ravel()
         squares, counts = squares[counts > 0], counts[counts > 0]
         picks = np.random.default_rng(seed).integers(0, len(counts), (DRAWS, len(counts)))
-        return squares[picks].sum(axis=1) / counts[picks].sum(axis=1)
+        return np.maximum(squares[picks].sum(axis=1) / counts[picks].sum(axis=1), NONE)
 
 
 def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, "lanes n"]:
