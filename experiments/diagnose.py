@@ -37,6 +37,10 @@ from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.estimates import NORMAL
 
+TOO_FAR = (
+    "The drive file's drive is too far from the logs for the missing force to be told: the filter that would tell it "
+    "is lost along them, or runs away. Look at units and signs"
+)
 SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
 NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
@@ -189,39 +193,53 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "says": found.verdict.says,
         "unexplained": found.verdict.unexplained,
         "gap": {
-            "says": _size(nominal, recalibrated, found.floor) + (f"; {found.laps.says}" if found.laps else ""),
+            "says": _size(found) + (f"; {found.laps.says}" if found.laps else ""),
             "position_rms_m": _in_loop(nominal, "position_rms"),
             "command_rms_N": _in_loop(nominal, "command_rms"),
-            "force_rms_N": nominal.force.rms,
-            "force_interval_N": nominal.interval,
+            "force_rms_N": _force(nominal),
+            "force_interval_N": _span(nominal),
             "noise_floor_position_m": _in_loop(last, "position_floor"),
             "noise_floor_command_N": _in_loop(last, "command_floor"),
             "noise_floor_force_N": found.floor,
             "recalibrated_position_rms_m": _in_loop(recalibrated, "position_rms"),
             "recalibrated_command_rms_N": _in_loop(recalibrated, "command_rms"),
-            "recalibrated_force_rms_N": recalibrated.force.rms,
+            "recalibrated_force_rms_N": _force(recalibrated),
             "judged_on": found.split.says,
             "laps": found.laps and found.laps._asdict(),
         },
         "where": [one._asdict() for one in found.where],
         "causes": [cause(found, one) for one in found.verdict.beliefs],
         "recalibrated": list(_recalibrated(found)),
-        "ladder": [_rung(one) for one in found.rungs],
+        "ladder": [_rung(found, one) for one in found.rungs],
         "closed": _closed(found),
         "lacks": [one._asdict() for one in found.lacks],
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
 
 
-def _size(nominal: Rung, recalibrated: Rung, floor: float) -> str:
+def _size(found: Diagnosis) -> str:
     """How large the gap is, in words."""
-    low, high = nominal.interval
-    within = recalibrated.force.rms < HIDDEN * floor
+    (nominal, recalibrated), floor = (one.force for one in found.rungs[:2]), found.floor
+    if not recalibrated.told:
+        return TOO_FAR
+    lacks = f"recalibrated it lacks {recalibrated.rms:.3g} N"
+    if not nominal.told or floor is None:
+        return f"{TOO_FAR}; {lacks}"
+    (low, high), within = found.rungs[0].interval, recalibrated.rms < HIDDEN * floor
     return (
-        f"The drive file's model lacks {nominal.force.rms:.3g} N ({low:.3g} to {high:.3g}), "
-        f"{nominal.force.rms / floor:.2g} times the noise floor of {floor:.3g} N; recalibrated it lacks "
-        f"{recalibrated.force.rms:.3g} N, " + ("which is that floor" if within else "which is more than that floor")
+        f"The drive file's model lacks {nominal.rms:.3g} N ({low:.3g} to {high:.3g}), {nominal.rms / floor:.2g} times "
+        f"the noise floor of {floor:.3g} N; {lacks}, which is {'that floor' if within else 'more than that floor'}"
     )
+
+
+def _force(rung: Rung) -> float | None:
+    """The missing force (N); None where it cannot be told."""
+    return rung.force.rms if rung.force.told else None
+
+
+def _span(rung: Rung) -> tuple[float | None, float | None]:
+    """Its interval (N)."""
+    return rung.interval if rung.force.told else (None, None)
 
 
 def _in_loop(rung: Rung, name: str) -> float | None:
@@ -249,8 +267,8 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
         "parameters": {name: value for name, (value, _) in numbers.items()},
         "intervals": {name: interval for name, (_, interval) in numbers.items()},
         "units": {name: units[name] for name in numbers},
-        "gap_before": before and before.force.rms,
-        "gap_after": rung and rung.force.rms,
+        "gap_before": before and _force(before),
+        "gap_after": rung and _force(rung),
         "held_out": rung and before and _own_shrink(found, before, rung),
         "indistinguishable_from": belief.alternatives,
     }
@@ -260,7 +278,7 @@ def _own_shrink(found: Diagnosis, before: Rung, after: Rung) -> dict[str, Any]:
     """What one effect takes off the gap beyond the floor that the rung before it leaves; no share of nothing."""
     gone = closed(before, after, found.logged.sampling.rate)
     judged = {"judged_on": found.split.says}
-    if gone is None:
+    if gone is None or not after.force.told:
         return {"shrink": None, "interval": None} | judged
     return {"shrink": gone.share, "interval": [gone.low, gone.high]} | judged
 
@@ -293,15 +311,16 @@ def _nominal(drive: Drive, parameter: str) -> list[tuple[str, float, str]]:
     return [(f"{field}.{way}", float(getattr(value, way)), unit) for way in ways]
 
 
-def _rung(rung: Rung) -> dict[str, Any]:
+def _rung(found: Diagnosis, rung: Rung) -> dict[str, Any]:
+    shrink, *span = rung.shrink if rung.force.told and found.rungs[0].force.told else (None, None, None)
     unknown = "not simulated in closed loop: the controller or the reference is not known"
     return {
         "model": rung.name,
-        "force_rms_N": rung.force.rms,
-        "force_interval_N": rung.interval,
-        "force_floor_N": rung.floor,
-        "shrink": rung.shrink[0],
-        "shrink_interval": rung.shrink[1:],
+        "force_rms_N": _force(rung),
+        "force_interval_N": _span(rung),
+        "force_floor_N": found.floor_of(rung),
+        "shrink": shrink,
+        "shrink_interval": span,
         "position_rms_m": _in_loop(rung, "position_rms"),
         "position_floor_m": _in_loop(rung, "position_floor"),
         "command_rms_N": _in_loop(rung, "command_rms"),
@@ -313,12 +332,16 @@ def _rung(rung: Rung) -> dict[str, Any]:
 
 def _closed(found: Diagnosis) -> dict[str, Any]:
     """How much of the force's mean square that recalibration leaves beyond the floor is gone with what was found."""
-    before, after, gone = found.rungs[1].force, found.rungs[-1].force, found.closed
+    before, after, floor, gone = found.rungs[1].force, found.rungs[-1].force, found.floor, found.closed
     if len(found.rungs) == 2:
         return {"share": None, "interval": None, "says": "No effect was added."}
+    if not (before.told and after.told and floor is not None):
+        untold = "the recalibrated drive" if after.told else "what was found"
+        says = f"On {found.split.says}: the filter that would tell the missing force is lost with {untold}"
+        return {"share": None, "interval": None, "says": says}
     on = (
         f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor "
-        f"{found.floor:.3g} N"
+        f"{floor:.3g} N"
     )
     if gone is None:
         moved = strain(found.explanation.base)

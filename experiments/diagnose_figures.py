@@ -29,18 +29,18 @@ def draw(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
 
 def _ladder(found: Diagnosis) -> Any:
     """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
-    rms = np.array([rung.force.rms for rung in found.rungs])
+    rms = np.array([rung.force.rms if rung.force.told else np.nan for rung in found.rungs])
     spread = np.abs(np.array([rung.interval for rung in found.rungs]).T - rms)
     loops = [rung.loop for rung in found.rungs if rung.loop is not None]
     simulated = [one for one in loops if not one.says]
     figure, axes = new_figure(1, 3 if simulated else 1, width=11.0 if simulated else 6.0, height=3.4, share_x=False)
     axes = np.atleast_1d(axes)
     axes[0].set_title("missing force, N RMS", fontsize="medium")
-    _points(axes[0], rms, found.floor, spread)
+    _points(axes[0], rms, np.nan if found.floor is None else found.floor, "not told", spread)
     for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("um", "N"), strict=False):
         of_loops = [np.nan if one.says else scale * getattr(one, f"{signal}_rms") for one in loops]
         axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
-        _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"))
+        _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"), "runs away")
     for axis in axes:
         axis.set_xticks(np.arange(len(rms)), [rung.name for rung in found.rungs], rotation=20, ha="right")
         axis.set_xlim(-0.5, len(rms) - 0.5)
@@ -49,21 +49,22 @@ def _ladder(found: Diagnosis) -> Any:
     return figure
 
 
-def _points(axis: Any, values: np.ndarray, floor: float, spread: np.ndarray | None = None) -> None:
-    """One value for each model, with its error bar, on a logarithmic axis; nan for one whose simulation runs away."""
-    at, good = np.arange(len(values)), values[np.isfinite(values)]
+def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.ndarray | None = None) -> None:
+    """One value for each model, with its error bar, on a logarithmic axis; of one that is nan it is said `why`."""
+    at, good = np.arange(len(values)), [one for one in (floor, *values) if np.isfinite(one)]
     axis.errorbar(at, values, yerr=spread, fmt="o", color=AFTER, capsize=4)
     axis.axhline(floor, color="k", linestyle="--", label="noise floor")
-    axis.set_yscale("log")
-    axis.set_ylim(min(floor, *good) / ROOM, max(floor, *good) * ROOM)
-    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axis.yaxis.set_minor_formatter(NullFormatter())
+    if good:
+        axis.set_yscale("log")
+        axis.set_ylim(min(good) / ROOM, max(good) * ROOM)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
     for k, value in enumerate(values):
         if np.isfinite(value):
             axis.annotate(f"{value:.3g}", (k, value), xytext=(0, 8), textcoords="offset points", ha="center")
         else:
-            axis.text(k, 0.97, "runs away", transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
+            axis.text(k, 0.97, why, transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
 
 
 def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
@@ -71,7 +72,7 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
     figure, axes = new_figure(2, 1, width=11.0, height=2.8, share_x=False)
     lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == found.split.logs[-1]]
     rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
-    for rung, label, color in _first_and_last(found.rungs):
+    for rung, label, color in (one for one in _first_and_last(found.rungs) if one[0].force.told):
         for lane in lanes:
             counts = rung.force.counts[lane] > 0
             every = max(1, counts.size // MOST_POINTS)

@@ -139,9 +139,13 @@ def _sizes(told: dict[str, Any]) -> list[Row]:
 def _ladder(told: dict[str, Any]) -> list[Row]:
     nothing: Row = [None, None, None]
     first, *others = told["ladder"]
-    shrinks = [[100.0 * share for share in (one["shrink"], *one["shrink_interval"])] for one in others]
+    shrinks = [[_percent(share) for share in (one["shrink"], *one["shrink_interval"])] for one in others]
     rows = [_rung(one) + shrink for one, shrink in zip(others, shrinks, strict=True)]
     return [_rung(first) + nothing, *rows, _floor(told) + nothing]
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
 
 
 def _not_simulated(told: dict[str, Any]) -> list[str]:

@@ -9,17 +9,19 @@ from sound_log import DRIVE, RATE, SOUND, described, logged, two_sines, without
 
 from diffdrive.drive_file import write_drive
 from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.friction import ViscousDrift
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
 from diffdrive.parameters import Directional, as_arrays
-from experiments.diagnose import diagnose_logs
+from experiments.diagnose import as_json, diagnose_logs
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of, loop_gap
 from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.screening import begin, joined, screen
 from tuning.diagnosis.search import recalibrated, standing
 from tuning.diagnosis.setting import setting
@@ -154,3 +156,18 @@ def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
     assert told["gap"]["force_rms_N"] < 1e-9 < told["gap"]["noise_floor_force_N"]
     assert [one["shrink"] for one in told["ladder"]] == [0.0, 0.0]
     assert "travels 0 um" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_where_the_drive_cannot_follow_its_log_no_force_is_told():
+    """A position in mm, read as m: a filter that is lost at every sample would tell next to no force at all."""
+    far = dataclasses.replace(SOUND, position=1e3 * SOUND.position, reference=1e3 * SOUND.reference)
+    found = diagnose(DRIVE.drive, DRIVE.controller, [far], without=list(EFFECTS))
+    told = as_json(found, Experiment("", [], 0.0, ""))
+    assert not any(rung.force.told for rung in found.rungs)
+    gap = told["gap"]
+    assert [gap[name] for name in ("force_rms_N", "recalibrated_force_rms_N", "noise_floor_force_N")] == [None] * 3
+    assert "too far from the logs" in gap["says"]
+    assert "units" in gap["says"]
+    assert gap["position_rms_m"] > 1e-3 > gap["noise_floor_position_m"]
+    assert all(one["force_rms_N"] is one["force_floor_N"] is one["shrink"] is None for one in told["ladder"])
+    assert told["verdict"] == "unknown"

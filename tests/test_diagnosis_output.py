@@ -254,6 +254,34 @@ def test_a_simulation_that_runs_away_is_told_with_its_reason(tilted, told_of):
     assert len(_ladder(found).axes) == 3  # the others are drawn all the same
 
 
+def test_a_force_that_a_lost_filter_saw_is_not_told(tilted, told_of):
+    """Neither of the nominal drive nor of the recalibrated one; with what was found the filter follows."""
+    lost = [tilted.rungs[k].force._replace(lost=0.9) for k in range(2)]
+    told, out = told_of(with_rung(with_rung(tilted, 0, force=lost[0]), 1, force=lost[1]))
+    written = json.loads((out / "diagnosis.json").read_text())
+    assert [one["force_rms_N"] for one in written["ladder"]] == [None, None, told["ladder"][2]["force_rms_N"]]
+    assert [one["force_interval_N"][0] is None for one in written["ladder"]] == [True, True, False]
+    assert [one["shrink"] for one in written["ladder"]] == [None] * 3
+    assert (written["gap"]["force_rms_N"], written["gap"]["recalibrated_force_rms_N"]) == (None, None)
+    assert written["gap"]["noise_floor_force_N"] == tilted.floor
+    assert (written["causes"][0]["gap_before"], written["causes"][0]["held_out"]["shrink"]) == (None, None)
+    assert "lost with the recalibrated drive" in written["closed"]["says"]
+    page = (out / "report.html").read_text()
+    assert "too far from the logs" in section(page, "1.")
+    assert "<td>nominal</td><td>-</td><td>-</td><td>-</td>" in section(page, "1.")
+
+
+def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(tilted, told_of):
+    lost = tilted
+    for number, rung in enumerate(tilted.rungs):
+        lost = with_rung(lost, number, force=rung.force._replace(lost=0.9))
+    told, out = told_of(lost)
+    assert told["gap"]["noise_floor_force_N"] is None
+    assert told["closed"]["share"] is told["causes"][0]["held_out"]["shrink"] is None
+    assert "lost with what was found" in told["closed"]["says"]
+    assert (out / "ladder.png").exists()
+
+
 def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_of):
     found = dataclasses.replace(tilted, rungs=[one._replace(loop=None) for one in tilted.rungs])
     told, out = told_of(found)

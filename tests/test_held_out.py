@@ -86,6 +86,13 @@ def test_a_filter_that_ran_away_closes_nothing(before, after):
     assert closed(lacking(*before), lacking(*after), RATE) == (0.0, 0.0, 0.0)
 
 
+def test_a_filter_that_is_lost_closes_nothing_and_what_it_saw_is_nothing_to_close():
+    near, lost = lacking(3.0), lacking(1e-7)
+    lost.force = lost.force._replace(lost=0.3)
+    assert closed(near, lost, RATE) == (0.0, 0.0, 0.0)
+    assert closed(lost, near, RATE) is None
+
+
 def test_a_filter_that_ran_away_denies():
     sound, gone = rung(0.0), SimpleNamespace(unlikely=np.full(50, np.nan), fitted=rung(0.0).fitted)
     assert denied(gone, sound, 500.0)

@@ -58,6 +58,15 @@ def test_a_filter_that_ran_away_on_what_was_held_out_closes_nothing(base, last, 
     assert card_of((answer, truth("cogging")))["median_shrink_held_out"] == shrink
 
 
+def test_an_answer_whose_force_cannot_be_told_closes_nothing():
+    answer = told("effect", cause("cogging"))
+    answer["gap"]["noise_floor_force_N"] = None
+    answer["ladder"] = [{"force_rms_N": one} for one in (9.0, 5.0, None)]
+    assert card_of((answer, truth("cogging")))["median_shrink_held_out"] == 0.0
+    answer["ladder"][1]["force_rms_N"] = None
+    assert card_of((answer, truth("cogging")))["median_shrink_held_out"] is None
+
+
 def test_a_case_without_an_answer_is_one_that_failed():
     card = score({}, {"1": truth("cogging", size=2.0), "2": truth()})
     assert (card["cases"], card["errors"], card["named_clear"], card["said_none"]) == (2, 2, 0.0, 0.0)

@@ -172,13 +172,15 @@ def _shrink(told: dict[str, Any]) -> float | None:
     if told["verdict"] == "error":
         return 0.0
     ladder, floor = told.get("ladder", []), told.get("gap", {}).get("noise_floor_force_N")
-    if len(ladder) < 2 or not floor:
+    if len(ladder) < 2:
         return None
     base, last = ladder[1]["force_rms_N"], ladder[-1]["force_rms_N"]
     if not isinstance(base, float):
         return None
-    if not isinstance(last, float):  # a filter that ran away closes nothing
+    if not isinstance(last, float):  # a filter that ran away, or is lost, closes nothing
         return 0.0
+    if not floor:
+        return None
     before, after = (max(rms**2 - floor**2, 0.0) for rms in (base, last))
     return 1.0 - after / before if before > NOTHING * floor**2 else None
 

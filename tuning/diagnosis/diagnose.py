@@ -58,12 +58,17 @@ class Diagnosis:
     rungs: list[Rung]
     split: Split
     lacks: list[Shortcoming]
-    laps: Laps | None  # where a reference repeats
+    laps: Laps | None  # where a reference repeats, and the missing force can be told
 
     @property
-    def floor(self) -> float:
-        """N: the force that the measuring noise alone would make, on what is held out."""
-        return self.rungs[-1].floor
+    def floor(self) -> float | None:
+        """N: the force that the measuring noise alone would make, on what is held out; None where it cannot be told."""
+        return self.floor_of(self.rungs[-1])
+
+    def floor_of(self, rung: Rung) -> float | None:
+        """N: the same for one model; with effects within the filter it is what the recalibrated drive's makes of it."""
+        filtered = self.rungs[1] if rung.fitted.model.coupled else rung
+        return rung.floor if filtered.force.told and np.isfinite(rung.floor) else None
 
     @property
     def closed(self) -> Closed | None:
@@ -172,7 +177,7 @@ def diagnose(
         others=_subsystems(found),
     )
     progress("judging on held-out data", 1, 1)
-    again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning)
+    again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
     return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again)
 
 

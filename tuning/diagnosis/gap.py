@@ -23,7 +23,9 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
 from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
+from tuning.diagnosis.leftover import BLIND
 from tuning.diagnosis.model import Model, Vector, counted_in
+from tuning.diagnosis.trust import share_lost
 from tuning.replay import Given, begun, given
 
 TRUSTING = 0.1  # of the likeliest process force
@@ -45,6 +47,12 @@ class ForceGap(NamedTuple):
     course: Course
     surprise: Float[np.ndarray, "lanes n"]  # energy of what a filter that trusts the model did not foresee
     counts: Float[np.ndarray, "lanes n"]  # ones where the table slides: at rest, its friction may be anything
+    lost: float = 0.0  # share of the samples at which the filter was lost, whatever the table did
+
+    @property
+    def told(self) -> bool:
+        """Whether the filter followed the logs: one that is lost again and again, or ran away, sees no force."""
+        return self.lost <= BLIND and bool(np.isfinite(self.rms))
 
     @property
     def rms(self) -> float:
@@ -95,7 +103,7 @@ def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: 
     trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, LEAST), fitted.track.course).track
     surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.scatter)) ** 2, LOST**2)
     surprise = every * np.maximum(surprise - float(fitted.track.size), 0.0)
-    return ForceGap(np.asarray(track.lacking) * counts, track.course, surprise, counts)
+    return ForceGap(np.asarray(track.lacking) * counts, track.course, surprise, counts, share_lost(track, every))
 
 
 class LoopGap(NamedTuple):

@@ -27,12 +27,15 @@ class Closed(NamedTuple):
 def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed.
 
-    Unless the other opens a gap there. A filter that ran away closes nothing.
+    Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
+    first is, it cannot be told how much there was to close.
     """
     floor = after.floor
     squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
-    if not np.all(np.isfinite([floor, *squares[0], *squares[1]])):
+    if not np.all(np.isfinite([floor, *squares[0], *squares[1]])) or not after.force.told:
         return Closed(0.0, 0.0, 0.0)
+    if not before.force.told:
+        return None
     least = (HIDDEN**2 - 1.0) * floor**2
     hidden = [one[0] < HIDDEN**2 * floor**2 for one in squares]
     opened = np.percentile(squares[1][1:] - squares[0][1:], 2.5) > 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.fitting import LEAST, Fitted, Fitter
-from tuning.diagnosis.following import LOST
+from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.setting import setting
 
 Forces = Float[np.ndarray, " 2"]  # N, as in `Process`
@@ -19,15 +19,23 @@ SELDOM = 0.01  # of the samples, at which it may be lost
 
 def lost_samples(fitted: Fitted) -> int:
     """At how many samples the filter was lost."""
-    ratio = np.abs(np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter))
-    return int(np.sum(~(ratio <= LOST) & (np.asarray(fitted.model.logged.lanes.counts) > 0.0)))  # one that ran away is
+    return _lost(fitted.track, np.asarray(fitted.model.logged.lanes.counts))
+
+
+def _lost(track: Track, counts: Float[np.ndarray, "lanes n"]) -> int:
+    ratio = np.abs(np.asarray(track.innovation) / np.asarray(track.scatter))
+    return int(np.sum(~(ratio <= LOST) & (counts > 0.0)))  # one that ran away is
+
+
+def share_lost(track: Track, counts: Float[np.ndarray, "lanes n"]) -> float:
+    """At what share of the samples that count the filter was lost."""
+    return _lost(track, counts) / max(float(np.sum(counts)), 1.0)
 
 
 def lost_share(fitter: Fitter, fitted: Fitted, process: Forces) -> float:
     """At what share of the samples it is lost with these process forces (N)."""
     track = fitter.at(fitted.model, fitted.u, process, fitted.track.course).track
-    samples = float(np.sum(np.asarray(fitter.logged.lanes.counts)))
-    return lost_samples(fitted._replace(track=track)) / max(samples, 1.0)
+    return share_lost(track, np.asarray(fitter.logged.lanes.counts))
 
 
 def least_trusted(fitter: Fitter) -> Forces:
