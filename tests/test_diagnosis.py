@@ -143,8 +143,8 @@ def test_an_effect_that_the_drive_has_already_is_not_missing():
     assert float(augmented_drive(found).effects[0].force) == 6.0
 
 
-def lacks_of(position, command=None, drive=DRIVE.drive):
-    """Shortcomings of a log of this position (m)."""
+def shortcomings_of(position, command=None, drive=DRIVE.drive):
+    """What a log of this position (m) cannot tell."""
     log = log_of()
     n = len(position)
     flat = dataclasses.replace(
@@ -156,7 +156,11 @@ def lacks_of(position, command=None, drive=DRIVE.drive):
         load=np.zeros(n),
     )
     at = logged_of(drive, [flat])
-    return [one.why for one in shortcomings(at, setting(at.drive, at.lanes, 1.0 / RATE))]
+    return shortcomings(at, setting(at.drive, at.lanes, 1.0 / RATE))
+
+
+def lacks_of(*log, **given):
+    return [one.why for one in shortcomings_of(*log, **given)]
 
 
 def test_logs_that_cannot_tell_say_so():
@@ -178,6 +182,51 @@ def test_a_scale_that_dithers_at_rest_does_not_move(noise):
     why = lacks_of(position, drive=described(noise=noise, resolution=5e-6).drive)
     assert any("one direction" in one for one in why)
     assert any("one speed" in one for one in why)
+
+
+def there_and_back(speed, travel, seconds, noise):
+    """Strokes at one speed (m/s), measured with noise (m)."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    position = travel * np.abs((speed * time / travel) % 2.0 - 1.0)
+    return position + noise * np.random.default_rng(5).standard_normal(time.size)
+
+
+@pytest.mark.parametrize(("speed", "travel"), [(0.15e-3, 1.5e-3), (0.01e-3, 0.2e-3), (2e-6, 0.1e-3)])
+def test_a_slow_axis_moves(speed, travel):
+    """Each slower than what counts as rest on a fast axis; the last two are no faster than their noise over 5 ms."""
+    slow = there_and_back(speed, travel, 30.0, 2e-8)
+    found = shortcomings_of(slow, drive=described(noise=2e-8, resolution=None).drive)
+    assert not any(one.hopeless for one in found)
+    whys = [one.why for one in found if "one direction" not in one.why]  # the slowest has no time to turn
+    assert len(whys) == 1
+    told = float(whys[0].removeprefix("the table runs at one speed, ").removesuffix(" mm/s"))
+    assert told == pytest.approx(1e3 * speed, rel=0.1)
+
+
+def test_a_table_that_stands_does_not_move_however_noisy_or_restless_it_is():
+    time = np.arange(round(20.0 * RATE)) / RATE
+    room = np.random.default_rng(6).standard_normal(time.size)
+    noisy = described(noise=4e-6, resolution=None).drive
+    fine, coarse = (described(noise=0.0, resolution=step).drive for step in (5e-6, 8e-6))
+    hunts = np.round(2.4 * np.sin(2.0 * np.pi * 0.7 * time))  # steps of the scale
+    for stands, drive, why in (
+        (2e-8 * room, described(noise=2e-8).drive, "too little to slide"),
+        (4e-6 * room, noisy, "which may be noise"),  # it spans more than the bristle bends
+        (5e-6 * hunts, fine, "too little to slide"),
+        (8e-6 * hunts, coarse, "which may be noise"),
+    ):
+        found = shortcomings_of(stands, drive=drive)
+        assert [one.hopeless for one in found] == [True]
+        assert why in found[0].why
+
+
+def test_a_table_that_creeps_unseen_is_said_to_and_searched_all_the_same():
+    time = np.arange(round(10.0 * RATE)) / RATE
+    noise = 2e-6 * np.random.default_rng(7).standard_normal(time.size)
+    found = shortcomings_of(1e-5 * time + noise, drive=described(noise=2e-6, resolution=None).drive)
+    assert len(found) == 1
+    assert "nowhere faster" in found[0].why
+    assert not found[0].hopeless
 
 
 @pytest.mark.parametrize(

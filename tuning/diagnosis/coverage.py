@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from tuning.diagnosis.model import Logged
 from tuning.diagnosis.setting import Setting
@@ -10,11 +11,14 @@ from tuning.diagnosis.where import SLOWEST
 
 SHORTEST = 1.0  # s of motion
 TRAVEL = 10.0  # times the bristle's bend before it slides
+SCATTER = 20.0  # standard deviations of the measured position, which noise and a servo that hunts may span
 SPEEDS = 2.0  # ratio of the fast to the slow part of the motion
 SATURATED = 0.5  # of the time in which it moves, at the limit
 AT_THE_LIMIT = 0.98  # of it: a measured command is noisy
-LARGEST = 99.5  # percentile: the limit that the command itself shows
-SMOOTH = 5e-3  # s
+LARGEST = 99.5  # percentile: the limit that the command itself shows, and the largest speed
+WINDOWS = (5e-3, 5e-2, 0.5)  # s, over which the velocity is told: the longer, the slower a motion stands out from noise
+CLEARLY = 2.0  # times what noise alone may seem to move at, that the fastest of the motion is: the noise is in it, too
+SLOW = 0.1  # of the 95th percentile of speed, which counts as motion where that is slow throughout
 CHATTER = 4.0  # standard deviations of the measured velocity, below which nothing says that the table moves
 
 
@@ -31,20 +35,27 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     """What stands in the way of a diagnosis; empty where nothing does."""
     counts = np.asarray(logged.lanes.counts) > 0
     position, command = np.asarray(logged.lanes.position), np.asarray(logged.lanes.command)
-    rate = logged.sampling.rate
-    few = max(1, round(SMOOTH * rate))
-    velocity = (position[:, few:] - position[:, :-few]) * rate / few
-    seen = CHATTER * np.sqrt(2.0) * float(logged.noise) * rate / few  # a scale that dithers at rest does not move
-    moves = counts[:, few:] & (np.abs(velocity) > max(SLOWEST, seen))
+    rate, noise, travel = logged.sampling.rate, float(logged.noise), at.high - at.low
+    for least, why in ((TRAVEL * at.bristle, "too little to slide"), (SCATTER * noise, "which may be noise")):
+        if travel < least:
+            return [
+                Shortcoming(
+                    "anything but the stiffness at rest",
+                    f"the table travels {1e6 * travel:.3g} um, {why}",
+                    "a motion of several millimetres to and fro, at two speeds at least",
+                    hopeless=True,
+                )
+            ]
+    few, velocity, slowest = _told(position, counts, noise, rate)
+    moves = counts[:, few:] & (np.abs(velocity) > slowest)
     moving = velocity[moves]
     found = []
-    if at.high - at.low < TRAVEL * at.bristle or len(moving) == 0:
+    if len(moving) < few:  # any motion shows for as long as the velocity is told over
         return [
             Shortcoming(
-                "anything but the stiffness at rest",
-                f"the table travels {1e6 * (at.high - at.low):.3g} um",
-                "a motion of several millimetres to and fro, at two speeds at least",
-                hopeless=True,
+                "friction and mass",
+                f"the table is nowhere faster than the {1e3 * slowest:.2g} mm/s that would stand out from the noise",
+                "a faster motion to and fro, at two speeds at least",
             )
         ]
     if len(moving) < SHORTEST * rate:
@@ -87,3 +98,25 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
             )
         )
     return found
+
+
+def _told(
+    position: Float[np.ndarray, "lanes n"], counts: Bool[np.ndarray, "lanes n"], noise: float, rate: float
+) -> tuple[int, Float[np.ndarray, "lanes m"], float]:
+    """Over how many samples the velocity is told, the velocity (m/s), and above which speed (m/s) the table moves.
+
+    The shortest window over which any motion stands out from the noise; where none does, the first.
+    """
+    found = []
+    for window in WINDOWS:
+        few = max(1, round(window * rate))
+        velocity = (position[:, few:] - position[:, :-few]) * rate / few
+        speed = np.abs(velocity[counts[:, few:]])
+        if not speed.size:
+            break
+        seen = CHATTER * np.sqrt(2.0) * noise * rate / few  # a scale that dithers at rest does not move
+        fast, fastest = np.percentile(speed, [95, LARGEST])
+        found.append((few, velocity, float(max(min(SLOWEST, SLOW * fast), seen))))
+        if fastest > CLEARLY * seen:
+            return found[-1]
+    return found[0]
