@@ -22,7 +22,7 @@ from experiments.checked_logs import described, fatal_of, looked_over, parse_loa
 from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page, tell
 from experiments.payoff import in_words, payoff
-from experiments.report import Report, plain
+from experiments.report import Report, null, plain
 from experiments.scale_noise import unstated_noise
 from experiments.tuning_cases import Plan
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -159,7 +159,7 @@ def _mended_first(found: Diagnosis, fatal: Fatal) -> Experiment:
 def _save(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     """diagnosis.json and report.html."""
     assert report.out is not None
-    text = json.dumps(plain(told), indent=2, allow_nan=False)
+    text = json.dumps(plain(told, null), indent=2, allow_nan=False)
     (report.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
     page(report, told, augmented)
 
@@ -186,9 +186,9 @@ def _pay(
 
 
 def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
-    """The diagnosis as diagnosis.json holds it."""
+    """The diagnosis as diagnosis.json holds it: numbers, and null where one is infinite or undefined."""
     nominal, recalibrated, last = found.rungs[0], found.rungs[1], found.rungs[-1]
-    return {
+    told = {
         "verdict": found.verdict.verdict,
         "says": found.verdict.says,
         "unexplained": found.verdict.unexplained,
@@ -215,6 +215,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "lacks": [one._asdict() for one in found.lacks],
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
+    return dict(plain(told, null))
 
 
 def _size(found: Diagnosis) -> str:
@@ -326,7 +327,7 @@ def _rung(found: Diagnosis, rung: Rung) -> dict[str, Any]:
         "command_rms_N": _in_loop(rung, "command_rms"),
         "command_floor_N": _in_loop(rung, "command_floor"),
         "loop_says": rung.loop.says if rung.loop else unknown,
-        "deviance": rung.deviance if np.isfinite(rung.deviance) else None,
+        "deviance": rung.deviance,
     }
 
 

@@ -97,10 +97,14 @@ def parameter(name: str, cause: dict[str, Any]) -> str:
     value, interval, unit = cause["parameters"][name], cause["intervals"][name], cause["units"][name]
     many = isinstance(value, list)
     each = list(zip(value, *interval, strict=True)) if many else [(value, *interval)]
-    shown = [f"{at:.4g} ({low:.4g} to {high:.4g})" for at, low, high in each]
+    shown = [f"{_number(at)} ({_number(low)} to {_number(high)})" for at, low, high in each]
     if len(shown) > 1:
         shown = [f"log {k} {one}" for k, one in enumerate(shown, start=1)]
     return f"{name} {', '.join(shown)}{'' if unit == '1' else ' ' + unit}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def _regions(told: dict[str, Any]) -> list[str]:

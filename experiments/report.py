@@ -23,19 +23,25 @@ from rich.table import Table
 from diffdrive.errors import ParameterError
 
 
-def plain(value: Any) -> Any:
-    """The value as JSON can hold it; not-finite numbers become their names, since JSON has none."""
+def plain(value: Any, infinite: Callable[[float], Any] = str) -> Any:
+    """The value as JSON can hold it, which has no infinite or undefined numbers: they become their names, or what
+    `infinite` makes of them.
+    """
     if isinstance(value, dict):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): plain(one, infinite) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(one, infinite) for one in value]
     if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
-        return plain(np.asarray(value).tolist())
+        return plain(np.asarray(value).tolist(), infinite)
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return plain(value.item(), infinite)
     if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
+        return infinite(value)
     return value
+
+
+def null(_: float) -> None:
+    """For `plain`: where a field is promised to be a number or nothing."""
 
 
 def _shown(value: Any, digits: int = 4) -> str:

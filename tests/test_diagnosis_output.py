@@ -224,6 +224,8 @@ def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
     assert parameter("sine", cause) == "sine log 1 1 (0.9 to 1.1), log 2 -2 (-2.1 to -1.9) N"
     assert parameter("period", cause) == "period 0.005 (0.004 to 0.006) m"
     assert parameter("rested", cause) == "rested 0.3 (0.2 to 0.4) s"
+    cause["intervals"]["period"] = (None, 0.006)
+    assert parameter("period", cause) == "period 0.005 (- to 0.006) m"
 
 
 def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):
@@ -280,6 +282,22 @@ def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(tilted, told_o
     assert told["closed"]["share"] is told["causes"][0]["held_out"]["shrink"] is None
     assert "lost with what was found" in told["closed"]["says"]
     assert (out / "ladder.png").exists()
+
+
+def test_what_is_no_finite_number_is_null(tilted, told_of):
+    """Of a filter that ran away, and of a parameter that the logs leave open."""
+    away = tilted.rungs[0].force._replace(force=np.full_like(tilted.rungs[0].force.force, np.nan))
+    found = with_rung(tilted, 0, force=away, interval=(np.nan, np.nan), shrink=(np.nan,) * 3)
+    rival = found.verdict.beliefs[0]._replace(gain=-np.inf)
+    found = dataclasses.replace(found, verdict=found.verdict._replace(beliefs=[rival]))
+    told, out = told_of(with_rung(found, 1, unlikely=np.full(12, np.inf)))
+    text = (out / "diagnosis.json").read_text()
+    assert not any(name in text for name in ('"nan"', '"inf"', '"-inf"'))
+    written = json.loads(text)
+    assert written["ladder"][0]["force_rms_N"] is written["ladder"][1]["deviance"] is None
+    assert written["ladder"][0]["force_interval_N"] == [None, None]
+    assert written["causes"][0]["evidence"] is None
+    assert told["causes"][0]["evidence"] is None  # nor is it another in Python
 
 
 def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_of):

@@ -51,7 +51,7 @@ def test_a_failed_answer_is_wrong_in_the_class_of_its_key():
     assert card["rows"][0]["visibility"] is None
 
 
-@pytest.mark.parametrize(("base", "last", "shrink"), [(5.0, "nan", 0.0), ("nan", 1.0, None), (5.0, 1.0, 1.0)])
+@pytest.mark.parametrize(("base", "last", "shrink"), [(5.0, None, 0.0), (None, 1.0, None), (5.0, 1.0, 1.0)])
 def test_a_filter_that_ran_away_on_what_was_held_out_closes_nothing(base, last, shrink):
     answer = told("effect", cause("cogging"))
     answer["ladder"] = [{"force_rms_N": one} for one in (9.0, base, last)]
@@ -167,6 +167,8 @@ def test_intervals_are_held_against_the_truth_where_one_effect_was_found_alone()
     true = truth("cogging", true={"period": 1.05e-3, "mean": [1.2, 3.0]})
     card = card_of((told("effect", right), true), (told("effect", right, cause("backlash")), true))
     assert (card["interval_coverage"], card["intervals_told"]) == (0.667, 3)
+    right["intervals"]["period"] = [None, 1.1e-3]
+    assert card_of((told("effect", right), true))["interval_coverage"] == 0.333
     assert card_of((told("none"), truth()))["interval_coverage"] is None
 
 

@@ -24,7 +24,6 @@ from diffdrive.drive_file import read_drive
 from diffdrive.logs import read_logs
 from experiments.diagnose import as_json
 from experiments.edition import edition
-from experiments.report import plain
 from experiments.runtime import configure, keep_compiled
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
@@ -38,8 +37,7 @@ def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     logs = read_logs(sorted(place.glob("log-*.parquet")), description.mapping, description.sampling.rate)
     began = time.perf_counter()
     found = diagnose(description.drive, description.controller, logs, without=without)
-    told: dict[str, Any] = plain(as_json(found, UNASKED))
-    return told | {"seconds": round(time.perf_counter() - began, 1)}
+    return as_json(found, UNASKED) | {"seconds": round(time.perf_counter() - began, 1)}
 
 
 def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:

@@ -212,7 +212,7 @@ def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | Non
 
 
 def _within(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
-    """Whether the interval of each number that both name holds the true one."""
+    """Whether the interval of each number that both name holds the true one; one without an end holds nothing."""
     held: list[bool] = []
     for name in cause["intervals"].keys() & true.keys():
         low, high = cause["intervals"][name]
