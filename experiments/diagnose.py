@@ -73,13 +73,13 @@ def diagnose_logs(
             raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
     description = described(drive, columns, units)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
-        logs, findings, fatal = _read(report, paths, description, loads)
+        logs, findings, fatal = read(report, paths, description, loads)
         with report.stages() as progress:
             found = diagnose(
                 description.drive, description.controller, logs,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        found = _doubted(found, fatal)
+        found = doubted(found, fatal)
         beside = {"logs": [log.name for log in logs], "findings": findings}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _save(report, as_json(found, NOT_YET) | beside, None)
@@ -102,7 +102,7 @@ def diagnose_logs(
     return told
 
 
-def _read(
+def read(
     report: Report, paths: Sequence[Path], description: DriveDescription, loads: Sequence[str]
 ) -> tuple[tuple[Log, ...], list[dict[str, str]], Fatal]:
     """The logs, and what is wrong with them, in words and where it is fatal: that lowers the confidence, no more."""
@@ -136,7 +136,7 @@ def _alike(finding: Finding, size: float | None) -> bool:
     return abs(size - finding.amount) < SAME * abs(finding.amount)
 
 
-def _doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
+def doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     """No sure verdict from logs with a fatal finding; where that explains what was found, it is told beside it."""
     if not fatal:
         return found

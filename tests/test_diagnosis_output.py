@@ -22,6 +22,7 @@ from experiments import diagnose as command
 from experiments.diagnose_figures import _ladder
 from experiments.diagnose_page import parameter
 from experiments.report import Report
+from experiments.withheld import answer
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose
@@ -186,7 +187,7 @@ def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(tilted, told_of, 
 
 def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
     fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
-    monkeypatch.setattr(command, "_read", lambda *_: ((), [], fatal))
+    monkeypatch.setattr(command, "read", lambda *_: ((), [], fatal))
     monkeypatch.setattr(command, "draw", lambda *_: None)
     told, _ = told_of(tilted)
     assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
@@ -325,6 +326,21 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of,
     assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
 
 
+def test_the_withheld_check_doubts_what_the_command_doubts(log, tilted, told_of, tmp_path, monkeypatch):
+    late = dataclasses.replace(log, command=moved(log.command, 1))
+    told, _ = told_of(tilted, late)
+    place = tmp_path / "case"
+    place.mkdir()
+    write_log(place / "log-a.parquet", late)
+    write_drive(place / "drive.toml", DRIVE)
+    monkeypatch.setattr(answer, "diagnose", lambda *_, **__: tilted)
+    answered = answer.answer(place)
+    assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
+    assert answered["verdict"] == told["verdict"] == "unknown"
+    assert answered["says"] == told["says"].replace("of lap:", "of log-a:")
+    assert answered["causes"] == told["causes"]
+
+
 @pytest.mark.parametrize(
     ("resembles", "amount", "verdict"),
     [
@@ -341,12 +357,12 @@ def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps
     late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
     belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
     found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
-    doubted = command._doubted(found, fatal).verdict
+    doubted = command.doubted(found, fatal).verdict
     assert doubted.verdict == verdict
     assert "one sample late" in doubted.says
     assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
-    assert command._doubted(tilted, fatal).verdict.verdict == "unknown"
-    assert command._doubted(tilted, []) is tilted
+    assert command.doubted(tilted, fatal).verdict.verdict == "unknown"
+    assert command.doubted(tilted, []) is tilted
     assert "mend lap: shift it" in command._mended_first(found, fatal).says
 
 

@@ -19,11 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from rich.console import Console
 
 from diffdrive.drive_file import read_drive
-from diffdrive.logs import read_logs
-from experiments.diagnose import as_json
+from experiments.checked_logs import looked_over
+from experiments.diagnose import as_json, doubted, read
 from experiments.edition import edition
+from experiments.report import Report
 from experiments.runtime import configure, keep_compiled
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
@@ -32,12 +34,13 @@ UNASKED = Experiment("", [], 0.0, "not asked")
 
 
 def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """What the diagnosis says of one case."""
+    """What the command says of one case, its checks of the logs and all; it draws nothing, and plans no motion."""
     description = read_drive(place / "drive.toml")
-    logs = read_logs(sorted(place.glob("log-*.parquet")), description.mapping, description.sampling.rate)
     began = time.perf_counter()
-    found = diagnose(description.drive, description.controller, logs, without=without)
-    return as_json(found, UNASKED) | {"seconds": round(time.perf_counter() - began, 1)}
+    silent = Report(place.name, None, Console(quiet=True))
+    logs, findings, fatal = read(silent, sorted(place.glob("log-*.parquet")), description, ())
+    found = doubted(diagnose(description.drive, description.controller, logs, without=without), fatal)
+    return as_json(found, UNASKED) | {"findings": findings, "seconds": round(time.perf_counter() - began, 1)}
 
 
 def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:
@@ -80,7 +83,7 @@ def question(place: Path, without: Sequence[str]) -> str:
 
 def _asked_of() -> str:
     """What the diagnosis is made of, and what tells it."""
-    return edition(answer.__module__, as_json.__module__)
+    return edition(answer.__module__, as_json.__module__, looked_over.__module__)
 
 
 def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:

@@ -66,7 +66,7 @@ class Diagnosis:
         return self.floor_of(self.rungs[-1])
 
     def floor_of(self, rung: Rung) -> float | None:
-        """N: the same for one model; with effects within the filter it is what the recalibrated drive's makes of it."""
+        """N: the same for one model; with effects within the filter it may be the recalibrated drive's."""
         filtered = self.rungs[1] if rung.fitted.model.coupled else rung
         return rung.floor if filtered.force.told and np.isfinite(rung.floor) else None
 
