@@ -18,8 +18,9 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Actuator, Directional, Drive
 from experiments import emps, laas
-from experiments.diagnose import augmented_drive, cause
+from experiments.diagnose import augmented_drive
 from experiments.diagnose_page import parameter
+from experiments.diagnosis_json import cause
 from experiments.emps_study import Records, identify_axis
 from experiments.report import Report
 from tuning.diagnosis.diagnose import Diagnosis, diagnose

@@ -14,7 +14,8 @@ from diffdrive.effects.friction import ViscousDrift
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
 from diffdrive.parameters import Directional, as_arrays
-from experiments.diagnose import as_json, diagnose_logs
+from experiments.diagnose import diagnose_logs
+from experiments.diagnosis_json import as_json
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose, logged_of

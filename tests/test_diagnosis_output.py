@@ -21,6 +21,7 @@ from experiments import cli, real_axes
 from experiments import diagnose as command
 from experiments.diagnose_figures import _ladder
 from experiments.diagnose_page import parameter
+from experiments.diagnosis_json import as_json
 from experiments.report import Report
 from experiments.withheld import answer
 from tuning.diagnosis.calibration import NAMES, calibrated
@@ -117,7 +118,7 @@ def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_
     told, out = told_of(with_second(tilted))
     written = {one.name: one for one in read_drive(out / "augmented.toml").drive.effects}
     assert set(written) == {"friction_asymmetry", "constant_force"}
-    alone = command.as_json(tilted, UNASKED)["causes"][0]["parameters"]["force"]
+    alone = as_json(tilted, UNASKED)["causes"][0]["parameters"]["force"]
     for cause in told["causes"]:
         for name, value in cause["parameters"].items():
             assert float(getattr(written[cause["effect"]], name)) == pytest.approx(value)
@@ -150,7 +151,9 @@ def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
 
 
 def test_where_recalibration_hides_the_gap_it_is_said(tilted):
-    closed = command.as_json(tilted, UNASKED)["closed"]
+    told = as_json(tilted, UNASKED)
+    closed, last = told["closed"], told["ladder"][-1]
+    assert f"{1e6 * last['position_rms_m']:.3g} um with what was found" in closed["says"]
     assert closed["share"] is None
     assert "Recalibration hides the gap" in closed["says"]
 

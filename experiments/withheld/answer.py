@@ -23,7 +23,8 @@ from rich.console import Console
 
 from diffdrive.drive_file import read_drive
 from experiments.checked_logs import looked_over
-from experiments.diagnose import as_json, doubted, read
+from experiments.diagnose import doubted, read
+from experiments.diagnosis_json import as_json
 from experiments.edition import edition
 from experiments.report import Report
 from experiments.runtime import configure, keep_compiled
@@ -83,7 +84,7 @@ def question(place: Path, without: Sequence[str]) -> str:
 
 def _asked_of() -> str:
     """What the diagnosis is made of, and what tells it."""
-    return edition(answer.__module__, as_json.__module__, looked_over.__module__)
+    return edition(answer.__module__, doubted.__module__, as_json.__module__, looked_over.__module__)
 
 
 def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:
