@@ -304,8 +304,17 @@ def test_a_payload_may_be_missing_but_not_half_of_the_table():
     log = logged_of(DRIVE.drive, [SOUND])  # of 100 kg
     at = setting(log.drive, log.lanes, log.sampling.period)
     payload = next(one for one in candidates(at) if one.name == "payload_mass")
-    found = [payload.plausible({"mass": np.array([one])}, np.ones(1)) for one in (80.0, -40.0, -60.0, -95.0)]
+    found = [payload.plausible({"mass": np.array([one])}, np.ones(1), RATE) for one in (80.0, -40.0, -60.0, -95.0)]
     assert found == [True, True, False, False]
+
+
+def test_a_resonance_is_one_that_the_log_can_show():
+    log = logged_of(DRIVE.drive, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    screw = next(one for one in candidates(at) if one.name == "compliance")
+    both = [{"frequency": np.array([150.0, one])} for one in (390.0, 430.0, 900.0)]
+    found = [screw.plausible(one, np.ones(2), 1_000.0) for one in both]
+    assert found == [True, False, False]
 
 
 @pytest.mark.parametrize(

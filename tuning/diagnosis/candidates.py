@@ -15,6 +15,7 @@ from tuning.diagnosis.setting import SLIPPERY, Setting
 SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
 LARGE = 0.3  # of its largest in any log
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
+SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -37,10 +38,15 @@ class Candidate(NamedTuple):
         screws = (transmission.Compliance, transmission.Backlash)
         return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
 
-    def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
+    def plausible(
+        self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"], rate: float
+    ) -> bool:
         """Whether an engineer would call it that: a process swings several times while it is on in a log of that many
-        seconds in which it is large; a payload that is missing takes no half of the table with it.
+        seconds in which it is large; a payload that is missing takes no half of the table with it; a resonance is one
+        that a log of that `rate` (Hz) shows.
         """
+        if self.effect is transmission.Compliance:
+            return bool(np.max(values["frequency"]) <= SHOWN * rate)
         if self.effect is machine.PayloadMass:
             return bool(np.min(values["mass"]) > -LIGHTER / PAYLOAD * self.parameters[0].spread)
         if self.effect is not forces.ProcessForce:

@@ -151,7 +151,8 @@ class Model:
                 continue
             if any(fields[one.name].broken_by(values[one.name]) for one in member.candidate.parameters):
                 return False
-            if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts):
+            rate = self.logged.sampling.rate
+            if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts, rate):
                 return False
         return True
 
