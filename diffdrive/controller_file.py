@@ -29,7 +29,7 @@ KINDS = {
     "pd+fc+le": "friction observer with the load estimator of the paper's eq. (20)",
     "pd+fc+ls": "friction observer with the load as a state, which converges at every speed",
     "cascade": "proportional position loop over a PI velocity loop",
-    "unknown": "for identification alone, from the logged command",
+    "unknown": "for identification and diagnosis, from the logged command",
 }
 
 # controllers of the paper carry the inertia and damping feed-forward unless told otherwise; a bare PD or cascade is

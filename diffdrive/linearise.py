@@ -78,7 +78,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
         )
         asked = actuator.step(drive.actuator, state.actuator, command.force)
         carried, applied = acting.through(drive.effects, state.effects, asked.applied, sampling.period)
-        table, carried = move(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
+        table, carried, _ = move(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
         return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied.mean
 
     force = _steady_force(drive, at)

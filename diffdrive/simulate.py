@@ -86,14 +86,15 @@ def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
 
 def move(
     drive: Drive, sampling: Sampling, state: LoopState, push: Push, disturbance: Scalar, load: Scalar
-) -> tuple[plant.PlantState, tuple[Any, ...]]:
-    """The table and the effects one period later, the actuator's `push` and a disturbance acting on the table.
+) -> tuple[plant.PlantState, tuple[Any, ...], Drive]:
+    """The table and the effects one period later, the actuator's `push` and a disturbance acting on the table; and the
+    drive with its friction as the effects bend it over that period.
 
     `drive` has been altered.
     """
     table, effects, force = state.plant, drive.effects, push.mean + disturbance
     if not effects:
-        return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), ()
+        return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), (), drive
     time = sampling.period * state.count
     seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
     carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
@@ -101,7 +102,7 @@ def move(
     machine = acting.bent(drive, acts)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps)
     shift = acts.shift + acting.displaced(drive, push.tilt, sampling.period)
-    return moved._replace(position=moved.position + shift), carried
+    return moved._replace(position=moved.position + shift), carried, machine
 
 
 def step(
@@ -121,8 +122,9 @@ def step(
     controller_state, command = lax.optimization_barrier((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
     carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
-    moved, carried = move(drive, sampling, state._replace(effects=carried), applied, inputs.disturbance, inputs.load)
-    bristle = bristle_at(drive.friction, table.velocity, table.bristle, inputs.load)
+    before = state._replace(effects=carried)
+    moved, carried, bent = move(drive, sampling, before, applied, inputs.disturbance, inputs.load)
+    bristle = bristle_at(bent.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,
         velocity=table.velocity,
@@ -223,6 +225,8 @@ def running_costs(
     """
     require_double_precision()
     drive = acting.altered(drive, drive.effects)
+    limit = acting.force_limit(drive)
+    limit = jnp.inf if limit is None else limit
 
     def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
         state, last, (square, largest, change, missed, limited, finite) = carry
@@ -233,7 +237,6 @@ def running_costs(
         error = now.reference.position - frame.position
         known = frame.estimate is not None and frame.estimate.load is not None
         follows = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
-        limit = jnp.inf if drive.actuator.force_limit is None else drive.actuator.force_limit
         sums = (
             square + count * error**2,
             jnp.maximum(largest, count * jnp.abs(error)),
@@ -315,5 +318,5 @@ def simulate(
     noisy = seed is not None and float(drive.sensor.noise) > 0
     key = jax.random.key(seed) if noisy else None
     frames = _rollout(*as_arrays((drive, controller)), inputs_of(motion, loads), sampling, key, every)
-    limit = drive.actuator.force_limit
+    limit = acting.force_limit(drive)
     return judged(Run.of(motion, loads, frames, every), limits, None if limit is None else float(limit))

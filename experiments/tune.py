@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.controllers import Controller
+from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.drive_file import DriveDescription, write_drive
+from diffdrive.errors import ParameterError
 from diffdrive.linearise import Operating
 from diffdrive.margins import Margins
 from diffdrive.parameters import Friction, Sampling, as_arrays
@@ -20,7 +21,7 @@ from experiments.interruption import at_next_step
 from experiments.loop_figures import bode, nyquist, responses
 from experiments.report import Report, new_figure
 from experiments.tuning_cases import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
-from tuning.gains import STARTS, Tuned, default_space, tune
+from tuning.gains import STARTS, Tuned, default_space, factors_of, tune
 from tuning.objective import Objective
 from tuning.requirements import Limits, Requirements, check_limits, points
 from tuning.scenarios import Ensemble, Scenario, ensemble
@@ -56,6 +57,8 @@ def tune_drive(
     written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
     """
     check_limits(limits)
+    if friction and not isinstance(description.controller, FrictionCompensation):
+        raise ParameterError("--friction: this controller observes no friction that could be tuned along")
     on, off = tuned_on(description, plan), held_out(description, plan)
     coarse = Sampling(description.sampling.rate, max(2, description.sampling.plant_steps // 2))
     lanes = ensemble(on, coarse, settle=SETTLE)
@@ -64,6 +67,8 @@ def tune_drive(
     at = points([description.drive], speeds, (0.0, plan.max_load))
     requirements = Requirements(limits, at, coarse)
     space = default_space(description.controller, friction=friction)
+    if left := sorted(factors_of(description.controller, friction=friction).keys() - {one.path for one in space.free}):
+        report.say(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
     checkpoint = None if report.out is None else report.out / CHECKPOINT
     with (
         report.progress("tuning by gradient", max_steps) as advance,

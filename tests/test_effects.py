@@ -149,6 +149,27 @@ def test_a_delay_moves_a_ramp(delay):
     np.testing.assert_allclose(out[10:], np.arange(10.0, 40.0) - delay, rtol=1e-12)
 
 
+def test_the_force_is_scaled_before_it_is_limited_whatever_the_order():
+    for effects in ((ForceGain(-0.2), ForceLimit(100.0)), (ForceLimit(100.0), ForceGain(-0.2))):
+        states = acting.at_rest(effects, jnp.zeros(()))
+        assert acting.through(effects, states, jnp.asarray(110.0), 1e-3)[1].mean == pytest.approx(88.0)
+        assert acting.through(effects, states, jnp.asarray(200.0), 1e-3)[1].mean == pytest.approx(100.0)
+
+
+def test_the_friction_recorded_is_that_which_acts():
+    """A force balance: what accelerates the table is the force less damping and the friction recorded."""
+    drive = with_effects(PositionFriction(0.0, 0.0, 0.02, 0.3, 0.0))
+    fast = triangular(speed=0.1, stroke=0.04, rounding=0.05, duration=0.4, rate=RATE)
+    frame = rollout(*as_arrays((drive, CONTROLLER)), inputs_of(fast, np.zeros(len(fast.time))), SAMPLING)
+    speed, friction = np.asarray(frame.velocity), np.asarray(frame.friction)
+    resisting = friction + float(drive.plant.damping.positive) * speed
+    halfway = 0.5 * (resisting[1:] + resisting[:-1])
+    off = drive.plant.mass * np.diff(speed) * RATE - (np.asarray(frame.force)[:-1] - halfway)
+    fastest = speed[:-1] > 0.09
+    assert np.std(friction[:-1][fastest]) > 10.0
+    assert np.sqrt(np.mean(off[fastest] ** 2)) < 5.0  # that of a machine without the wave is off by 95 N
+
+
 def test_a_lag_turns_the_loop_as_its_transfer_function_does():
     drive = dataclasses.replace(DRIVE, actuator=dataclasses.replace(DRIVE.actuator, delay_samples=1))
     lag = ActuatorLag(8e-4)

@@ -22,7 +22,7 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.load import Ramp
 from diffdrive.load_estimator import InnovationLoad
 from diffdrive.observer import KalmanObserver, LoadStateObserver, Tuning
-from diffdrive.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
+from diffdrive.parameters import Actuator, Drive, Sampling, Sensor, as_arrays, in_precision_of
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.simulate import inputs_of, rollout, running_costs, start, step
 from diffdrive.smooth import smooth
@@ -121,11 +121,18 @@ def test_the_whole_catalogue_at_once_is_one_kernel():
     ).one_kernel
 
 
-def test_the_blocks_of_a_sweep_are_one_kernel():
+@pytest.mark.parametrize(
+    ("name", "noisy", "precision"),
+    [(name, True, "double") for name in ("PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS")]
+    + [("PD+FC+LE", False, "double"), ("PD+FC+LE", True, "single")],
+)
+def test_the_blocks_of_a_sweep_are_one_kernel(name, noisy, precision):
     count = 2 * engine.BLOCK * len(jax.devices())
     machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(PAPER))
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
-    lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), None)
-    controller = as_arrays(CONTROLLERS["PD+FC+LE"])
-    lowered = engine._costs.lower(lanes, fixed, controller, inputs(), jnp.ones(SAMPLES), Sampling(substeps=2))
+    keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
+    lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys)
+    models = (lanes, fixed, as_arrays(CONTROLLERS[name]), inputs(), jnp.ones(SAMPLES))
+    models = in_precision_of(jnp.zeros((), precision), models)
+    lowered = engine._costs.lower(*models, Sampling(substeps=2), len(jax.devices()))
     assert one_kernel(lowered.compile().compiled.as_text())

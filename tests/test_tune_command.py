@@ -108,8 +108,8 @@ def test_quieter_costs_tracking(done):
         ("--aggregation", "median", "no aggregation 'median'; known: mean, worst, cvar"),
         ("--speed", "0 mm/s", "speed"),
         ("--max-load", "-90 kN", "load"),
-        ("--noise", "-3 N", "limit command_noise must be at least 0, got -3"),
-        ("--load-error", "-1 N", "limit load_error must be at least 0"),
+        ("--noise", "-3 N", "--noise -3 N: must be 0 or more"),
+        ("--load-error", "-1 N", "--load-error -1 N: must be 0 or more"),
     ],
 )
 def test_a_bad_option_is_named(drive_file, option, value, says):

@@ -35,13 +35,18 @@ SENSITIVE = 0.05  # share of the objective
 
 
 def default_space(controller: Controller, *, friction: bool = False) -> Space:
-    """The gains that this kind of controller is tuned by, and how far each may move from where it is.
+    """The gains that this kind of controller is tuned by, those that are zero left out: they stay."""
+    return around(controller, factors_of(controller, friction=friction))
+
+
+def factors_of(controller: Controller, *, friction: bool = False) -> dict[str, float]:
+    """The gains of this kind of controller, and by what factor each may move from where it is.
 
     `friction` frees the friction parameters that an observer believes in as well, in each direction.
     """
     near, far = FEEDBACK_FACTOR, FILTER_FACTOR
     if isinstance(controller, Cascade):
-        return around(controller, {"kp": near, "kv": near, "ki": near})
+        return {"kp": near, "kv": near, "ki": near}
     factors = {"tracking.gains.kp": near, "tracking.gains.kd": near}
     if isinstance(controller, DOBVSC | PDFeedforwardDOB):
         factors["observer.cutoff"] = 10.0
@@ -64,7 +69,7 @@ def default_space(controller: Controller, *, friction: bool = False) -> Space:
                 )
                 for side in ("positive", "negative")
             }  # fmt: skip
-    return around(controller, factors)
+    return factors
 
 
 @dataclass(frozen=True)

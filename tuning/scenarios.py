@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
+from diffdrive.effects.acting import force_limit
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.motion import Motion
 from diffdrive.parameters import Drive, Sampling, Sensor, as_arrays
@@ -53,7 +54,7 @@ class Ensemble(eqx.Module):
         def one(drive: Drive, inputs: Inputs, seed: Array) -> Signals:
             frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
             late, before = slice(self.settled, None), slice(self.settled - 1, None)
-            limit = drive.actuator.force_limit
+            limit = force_limit(drive)
             known = frame.estimate is not None and frame.estimate.load is not None
             return Signals(
                 error=(inputs.reference.position - frame.position)[late],

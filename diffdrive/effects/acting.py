@@ -1,10 +1,12 @@
 """A drive's effects at work: each stage of the control step, with whatever of them belongs there."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax.numpy as jnp
 
+from diffdrive.effects.actuator import ForceLimit
 from diffdrive.effects.base import (
     Acts,
     ActuatorEffect,
@@ -43,13 +45,20 @@ def _begin(effect: Effect, force: Scalar) -> Any:
 
 def through(effects: Effects, states: tuple[Any, ...], force: Scalar, period: float) -> tuple[tuple[Any, ...], Push]:
     """What comes out of the actuator when `force` (N) is asked of it."""
-    ahead, push = [], Push(force)
-    for effect, state in zip(effects, states, strict=True):
-        if isinstance(effect, ActuatorEffect):
-            state, own = effect.step(state, push.mean, period)
-            push = Push(own.mean, push.tilt + own.tilt)
-        ahead.append(state)
+    ahead, push = list(states), Push(force)
+    chain = [(effect.stage, k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
+    for _, k, effect in sorted(chain, key=lambda one: one[:2]):
+        ahead[k], own = effect.step(states[k], push.mean, period)
+        push = Push(own.mean, push.tilt + own.tilt)
     return tuple(ahead), push
+
+
+def force_limit(drive: Drive) -> Scalar | None:
+    """The largest force that is not cut off (N): the drive's own limit, or an effect's where that is less."""
+    limits = [effect.limit for effect in drive.effects if isinstance(effect, ForceLimit)]
+    if drive.actuator.force_limit is not None:
+        limits.append(drive.actuator.force_limit)
+    return functools.reduce(jnp.minimum, limits) if limits else None
 
 
 def displaced(drive: Drive, tilt: Scalar, period: float) -> Scalar:

@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from diffdrive.effects.base import ActuatorEffect, Push
+from diffdrive.effects.base import ActuatorEffect, Push, Stage
 from diffdrive.parameters import Scalar, quantity
 
 LONGEST_DELAY = 8  # control periods
@@ -14,6 +14,7 @@ class ForceGain(ActuatorEffect):
     """Another force constant than the drive file's."""
 
     name: ClassVar[str] = "force_gain"
+    stage: ClassVar[Stage] = Stage.SCALED
     gain: Scalar = quantity("1", "force over the force believed, minus one", default=0.0)
 
     def init(self, force: Scalar) -> Any:
@@ -29,6 +30,7 @@ class ForceLimit(ActuatorEffect):
     """Saturation of the amplifier below what the drive file says."""
 
     name: ClassVar[str] = "force_limit"
+    stage: ClassVar[Stage] = Stage.LIMITED
     limit: Scalar = quantity("N", "largest force in either direction", above=0.0, default=float("inf"))
 
     def init(self, force: Scalar) -> Any:
@@ -44,6 +46,7 @@ class ActuatorLag(ActuatorEffect):
     """A current loop of finite bandwidth: a first-order lag, integrated exactly over the period."""
 
     name: ClassVar[str] = "actuator_lag"
+    stage: ClassVar[Stage] = Stage.LAGGED
     time_constant: Scalar = quantity("s", "of the current loop, 1 / (2 pi bandwidth)", at_least=0.0, default=0.0)
 
     def init(self, force: Scalar) -> Any:
@@ -67,6 +70,7 @@ class LoopDelay(ActuatorEffect):
     """
 
     name: ClassVar[str] = "loop_delay"
+    stage: ClassVar[Stage] = Stage.DELAYED
     delay: Scalar = quantity("1", "control periods", at_least=0.0, default=0.0)
 
     def init(self, force: Scalar) -> Any:

@@ -70,8 +70,19 @@ class MachineEffect(Effect):
         """The drive with the effect in its parameters."""
 
 
+class Stage(enum.IntEnum):
+    """Where an effect stands between command and force; force passes through them in this order."""
+
+    SCALED = 0
+    LAGGED = 1
+    DELAYED = 2
+    LIMITED = 3
+
+
 class ActuatorEffect(Effect):
-    """Between the command and the force."""
+    """Between the command and the force, at its `stage` whatever its place in a drive's tuple of effects."""
+
+    stage: ClassVar[Stage]
 
     @abc.abstractmethod
     def init(self, force: Scalar) -> Any:
