@@ -34,6 +34,7 @@ from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.verdict import UNSURE, Belief
 
 SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
+NOT_ALWAYS = ("augmented.toml", "next_reference.csv", "causes.csv", "causes.png", "payoff.csv")
 NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
 FINDING = ("log", "severity", "channel", "found", "mend")
@@ -74,6 +75,8 @@ def diagnose_logs(
         found = doubted(found, fatal)
         beside = {"logs": [log.name for log in logs], "findings": findings}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
+            for name in NOT_ALWAYS:  # of an earlier diagnosis
+                (report.out / name).unlink(missing_ok=True)
             _save(report, as_json(found, NOT_YET) | beside, None)
         with report.working("looking for the motion that would decide"):
             offer = _mended_first(found, fatal) if fatal else next_experiment(found, description)

@@ -29,6 +29,7 @@ SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, against nominal"
 LEAST_CHANCE = 1e-3  # no smaller one means anything
 CAUSES = ("effect", "round", "confidence", "parameters with 95 % intervals", "not excluded in its place")
 NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
+FOUND_FIRST = "Causes: what was found, then what else was tried, the surest first"
 BOTH = "Nominal parameters; damping moves with viscous friction"
 
 Row = list[Any]
@@ -46,7 +47,12 @@ def tell(report: Report, told: dict[str, Any]) -> None:
         report.say("  - nowhere in particular: no region has more than chance would give it")
     report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
     if told["causes"]:
-        report.table("causes", CAUSES, [_cause(one) for one in told["causes"]], "Causes, the surest first")
+        report.table(
+            "causes",
+            CAUSES,
+            [_cause(one) for one in told["causes"]],
+            FOUND_FIRST,
+        )
     report.say(f"\n4. How far does the gap shrink once it is added?\n  {told['closed']['says']}")
     report.table("ladder", LADDER, _ladder(told), SHRINK)
     for reason in _not_simulated(told):
@@ -206,10 +212,9 @@ def _spaced(key: str) -> str:
 
 def _image(report: Report, name: str) -> str:
     assert report.out is not None
-    path = report.out / f"{name}.png"
-    if not path.exists():
-        return ""
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    if f"{name}.png" not in report.data.get("figures", []):
+        return ""  # what lies there may be of an earlier diagnosis
+    data = base64.b64encode((report.out / f"{name}.png").read_bytes()).decode("ascii")
     return f"<img alt='{name}' src='data:image/png;base64,{data}'>"
 
 

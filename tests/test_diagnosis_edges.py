@@ -5,12 +5,13 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from sound_log import DRIVE, RATE, SOUND, described, logged, two_sines, without
+from sound_log import COUNT, DRIVE, RATE, SOUND, but, described, logged, two_sines, without
 
 from diffdrive.drive_file import write_drive
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.friction import ViscousDrift
+from diffdrive.effects.transmission import Compliance
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
 from diffdrive.parameters import Directional, as_arrays
@@ -141,6 +142,27 @@ def test_the_loop_is_judged_by_what_is_held_out():
     assert all_of_it.position_rms > 5e-5
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_log_is_judged_in_closed_loop_if_its_own_reference_is_known(known):
+    """Whatever is known of the other log's."""
+    flat = np.full(COUNT, 0.01)
+    rest = but(name="rest", position=flat, command=0.0 * flat, reference=None if known else flat)
+    moves = but(reference=SOUND.reference if known else None)
+    found = diagnose(DRIVE.drive, DRIVE.controller, [moves, rest], without=list(EFFECTS))
+    assert found.split.logs == [0]
+    assert all((rung.loop is not None) is known for rung in found.rungs)
+
+
+def test_a_screw_that_the_drive_file_knows_leaves_the_noise_its_floor():
+    soft = dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, effects=(Compliance(250.0, 0.05, 0.3),)))
+    log = logged(soft, two_sines())
+    found = diagnose(soft.drive, soft.controller, [log], without=list(EFFECTS))
+    assert found.verdict.verdict == "none"
+    assert 0.0 < found.floor < 2.0
+    assert found.rungs[1].force.rms < 2.0 * found.floor
+    assert all(np.isfinite(one.p_value) for one in found.where)
+
+
 def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
     """Not one innovation of it differs from zero: no scale of the noise fits that, and no force is missing."""
     count = 4000
@@ -150,7 +172,13 @@ def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
     )
     write_log(tmp_path / "off.parquet", off)
     write_drive(tmp_path / "drive.toml", DRIVE)
+    (tmp_path / "out").mkdir()
+    earlier = [tmp_path / "out" / name for name in ("causes.png", "next_reference.csv")]
+    for path in earlier:
+        path.write_bytes(b"of an earlier diagnosis")
     told = diagnose_logs([tmp_path / "off.parquet"], tmp_path / "drive.toml", tmp_path / "out")
+    assert not any(path.exists() for path in earlier)
+    assert "alt='causes'" not in (tmp_path / "out" / "report.html").read_text()
     assert told["verdict"] == "unknown"
     assert "the table travels 0 um" in told["says"]
     assert told["causes"] == []

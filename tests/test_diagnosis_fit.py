@@ -24,7 +24,7 @@ from tuning.diagnosis.explain import _further
 from tuning.diagnosis.fitting import LEAST, Fitter, quiet
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
 from tuning.diagnosis.model import Logged, Model
-from tuning.diagnosis.screening import _directions, begin, joined, screen, tried
+from tuning.diagnosis.screening import _directions, _pushed, begin, joined, screen, tried
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
     RACE,
@@ -124,6 +124,16 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     fit = fit_from(fitter, base, screen(base, candidate))
     assert fit.model.values(fit.u)[0][key][0] == pytest.approx(value, rel=0.15 if name == "payload_mass" else 1e-3)
     assert base.evidence - fit.evidence > WORTH
+
+
+def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted):
+    """A contact that slips under a tilt which nothing holds against never ages."""
+    fitter, base = tilted
+    tilt = next(one for one in catalogue(fitter, base) if one.name == "constant_force")
+    fit = fit_from(fitter, base, screen(base, tilt))
+    known = np.asarray(_pushed(fit).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance)
+    np.testing.assert_allclose(known, fit.model.values(fit.u)[0]["force"][0], rtol=1e-9)
+    assert not np.any(np.asarray(_pushed(base).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance))
 
 
 def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations():

@@ -47,7 +47,7 @@ def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as i
         lacks=list(lacks),
         where=list(where),
         logged=SimpleNamespace(lanes=lanes),
-        gap=SimpleNamespace(course=SimpleNamespace(velocity=velocity)),
+        gap=SimpleNamespace(course=SimpleNamespace(velocity=velocity), told=True),
     )
 
 
@@ -214,6 +214,20 @@ def test_unknown_is_never_content_and_needs_no_controller():
     moved = diagnosed("unknown", unexplained=0.0, says="mass had to be moved by +12 %")
     assert next_experiment(moved, DRIVE).says.startswith("measure that parameter by itself")
     assert next_experiment(diagnosed("none"), DRIVE).says == "nothing is left to decide"
+
+
+def test_a_motion_that_dwells_lies_about_the_middle_of_where_the_logs_went():
+    for name in ("reversal", "rest", "cruise"):
+        motion = next_experiment(diagnosed("unknown", where=[region("phase", name)]), DRIVE).reference.position
+        assert 0.5 * (motion.min() + motion.max()) == pytest.approx(0.03, abs=1e-6), name
+
+
+def test_no_motion_is_proposed_where_the_missing_force_is_not_told():
+    far = diagnosed("unknown", where=[region("phase", "reversal")])
+    far.gap.told = False
+    offer = next_experiment(far, DRIVE)
+    assert offer.motion == ""
+    assert "units" in offer.says
 
 
 def test_a_motion_that_the_axis_cannot_do_is_not_proposed():

@@ -3,25 +3,30 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.splitting import split
 
 RATE = 1_000.0
+WAVE = SimpleNamespace(candidate=SimpleNamespace(parameters=(SimpleNamespace(name="cosine", amplitude=True),)))
 
 
-def of(velocity, tells, slots):
-    """A fit to lanes that move at these velocities (m/s), one log each; `tells` [lanes, n, slots] of the jacobian."""
+def of(velocity, tells, slots, nominal=1.0, members=()):
+    """A fit to lanes that move at these velocities (m/s), one log each; `tells` [lanes, n, slots] of the jacobian,
+    `nominal` that of the drive's own numbers.
+    """
     velocity, tells = np.asarray(velocity, float), np.asarray(tells, float)
     lanes, samples = velocity.shape
-    jacobian = np.concatenate([np.ones((lanes, samples, len(NAMES))), tells], axis=2)
+    own = np.broadcast_to(nominal, (lanes, samples, len(NAMES)))
+    jacobian = np.concatenate([own, tells], axis=2)
     logged = SimpleNamespace(
         lanes=SimpleNamespace(counts=np.ones((lanes, samples))),
         owner=tuple(range(lanes)),
         logs=lanes,
         sampling=SimpleNamespace(rate=RATE),
     )
-    model = SimpleNamespace(slots=slots, members=())
+    model = SimpleNamespace(slots=slots, members=members, size=len(NAMES) + len(slots))
     track = SimpleNamespace(course=SimpleNamespace(velocity=velocity))
     return SimpleNamespace(logged=logged), SimpleNamespace(
         track=track, model=model, jacobian=jacobian.reshape(lanes * samples, -1)
@@ -48,21 +53,50 @@ def test_what_begins_late_is_fitted_in_every_other_piece():
     assert 0.2 < np.mean(found.train[0, 1_500:]) < 0.8
 
 
-def test_the_log_held_out_is_one_that_the_others_need_not():
-    """An effect that acts in one log alone: whichever it is, it is fitted there."""
-    for shows in (0, 1):
-        tells = np.zeros((2, 2_000, 1))
-        tells[shows] = 1.0
-        found = split(*of([moving(), moving()], tells, [(0, "more", None)]))
-        assert found.whole == found.logs == [1 - shows]
-        assert found.train[shows].all()
-        assert not found.train[1 - shows].any()
+def test_what_ends_early_is_judged_in_every_other_piece():
+    """Where it does not act, nothing would be proved."""
+    tells = np.zeros((1, 2_000, 1))
+    tells[:, :800] = 1.0
+    found = split(*of([moving()], tells, [(0, "more", None)]))
+    assert "every other tenth of the log" in found.says
+    assert 0.2 < np.mean(found.test[0, :800]) < 0.8
+
+
+@pytest.mark.parametrize("shows", [0, 1])
+def test_an_effect_that_acts_in_one_log_alone_is_fitted_and_judged_there(shows):
+    tells = np.zeros((2, 2_000, 1))
+    tells[shows] = 1.0
+    found = split(*of([moving(), moving()], tells, [(0, "more", None)]))
+    assert found.whole == []
+    assert 0.4 < np.mean(found.train[shows]) < 0.6
+    assert 0.4 < np.mean(found.test[shows]) < 0.6
+
+
+@pytest.mark.parametrize("knows", [0, 1])
+def test_the_log_held_out_is_one_that_the_drives_own_numbers_need_not(knows):
+    """A mass that one log alone tells is fitted there."""
+    own = np.ones((2, 2_000, len(NAMES)))
+    own[1 - knows, :, 0] = 0.0
+    found = split(*of([moving(), moving()], np.ones((2, 2_000, 1)), [(0, "force", None)], own))
+    assert found.whole == found.logs == [1 - knows]
+    assert found.train[knows].all()
+    assert not found.train[1 - knows].any()
+
+
+def test_a_wave_that_ends_early_in_the_log_held_out_is_judged_on_all_of_it():
+    tells = np.ones((2, 2_000, 3))
+    tells[1, 800:] = 0.0
+    slots = [(0, "frequency", None), (0, "cosine", 0), (0, "cosine", 1)]
+    found = split(*of([moving(), moving()], tells, slots, members=(WAVE,)))
+    assert found.whole == [1]
+    assert found.test[1].all()
+    assert found.register[1].all()
 
 
 def test_sizes_of_the_session_are_registered_anew_and_need_not_be_told():
     tells = np.zeros((2, 2_000, 2))
     tells[0, :, 0] = tells[1, :, 1] = 1.0
-    found = split(*of([moving(), moving()], tells, [(0, "cosine", 0), (0, "cosine", 1)]))
+    found = split(*of([moving(), moving()], tells, [(0, "cosine", 0), (0, "cosine", 1)], members=(WAVE,)))
     assert found.whole == [1]
     assert np.flatnonzero(found.register[1]).max() + 1 == np.flatnonzero(found.test[1]).min() == 1_000
     assert not (found.register * found.test).any()
@@ -76,9 +110,14 @@ def test_what_sets_in_late_in_the_log_held_out_is_registered_on_all_of_it():
     assert found.test[1].all()
 
 
-def test_a_log_at_rest_is_not_held_out():
+def test_nothing_is_judged_by_a_log_at_rest():
     found = split(*of([moving(), 0.0 * moving()], np.ones((2, 2_000, 1)), [(0, "force", None)]))
-    assert found.whole == [0]
+    assert found.logs == found.whole == [0]
+    tells = np.stack([np.ones((2_000, 1)), np.zeros((2_000, 1))])
+    found = split(*of([moving(), 0.0 * moving()], tells, [(0, "force", None)], nominal=tells))
+    assert found.logs == [0]
+    assert found.whole == []
+    assert 0.4 < np.mean(found.test[0]) < 0.6
 
 
 def test_where_each_log_alone_tells_something_pieces_of_all_are_held_out():

@@ -30,13 +30,20 @@ def triangle(time, speed, stroke):
     return stroke * (0.5 + 0.5 * scipy.signal.sawtooth(np.pi * speed / stroke * time, 0.5))
 
 
-def located(force, position, **more):
+def located(force, position, lost=0.0, **more):
     """The regions of a force (N) along a position (m), with everything counted."""
     ones, flat = np.ones((1, len(force))), np.zeros((1, len(force)))
     velocity = np.gradient(position)[None] * RATE
-    gap = ForceGap(force[None], Course(position[None], velocity, flat, flat, flat), force[None] ** 2, ones)
+    gap = ForceGap(force[None], Course(position[None], velocity, flat, flat, flat), force[None] ** 2, ones, lost)
     lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
     return localise(gap, lanes, (0,), RATE, **more)
+
+
+def test_a_lost_filters_force_has_no_lines_to_tell():
+    time = np.arange(20_000) / RATE
+    position, ripple = triangle(time, 0.02, 0.03), np.sin(2 * np.pi * 83.0 * time)
+    assert any(one.dimension == "frequency" for one in located(ripple, position))
+    assert not any(one.dimension == "frequency" for one in located(ripple, position, lost=0.5))
 
 
 def standing(force, position):

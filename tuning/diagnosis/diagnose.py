@@ -25,7 +25,7 @@ from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import in_parts
-from tuning.diagnosis.gap import ForceGap, force_gap, force_noise
+from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, confirmed, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
@@ -152,18 +152,18 @@ def diagnose(
     progress("recalibrating", 0, 1)
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)))
     progress("recalibrating", 1, 1)
-    open_loop = isinstance(controller, UnknownController) or logs[-1].reference is None
     catalogue = [one for one in candidates(at) if one.name not in without]
     hopeless = any(one.hopeless for one in lacks)
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
     progress("judging on held-out data", 0, 1)
-    rungs, parts = climb(fitter, found, list(logs), None if open_loop else controller)
+    rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
     verdict = _within(_credible(confirmed(judge(fitter, found), rungs, share), found.best), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
+    base = found.base  # the search may have led the recalibration further
     trusting = comparing(fitter, base)
     gap = force_gap(fitter, base, base.model, base.u, trusting)
     where = localise(
@@ -172,7 +172,7 @@ def diagnose(
         logged.owner,
         logged.sampling.rate,
         starts=logged.starts,
-        noise=force_noise(fitter, base, trusting),
+        noise=force_noise(fitter, uncoupled(fitter, base), trusting),
         lead=next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None),
         others=_subsystems(found),
     )

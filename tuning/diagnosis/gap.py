@@ -211,6 +211,15 @@ def force_noise(fitter: Fitter, fitted: Fitted, process: Float[np.ndarray, " 2"]
     return np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
 
 
+def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:
+    """The recalibrated drive without the effects of its file that are stepped within the filter."""
+    if not base.model.coupled:
+        return base
+    loose = tuple(one for one in base.model.members if not one.candidate.coupled)
+    model = Model(fitter.logged, loose, base.model.tolerance)
+    return fitter.fit(model, base.u, base.process, base.track.course, 0)
+
+
 def force_floor(
     fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process: Float[np.ndarray, " 2"]
 ) -> float:

@@ -15,7 +15,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter, quiet
 from tuning.diagnosis.following import LOST, Track
-from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap
+from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.splitting import Split, of_session, split, told
 from tuning.diagnosis.threads import in_parallel
@@ -67,7 +67,9 @@ def _unlikely(track: Track, counts: Float[np.ndarray, "lanes n"], rate: float) -
 def climb(
     fitter: Fitter, found: Explanation, logs: list[Log], controller: Controller | None
 ) -> tuple[list[Rung], Split]:
-    """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given."""
+    """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given and a
+    log that is judged by has a reference.
+    """
     parts = split(fitter, found.best)
     train, there, test = (_counting(fitter, each) for each in (parts.train, parts.register, parts.test))
     base = found.base
@@ -109,15 +111,16 @@ def climb(
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end
-        alike = [one, fits[1][1]] if one.model.coupled else [one]
+        alike = [one, uncoupled(test, fits[1][1])] if one.model.coupled else [one]
         floors = [force_floor(test, each, gap.counts, process) for each in alike]
         floor = min((each for each in floors if np.isfinite(each)), default=np.inf)
         loop = None
-        if controller is not None:
-            drives = [drive_of(one, log) for log in parts.logs]
+        closable = [log for log in parts.logs if logs[log].reference is not None]
+        if controller is not None and closable:
+            drives = [drive_of(one, log) for log in closable]
             noise = float(fitter.logged.noise)
-            judged = [logs[log] for log in parts.logs]
-            counts = [_at_control(fitter, parts.test, log) for log in parts.logs]
+            judged = [logs[log] for log in closable]
+            counts = [_at_control(fitter, parts.test, log) for log in closable]
             loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
         return Rung(

@@ -41,7 +41,7 @@ UNITS = {
     "acceleration": "m/s^2", "dwell": "s", "duration": "s", "frequency": "Hz",
 }  # fmt: skip
 ELSEWHERE = ("subsystem", "signal")  # regions that are no part of a motion
-PLACES = (0.05, 0.9)  # of the travel that was logged: where strokes begin, and how long they are
+ROOM = 0.9  # of the travel that was logged: the longest stroke, about its middle
 
 
 class Experiment(NamedTuple):
@@ -140,14 +140,20 @@ def _built(text: str, rate: float) -> Motion:
 class _Axis(NamedTuple):
     """What the logs went through, and what a motion may do there."""
 
-    start: float  # m
+    middle: float  # m
     travel: float  # m
     speed: float  # m/s
     acceleration: float  # m/s^2
 
+    def start(self, travel: float) -> float:
+        """Where a motion that goes so far begins, to lie about the middle (m)."""
+        return self.middle - 0.5 * travel
+
 
 def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
     """The motion that dwells where the recalibrated drive's gap lies."""
+    if not found.gap.told:
+        return Experiment("", [], 0.0, "no motion is proposed for a drive file so far from its logs: units, signs?")
     limits = description.limits
     counted = np.asarray(found.logged.lanes.counts) > 0
     position = np.asarray(found.logged.lanes.position)[counted]
@@ -155,8 +161,8 @@ def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
     moving = speeds[speeds > min(MOVING, 0.5 * float(np.max(speeds, initial=0.0)))]
     speed = np.percentile(moving, 95) if moving.size else limits.speed
     at = _Axis(
-        float(position.min() + PLACES[0] * np.ptp(position)),
-        float(PLACES[1] * np.ptp(position)),
+        float(position.min() + 0.5 * np.ptp(position)),
+        float(ROOM * np.ptp(position)),
         min(float(speed), 0.8 * limits.speed),
         min(ACCELERATION, 0.8 * limits.acceleration),
     )
@@ -178,13 +184,15 @@ def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:
     line = region is not None and region.dimension == "position" and region.low is None
     if region is None or region.dimension == "frequency" or name == "cruise" or line:
         speeds, travel = [share * at.speed for share in (0.2, 0.5, 1.0)], min(at.travel, 0.4 * SLOW * at.speed)
-        text = _written("staircase", speeds=speeds, travel=travel, acceleration=at.acceleration, start=at.start)
+        start = at.start(travel)
+        text = _written("staircase", speeds=speeds, travel=travel, acceleration=at.acceleration, start=start)
         does = "cruises at three speeds: what is locked to time keeps its frequency, what is locked to place its period"
         return text, does
     if name in ("reversal", "acceleration"):
         swing = 2.0 * np.pi * TURNS
         amplitude = min(0.5 * at.travel, at.speed / swing, at.acceleration / swing**2)
-        text = _written("sine", amplitude=amplitude, frequency=TURNS, duration=LASTS, start=at.start)
+        start = at.start(2.0 * amplitude)
+        text = _written("sine", amplitude=amplitude, frequency=TURNS, duration=LASTS, start=start)
         return text, f"turns {2 * TURNS:.0f} times a second and accelerates in between"
     if name in ("rest", "start and stop"):
         return _strokes(at, at.speed, 0.2 * at.travel, PAUSE), "starts and stops often, and rests in between"
@@ -205,7 +213,7 @@ def _strokes(at: _Axis, speed: float, distance: float, dwell: float = 0.1) -> st
     once = 2.0 * (distance / speed + speed / at.acceleration + dwell)
     return _written(
         "trapezoidal", distance=distance, speed=speed, acceleration=at.acceleration, dwell=dwell,
-        repeats=max(1, round(LASTS / once)), start=at.start,
+        repeats=max(1, round(LASTS / once)), start=at.start(distance),
     )  # fmt: skip
 
 

@@ -23,10 +23,12 @@ from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import Fitted, Fitter, Point, answered
 from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import (
+    Logged,
     Member,
     Model,
     Vector,
     effect_in_lanes,
+    exposed,
     exposure_slopes,
     machine_slopes,
     stacked,
@@ -59,9 +61,9 @@ def _directions(
 ) -> tuple[np.ndarray, list[tuple[Parameter, int | None]]]:
     """Answers to each amplitude of the candidate at a point of its grid ([lanes, n, m]), and what each is of.
 
-    What the candidate does alone: to first order that is what it does beside the effects that are there.
+    What the candidate does alone, the others being a force that acts: to first order that is what it does beside them.
     """
-    logged = fitted.model.logged
+    logged = _pushed(fitted)
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
     amplitudes = [one for one in candidate.parameters if one.amplitude]
     course = fitted.track.course
@@ -85,6 +87,14 @@ def _directions(
     else:
         found = answered(fitted.track, fitted.linear, columns, bend, logged.lanes.counts, logged.sampling.period)
     return np.asarray(found) / np.sqrt(float(fitted.track.size)), labels
+
+
+def _pushed(fitted: Fitted) -> Logged:
+    """The logs, and what the effects that are there push, which one that follows the table has to know, as known."""
+    logged = fitted.model.logged
+    without = exposed(logged, fitted.drive, (), fitted.track.course)
+    known = logged.lanes.disturbance + (fitted.acting.force - without.force)
+    return logged._replace(lanes=logged.lanes._replace(disturbance=known))
 
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:

@@ -1,8 +1,9 @@
 """Which samples the models of a ladder are fitted to, and which they are judged by.
 
-What is held out has to move, since at rest the friction may be anything; and what is fitted has to tell every number
-that is carried over, or the effect would be judged by a size that nothing but its prior gave it. What is of the session
-is registered on the first half of a log that is held out, and judged by the second, where the first half tells it.
+What is held out has to move, since at rest the friction may be anything, and it has to hold what was found: where the
+effect does not act, nothing is proved. What is fitted has to tell every number that is carried over, the drive's own
+among them, or these would be what nothing but the prior gave them. What is of the session is registered on the first
+half of a log that is held out, and judged by the second, where the first tells it and the second shows it.
 """
 
 from typing import NamedTuple
@@ -37,7 +38,7 @@ class Split(NamedTuple):
 
 def split(fitter: Fitter, best: Fitted) -> Split:
     """The last log that the others need not; of a single one, the end. Where the rest would not tell what `best` has
-    found, every other piece of each log.
+    found, or what is held out would not, every other piece of each log.
     """
     logged = fitter.logged
     counts = np.asarray(logged.lanes.counts)
@@ -46,28 +47,33 @@ def split(fitter: Fitter, best: Fitted) -> Split:
         moves = counts
     travelled = np.cumsum(moves).reshape(moves.shape) / moves.sum()
     if logged.logs == 1:
-        early = travelled <= TRAINED
-        if np.all(told(best, early) | of_session(best.model)):
+        early, times = travelled <= TRAINED, of_session(best.model)
+        if np.all(told(best, early) | times) and np.all(told(best, ~early) | times | ~_of_effects(best.model)):
             says = f"the last {100 * (1 - TRAINED):.0f} % of the motion held out"
             return Split(counts * early, counts * early, counts * ~early, [0], [], says)
     for log in reversed(range(logged.logs)) if logged.logs > 1 else ():
         mine = np.array([owner == log for owner in logged.owner])[:, None]
         goes = (moves * mine).sum() > SLID * (counts * mine).sum()
-        if goes and np.all(told(best, counts * ~mine > 0) | ~_of_machine(best.model)):
+        session = _of_session(best.model)
+        shown = told(best, counts * mine > 0) | session | ~_of_effects(best.model)
+        if goes and np.all(told(best, counts * ~mine > 0) | session) and np.all(shown):
             return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
     fitted = np.floor(travelled * TURNS * logged.logs) % 2 == 0
     says = f"every other tenth of {'the log' if logged.logs == 1 else 'the logs'} held out, {SESSION}the rest"
-    return Split(counts * fitted, counts * fitted, counts * ~fitted, list(range(logged.logs)), [], says)
+    owner, judged = np.array(logged.owner), (counts * ~fitted).any(axis=1)
+    logs = [log for log in range(logged.logs) if judged[owner == log].any()]
+    return Split(counts * fitted, counts * fitted, counts * ~fitted, logs, [], says)
 
 
 def _held_out(best: Fitted, train: Weights, there: Weights, moves: Weights, log: int) -> Split:
-    """A whole log held out; judged by its second half if the first tells what is of the session."""
+    """A whole log held out; judged by its second half if the first tells what is of the session, and both its sizes."""
     session = np.array([False] * len(NAMES) + [one == log for _, _, one in best.model.slots])
     says = f"log {log + 1} held out"
     if not session.any():
         return Split(train, there, there, [log], [log], says)
     first = (np.cumsum(moves) <= 0.5 * moves.sum()).reshape(moves.shape)
-    if np.all(told(best, (there * first) > 0) | ~session):
+    known, seen = (told(best, (there * half) > 0) | ~session for half in (first, ~first))
+    if np.all(known) and np.all(seen | of_session(best.model)):
         return Split(train, there * first, there * ~first, [log], [log], f"{says}, {SESSION}its first half")
     return Split(train, there, there, [log], [log], f"{says}, {SESSION}it")
 
@@ -85,9 +91,14 @@ def of_session(model: Model) -> Bool[np.ndarray, " k"]:
     )
 
 
-def _of_machine(model: Model) -> Bool[np.ndarray, " k"]:
-    """Which numbers are those of an effect, the same in every log."""
-    return np.array([False] * len(NAMES) + [log is None for _, _, log in model.slots])
+def _of_session(model: Model) -> Bool[np.ndarray, " k"]:
+    """Which numbers are of one log alone."""
+    return np.array([False] * len(NAMES) + [log is not None for _, _, log in model.slots])
+
+
+def _of_effects(model: Model) -> Bool[np.ndarray, " k"]:
+    """Which numbers are not the drive's own."""
+    return np.arange(model.size) >= len(NAMES)
 
 
 def told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"]) -> Bool[np.ndarray, " k"]:

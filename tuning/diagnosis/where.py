@@ -159,7 +159,8 @@ def localise(
     """Every region of every dimension, the most telling first, and those of `others` behind the rest.
 
     `starts` (s) is when each lane begins in its log. `noise` (N) is the force that a sound model would seem to lack,
-    from the measuring noise alone: without it no band of frequencies is significant, since the filter colours noise.
+    from the measuring noise alone: without it no band of frequencies is significant, since the filter colours noise;
+    where the filter was lost, none is told.
     With `lead` (m), where that of the screw is known, periods are given per turn as well. `others` are regions from
     elsewhere, their p-values not yet paid for: they are paid for among themselves, since what explains a gap is next to
     certain to do so, and would pay for all that stand beside it.
@@ -191,6 +192,8 @@ def localise(
         named = f"in log {log + 1} at times of" if len(set(owner)) > 1 else "at times of"
         asked += _bands("time", time, mine, every, TIMES, 1.0, "s", named)
     regions = _shares(gap, every, asked, rate, seed)
+    if not gap.told:  # a lost filter's force has a spectrum, too
+        return [*ranked(regions), *ranked(others)]
     bands = _frequencies(gap, rate, noise)
     lines = [*lines_in_time(gap.force, rate), *lines_in_position(gap.force, motion.position, gap.counts)]
     clear = [one for one in lines if one.p_value < SIGNIFICANT]
@@ -228,8 +231,8 @@ def _frequencies(gap: ForceGap, rate: float, noise: Float[np.ndarray, "lanes n d
 
     Where the noise is not given, white innovations stand for it, and nothing is significant.
     """
-    known = noise is not None
-    if noise is None:
+    known = noise is not None and bool(np.all(np.isfinite(noise)))
+    if noise is None or not known:
         white = np.random.default_rng(0).standard_normal(gap.force.shape)
         noise = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / (LASTING * rate))], white, axis=1)[..., None]
     power, floor = (
