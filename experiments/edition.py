@@ -4,6 +4,7 @@ import functools
 import hashlib
 import inspect
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
@@ -19,6 +20,8 @@ def edition(*modules: str) -> str:
         root = Path(_folder(package))
         for path in sorted(root.rglob("*.py")):
             text.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for name in ("jax", "jaxlib", "numpy", "scipy"):  # on which the last bits hang
+        text.update(version(name).encode())
     for name in modules:
         text.update(inspect.getsource(sys.modules[name]).encode())
     return text.hexdigest()

@@ -75,6 +75,7 @@ def terms(drive: Drive) -> dict[str, Withheld]:
     late = Actuator(actuator.force_limit, actuator.limit_rounding, actuator.delay_samples + 1, actuator.delay_fraction)
     shape, tilt = ("friction_shape",), ("constant_force", "friction_asymmetry")
     return {
+        "nothing": Withheld(published, published, ("cogging",), TRUSTED),  # what the others are to be held against
         "coulomb": Withheld(published, dataclasses.replace(published, friction=slippery), shape, TRUSTED),
         "viscous": Withheld(published, dataclasses.replace(published, friction=inviscid), shape, TRUSTED),
         "offset": Withheld(published, dataclasses.replace(published, plant=level), tilt, TRUSTED),
@@ -95,7 +96,7 @@ def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = 
         "laas": (laas.find_folder(), _laas),
     }
     if which != "all" and which not in parts:
-        raise ParameterError(f"{which}: no such axis; known: all, {', '.join(parts)}")
+        raise ParameterError(f"--axis {which}: no such axis; known: all, {', '.join(parts)}")
     if wanted_terms and which != "emps":
         raise ParameterError("--term is of the EMPS axis: give --axis emps beside it")
     known = [*terms(emps.reference_drive()), AS_IT_IS]

@@ -256,7 +256,9 @@ def test_whoever_asks_no_more_leaves_no_process_behind(tmp_path):
 
 SPY = """
 import json, pathlib, sys
+from experiments.withheld.answer import question
 cases, answers, workers, without = sys.argv[1:]
+left_out = json.loads(pathlib.Path(without).read_text())
 here = pathlib.Path.cwd()
 seen = sorted(str(one.relative_to(here)) for one in here.rglob("*") if one.is_file())
 links = [str(one) for one in here.rglob("*") if one.is_symlink()]
@@ -265,7 +267,7 @@ for place in pathlib.Path(cases).iterdir():
     path.parent.mkdir(parents=True)
     path.write_text(json.dumps({
         "verdict": "none", "causes": [], "seen": seen, "cwd": str(here), "links": links, "argv": sys.argv[1:],
-        "without": json.loads(pathlib.Path(without).read_text()),
+        "without": left_out, "question": question(place, (left_out or {}).get(place.name, ())),
     }))
     print(place.name, flush=True)
 if "fail" in json.dumps(seen):
@@ -324,6 +326,17 @@ def test_a_folder_without_machines_is_refused(tmp_path):
     (tmp_path / "key.json").write_text("{}")
     with pytest.raises(ParameterError, match="no machine in it"):
         study.examined(tmp_path / "out", tmp_path, tmp_path / "key.json")
+
+
+def test_answers_of_other_sources_than_those_that_asked_are_refused(spied):
+    machine(spied / "cases" / "1")
+    spy = spied / "spy.py"
+    spy.write_text(SPY.replace("question(place", "'another ' + question(place"))
+    with (
+        pytest.raises(ParameterError, match="1 were answered by other sources"),
+        Report("check", spied / "out") as report,
+    ):
+        study._ask(report, spied / "cases", spied / "out" / "answers", 1)
 
 
 def test_answers_of_a_process_that_ends_early_are_kept(spied):

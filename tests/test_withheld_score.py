@@ -58,6 +58,27 @@ def test_a_filter_that_ran_away_on_what_was_held_out_closes_nothing(base, last, 
     assert card_of((answer, truth("cogging")))["median_shrink_held_out"] == shrink
 
 
+def test_what_was_found_does_not_make_a_case_faint():
+    """A wrong cause that shakes the loop has a large floor of its own, or none at all."""
+    answer = told("effect", cause("actuator_lag"), gap=1.0)
+    answer["gap"] |= {"recalibrated_position_rms_m": 1e-6, "noise_floor_position_m": 9e-7}
+    answer["ladder"][1] |= {"position_floor_m": 1e-7, "force_floor_N": 1.0, "loop_says": ""}
+    assert card_of((answer, truth("loop_delay")))["rows"][0]["visibility"] == pytest.approx(10.0)
+    answer["gap"]["recalibrated_position_rms_m"] = None
+    answer["ladder"][1] |= {"position_floor_m": None, "loop_says": "a: the simulation in closed loop runs away"}
+    assert card_of((answer, truth("loop_delay")))["clear_single"] == 1
+
+
+def test_a_case_that_declares_the_whole_catalogue_is_told_apart():
+    few, many = ["cogging", "backlash"], ["cogging", "backlash", "compliance"]
+    card = card_of(
+        (told("effect", cause("lead_error", others=few)), truth("cogging")),
+        (told("effect", cause("lead_error", others=many)), truth("cogging")),
+    )
+    assert (card["declared_clear"], card["declared_clear_of_few"]) == (1.0, 0.5)
+    assert (card["declared_at_once"], card["most_declared"]) == (2.5, 3)
+
+
 def test_an_answer_whose_force_cannot_be_told_closes_nothing():
     answer = told("effect", cause("cogging"))
     answer["gap"]["noise_floor_force_N"] = None

@@ -1,5 +1,6 @@
 """Cases as a user would have them: a drive file and two logs each; what the key says of them is kept elsewhere."""
 
+import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -90,16 +91,25 @@ def generate(folder: Path, parts: Path, seed: int, count: int) -> Iterator[str]:
     """
     parts.mkdir(parents=True, exist_ok=True)
     for number, effects in enumerate(kinds(seed, count)):
-        name, drawn = f"{number + 1:03d}", {"seed": seed, "of": count}
+        name, drawn = f"{number + 1:03d}", {"seed": seed, "of": count, "by": drawn_by()}
         part = parts / f"{name}.json"
         there = part.exists() and (folder / name / "drive.toml").exists()
         if there and json.loads(part.read_text(encoding="utf-8"))["drawn"] != drawn:
-            raise ParameterError(f"{folder.parent}: holds machines of another seed or number; choose another folder")
+            raise ParameterError(
+                f"{folder.parent}: holds machines of another seed or number, or of other sources; choose another folder"
+            )
         if not there:
             case, logs, peak = _followable(seed, number, effects)
             part.write_text(json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n", encoding="utf-8")
             _write(folder / name, case, logs)
         yield name
+
+
+def drawn_by() -> str:
+    """A digest of what draws and integrates machines: those of two editions are no one study."""
+    folder = Path(__file__).parent
+    sources = [(folder / f"{name}.py").read_bytes() for name in ("draw", "generate", "machine", "motions", "truth")]
+    return hashlib.sha256(b"".join(sources)).hexdigest()
 
 
 def _followable(seed: int, number: int, effects: tuple[str, ...]) -> tuple[Case, list[Log], float | None]:

@@ -14,15 +14,23 @@ CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
 MEANT = 1.0  # the size from which an effect was drawn to be clear
 BINS = 10  # of confidence
 MOST = 2  # effects of a case
+FEW = 2  # rivals: an engineer looks at as many
 NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a share
 UNANSWERED: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
 
 
 def visibility(told: dict[str, Any]) -> float | None:
-    """Largest gap of the recalibrated drive over its floor; None of an answer without a gap."""
+    """Largest gap of the recalibrated drive over its own floor, whatever was found; None of an answer without a gap.
+
+    One with which the simulation in closed loop runs away is off without end.
+    """
     gap, found = told.get("gap", {}), []
+    base = told["ladder"][1] if len(told.get("ladder", [])) > 1 else {}
+    if base.get("loop_says"):
+        found += [np.inf] if "runs away" in base["loop_says"] else []
     for signal, unit in (("force", "N"), ("position", "m"), ("command", "N")):
-        rms, floor = gap.get(f"recalibrated_{signal}_rms_{unit}"), gap.get(f"noise_floor_{signal}_{unit}")
+        rms = gap.get(f"recalibrated_{signal}_rms_{unit}")
+        floor = base.get(f"{signal}_floor_{unit}", gap.get(f"noise_floor_{signal}_{unit}"))
         if isinstance(rms, float) and isinstance(floor, float) and floor > 0:
             found.append(rms / floor)
     return float(max(found)) if found else None
@@ -104,6 +112,12 @@ def score(
         "median_shrink_of_oracle": _quantile(shrinks, 0.5),
         "quarter_shrink_of_oracle": _quantile(shrinks, 0.25),
         "shrinks_of_oracle": sum(one is not None for one in shrinks),
+        "without_ratio": [row["case"] for row, one in zip(clear, shrinks, strict=bool(shrinks)) if one is None],
+        "declared_at_once": _quantile([float(row["rivals"]) for row in clear], 0.5),
+        "most_declared": max((row["rivals"] for row in clear), default=0),
+        "declared_clear_of_few": _share(
+            [row | {"few": row["declared"] and row["rivals"] <= FEW} for row in clear], "few"
+        ),
         "oracle_asked": sum(row["case"] in (oracle or {}) for row in clear),
         "confusion": _confusion(rows),
         "rows": rows,
@@ -137,6 +151,8 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "named": top1 and said_effect,
         "top2": bool(true) and true[0] in ranked[:2],
         "declared": bool(true) and true[0] in declared,
+        "declared_of_few": bool(true) and true[0] in declared and len(declared) <= 1 + FEW,
+        "rivals": len(declared - set(found[:1])),
         "both": set(true) <= set(found),
         "exact": said_effect and set(found) == set(true),
         "said_none": told["verdict"] == "none",

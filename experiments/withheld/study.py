@@ -23,7 +23,8 @@ SHOWN = (
     "confidently_wrong_faint", "confidently_wrong", "none", "said_none", "false_alarms", "outside", "unknown_recall",
     "compounds", "both_found", "both_named", "pitfalls", "pitfall_named", "calibration_error", "median_parameter_error",
     "median_shrink_held_out", "quarter_shrink_held_out", "median_shrink_of_oracle", "quarter_shrink_of_oracle",
-    "shrinks_of_oracle", "oracle_asked", "interval_coverage", "intervals_told",
+    "shrinks_of_oracle", "oracle_asked", "interval_coverage", "intervals_told", "declared_at_once", "most_declared",
+    "declared_clear_of_few",
 )  # fmt: skip
 ANSWERING = ("-m", "experiments.withheld.answer")
 CODE = Path(__file__).resolve().parents[2]
@@ -93,6 +94,11 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
                 _bring(room / "answers", answers)
         if process.returncode:
             raise subprocess.CalledProcessError(process.returncode, command)
+    if odd := [place.name for place in unanswered(cases, answers, without)]:
+        raise ParameterError(
+            f"{answers}: {', '.join(odd)} were answered by other sources than those that asked: the code was changed "
+            "meanwhile; start again from a copy of it that stays as it is"
+        )
 
 
 def _bring(there: Path, here: Path) -> None:
@@ -151,6 +157,6 @@ def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: 
         "Answers",
     )
     report.table("reliability", ("confidence", "causes", "right"), card["reliability"], "What the confidences meant")
-    for name in ("confusion", "intervals", "rows"):
+    for name in ("confusion", "intervals", "rows", "without_ratio"):
         report.data[name] = card[name]
     return card
