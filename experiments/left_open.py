@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
+from experiments.sweeps.varied import WIDEST
 from tuning.estimates import LINEAR, Estimate
 from tuning.identification import Identified
 
@@ -43,7 +44,8 @@ def _distribution(one: Estimate, deviation: float) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     if one.name.split(".")[0] in LINEAR or one.value <= 0.0:
         return f"normal:{one.value:.10g}{unit}..{deviation:.6g}{unit}"
-    return f"lognormal:{one.value:.10g}{unit}..{100.0 * deviation / one.value:.6g}%"
+    # beyond that nothing was told of it but that it is positive, and a sweep takes no wider one
+    return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, WIDEST):.6g}%"
 
 
 def write_uncertainty(folder: Path, found: Identified) -> None:

@@ -4,6 +4,7 @@ import json
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -11,7 +12,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.parameters import Sampling
 from diffdrive.presets import paper_drive
 from experiments import paper
-from experiments.bench import clock
+from experiments.bench import clock, suite
 from experiments.bench.arithmetic import of_step, operations
 from experiments.bench.figures import drawn
 from experiments.cli import app
@@ -46,6 +47,17 @@ def test_a_short_job_is_run_several_times_in_a_turn(monkeypatch):
     assert told["short"].median == pytest.approx(clock.LEAST / 10)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("real-time factor", 700.0, "yes"), ("real-time factor", 500.0, "NO"), ("real-time factor", np.nan, "NO"),
+        ("warm start, s", 2.0, "yes"), ("warm start, s", np.nan, "NO"), ("warm start, s", None, "not measured"),
+    ],
+)  # fmt: skip
+def test_a_bar_is_reached_by_numbers_alone(name, value, says):
+    assert suite._verdict(name, value) == says
+
+
 def test_a_part_that_there_is_not_is_refused():
     found = CliRunner().invoke(app, ["bench", "--part", "speed"])
     assert isinstance(found.exception, ParameterError)
@@ -56,9 +68,11 @@ def test_growth_is_told_and_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(clock, "ROUNDS", 1)
     found = CliRunner().invoke(app, ["bench", "--part", "growth", "--out", str(tmp_path)])
     assert found.exit_code == 0, found.output
-    rows = json.loads((tmp_path / "result.json").read_text())["tables"]["growth"]["rows"]
+    tables = json.loads((tmp_path / "result.json").read_text())["tables"]
+    rows, by = tables["growth"]["rows"], tables["growth_with_parameters"]["rows"]
     assert [row[0] for row in rows] == [1_000, 10_000, 100_000]
-    assert all(row[1] > 0.0 for row in rows)
+    assert [row[0] for row in by] == [0, 1, 2, 4, 8]
+    assert all(row[1] > 0.0 for row in rows + by)
 
 
 def test_every_panel_is_drawn():

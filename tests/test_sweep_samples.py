@@ -58,6 +58,22 @@ def test_a_normal_quantity_ends_where_it_must():
     assert stats.kstest(values, stats.truncnorm(-1.0, FARTHEST, 10.0, 10.0).cdf).statistic < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("text", "value", "most"),
+    [
+        ("friction.coulomb_screw.negative=normal:50 N", 64.95, 264.95),
+        ("friction.coulomb_screw=normal:50 N", 63.43, 263.43),  # the smaller of its two directions
+        ("friction.coulomb_screw=normal:50%", 63.43, 3 * 63.43),
+        ("effects.compliance.motor_share=normal:40%", 0.4, 1.0),
+        ("sensor.noise=normal:20 nm", 0.0, 80e-9),
+    ],
+)
+def test_a_normal_offset_or_factor_ends_where_the_quantity_must(text, value, most):
+    varied = parse_varied(text, DRIVE)
+    ends = varied.of(np.array([0.0, 1.0]))
+    assert (value + ends if varied.how == "plus" else value * ends) == pytest.approx([0.0, most], abs=1e-12)
+
+
 def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
     values = parse_varied("plant.mass=normal:1 kg", DRIVE).of(SHARE)
     assert np.max(np.abs(values)) < FARTHEST

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.sweeps.sensitivity import influences
+from experiments.sweeps.sensitivity import influences, influences_on_event
 from experiments.sweeps.summary import Group, compared, exceedance, quantile, worst
 
 
@@ -99,6 +99,18 @@ def test_machines_without_an_error_do_not_hide_what_drives_it():
 def test_without_spread_or_machines_there_are_no_influences(errors):
     values = np.random.default_rng(6).random((len(errors), 1))
     assert influences(["a"], values, errors) == []
+
+
+def test_what_few_machines_have_in_common_is_found():
+    """Six of ten thousand, all of them light: most resamples hold none of them, and shares have no interval."""
+    rng = np.random.default_rng(4)
+    values = rng.random((10_000, 3))
+    happened = np.zeros(len(values), bool)
+    happened[np.argsort(values[:, 1])[[0, 1, 2, 4, 7, 9]]] = True
+    found = {one.name: one for one in influences_on_event(["load", "mass", "viscous"], values, happened)}
+    assert found["mass"].chance < 1e-3
+    assert found["mass"].low > found["mass"].high == 0.0
+    assert min(found["load"].chance, found["viscous"].chance) > 0.01
 
 
 def test_what_does_not_vary_has_no_influence():

@@ -16,6 +16,7 @@ def test_a_spread_is_of_all_parameters_that_are_not_varied_already():
     assert len(set(names)) == len(names)
     assert "friction.coulomb_screw" in names
     assert "friction.viscous" not in names  # one direction is: both would be told twice
+    assert "friction.viscous.negative" in names  # the other is left
     assert "plant.constant_force" not in names  # it is zero: no share of it
     assert texts[-1].endswith("=lognormal:3%")
     assert not none
@@ -42,6 +43,18 @@ def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
     texts, together = varying(PAPER_DRIVE, [own], None, path)
     assert texts == (own, "plant.mass=lognormal:101 kg..0.4%")
     assert together == {"plant.mass": {}}
+
+
+def test_one_direction_given_leaves_the_other_as_it_was_identified(tmp_path):
+    path = tmp_path / "uncertainty.toml"
+    path.write_text(
+        '[vary]\n"friction.viscous.positive" = "lognormal:1800..4%"\n'
+        '"friction.viscous.negative" = "lognormal:1700..4%"\n'
+    )
+    own = "friction.viscous.positive=lognormal:9%"
+    assert varying(PAPER_DRIVE, [own], None, path)[0] == (own, "friction.viscous.negative=lognormal:1700..4%")
+    both = "friction.viscous=lognormal:9%"
+    assert varying(PAPER_DRIVE, [both], None, path)[0] == (both,)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.parameters import Drive, Sampling, as_arrays, in_precision_of
 from diffdrive.simulate import Inputs, rollout, running_costs
 from diffdrive.smooth import smooth
 from experiments import paper
@@ -76,7 +76,7 @@ def inputs(steps: int, rate: float = 10_000.0) -> Inputs:
 
 def costs(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, kept: int = 1) -> Any:
     """RMS error as a function of machine, controller and the factor on the load."""
-    counts = jnp.ones(given.load.shape)
+    counts = jnp.ones_like(given.load)
 
     def of(drive: Drive, controller: Controller, factor: Any) -> Any:
         now = given._replace(load=factor * given.load)
@@ -91,12 +91,16 @@ def single(drive: Drive, controller: Controller, given: Inputs, sampling: Sampli
     return loop(costs(drive, controller, given, sampling), *models, jnp.asarray(1.0))
 
 
-def lanes(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int) -> Loop:
+def lanes(
+    drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int, precision: str = "double"
+) -> Loop:
     """Many machines side by side on one core, each with parameters and a load of its own."""
     machine, control = as_arrays((drive, controller))
     machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), machine)
+    models = (machines, control, jnp.linspace(0.5, 1.5, count), given)
+    machines, control, factors, given = in_precision_of(jnp.zeros((), precision), models)
     many = jax.vmap(costs(drive, controller, given, sampling), in_axes=(0, None, 0))
-    return loop(many, machines, control, jnp.linspace(0.5, 1.5, count))
+    return loop(many, machines, control, factors)
 
 
 class _Eight(NamedTuple):
@@ -155,6 +159,19 @@ def tuner(
         return levenberg_marquardt(residuals, start, args, max_steps=steps, tolerance=1e-15, enough=0.0)
 
     return loop(along, jnp.asarray(start), args), search, search().steps
+
+
+def by_parameters(
+    drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, counts: Sequence[int]
+) -> dict[int, Loop]:
+    """One lane forward, as none, and its derivative in forward mode by so many of the eight parameters."""
+    eight = _Eight.of(drive, controller)
+
+    def rms(some: Any) -> Any:
+        y = jnp.concatenate([some, eight.at[len(some) :]])
+        return costs(eight.machine, eight.control, given, sampling)(eight.machine, eight.placed(y), jnp.asarray(1.0))
+
+    return {0: loop(rms, eight.at)} | {count: loop(jax.jacfwd(rms), eight.at[:count]) for count in counts}
 
 
 def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> dict[str, Loop]:

@@ -5,7 +5,7 @@ itself, and every batch system has a launcher for it. It is the package's extra 
 """
 
 import functools
-import os
+import itertools
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -13,13 +13,13 @@ from typing import Any
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
-from experiments.runtime import configure, keep_compiled
+from experiments.runtime import configure, cores, keep_compiled
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Engine
 from experiments.sweeps.plan import Plan
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
-AGAIN = 3  # times that a part is run again whose worker was lost
+AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it is given
 
 
 @functools.lru_cache(maxsize=1)
@@ -35,8 +35,8 @@ def _part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
     plan = _plan(text, devices)
     if plan.question() != question:
         raise ParameterError(
-            "a worker has another edition of diffdrive, jax, numpy or scipy than the program that asks: install the "
-            "same ones on every machine of the cluster"
+            "a worker has another edition of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
+            "the program that asks: the same ones are needed on every machine of the cluster"
         )
     return plan.costs(part)
 
@@ -72,16 +72,24 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
         here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
         cluster = None if address else LocalCluster(**here)
         # workers of one machine share its cores; one of a cluster has its machine for itself
-        devices = None if address else max(1, (os.cpu_count() or 1) // workers)
+        devices = None if address else max(1, cores() // workers)
         try:
             with _client(address, cluster) as client:
-                number = {
-                    client.submit(_part, text, question, devices, part, pure=False, retries=AGAIN): part
-                    for part in wanted
-                }
-                for future in as_completed(number):
-                    yield number[future], future.result()
+                at_once = AHEAD * max(1, len(client.nthreads()), workers)
+                left, number = iter(wanted), {}
+
+                def submitted() -> Any:
+                    for part in left:
+                        future = client.submit(_part, text, question, devices, part, pure=False)
+                        number[future] = part
+                        yield future
+
+                going = submitted()
+                done = as_completed(itertools.islice(going, at_once))
+                for future in done:
+                    yield number.pop(future), future.result()
                     future.release()
+                    done.update(itertools.islice(going, 1))
         finally:
             if cluster is not None:
                 cluster.close()

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pyarrow as pa
 
+from diffdrive.convergence import advice
 from diffdrive.drive_file import drive_tables, parse_drive, write_drive
 from diffdrive.errors import ParameterError
 from experiments.report import Report, named_file
@@ -29,6 +30,8 @@ TOLD = 5  # worst machines that are named
 Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
 
 TOGETHER = "; quantities hang together, so that shares overlap, and one may have its share through another"
+ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
+RARELY = 0.01  # chance, below which a quantity is said to decide over divergence
 STUCK = 0.5  # share of the time at the force limit from which an axis is too weak
 
 
@@ -44,10 +47,18 @@ def sweep_drive(
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
     plan = asked.plan()
+    warned = [
+        f"{motion}, {name}: {one}"
+        for motion, planned in plan.motions.items()
+        for name, controller in plan.controllers.items()
+        for one in advice(controller, planned, plan.every_load(planned), 1.0 / plan.axis.sampling.rate)
+    ]
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:
         missing(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
     with Report(title, out) as report, _folder(out) as folder:
+        for warning in warned:
+            report.say(warning)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
             rows = run(plan, folder, done, _noted(asked, engine or here, out))
@@ -191,12 +202,26 @@ def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
 def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) -> None:
     """Machines that diverged have no share in the errors' spread: what decides over that is told apart."""
     rows = [
-        [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 100 * each.low, 100 * each.high]
+        [
+            one.motion,
+            one.controller,
+            each.name,
+            100 * each.share,
+            100 * each.uncertain if np.isfinite(each.uncertain) else None,
+            100 * each.low,
+            100 * each.high,
+        ]
         for one in found
         if one.diverged.any()
         for each in influences_on_event(list(plan.units), _values(plan, one), one.diverged, plan.seed)
-        if each.share > each.uncertain
+        if each.share > each.uncertain or each.chance < RARELY
     ]
+    for one in found:
+        if one.diverged.any() and not any(row[:2] == [one.motion, one.controller] for row in rows):
+            report.say(
+                f"{one.motion}, {one.controller}: {np.sum(one.diverged)} machines diverged, which nothing that varies "
+                f"tells from the others (the worst ones are named below)."
+            )
     if rows:
         report.table(
             "divergence",
@@ -257,8 +282,17 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         )
         with report.working("simulating"):
             simulated, costs = run_of(plan, machine, controller, motion), costs_again(plan, number, controller, motion)
+        counted = simulated.time >= plan.settle
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = np.abs(simulated.error[counted])
+            rms, peak = np.sqrt(np.mean(error**2)), np.max(error)
         report.values("run", status=simulated.status.message)
         report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
+        if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, equal_nan=True):
+            report.say(
+                f"The signals are of a machine by itself, whose last digits differ: RMS error {1e6 * rms:.4g} um, peak "
+                f"error {1e6 * peak:.4g} um. On a quantised scale, or at the edge of stability, such runs part."
+            )
         told = kept(plan, folder / PARTS, number, controller, motion)
         if told is None:
             report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")

@@ -29,8 +29,9 @@ class Lanes(NamedTuple):
 
 @eqx.filter_jit
 def _costs(
-    lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Float[Array, " t"], sampling: Sampling
-) -> Costs:
+    lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Float[Array, " t"],
+    sampling: Sampling, devices: int,
+) -> Costs:  # fmt: skip
     def share(lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Array) -> Costs:
         def one(lane: Lanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
@@ -41,7 +42,7 @@ def _costs(
     apart, everywhere = PartitionSpec("lanes"), PartitionSpec()
     return jax.shard_map(
         share,
-        mesh=Mesh(np.array(jax.devices()), ("lanes",)),
+        mesh=Mesh(np.array(jax.devices()[:devices]), ("lanes",)),
         in_specs=(apart, everywhere, everywhere, everywhere, everywhere),
         out_specs=apart,
         check_vma=False,
@@ -57,10 +58,11 @@ def costs_of(
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
     count = len(ramp.load)
-    total = -(-count // (BLOCK * len(jax.devices()))) * BLOCK * len(jax.devices())
+    devices = min(len(jax.devices()), -(-count // BLOCK))
+    total = -(-count // (BLOCK * devices)) * BLOCK * devices
     again = np.arange(total) % count  # whole blocks on every device
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
     lanes = jax.tree.map(lambda leaf: leaf[again], Lanes(varied, ramp, keys))
     models = (lanes, fixed, as_arrays(controller), inputs, jnp.asarray(counts, float))
-    found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling)
+    found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling, devices)
     return Costs(*(None if one is None else np.asarray(one)[:count] for one in found))

@@ -5,7 +5,6 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
 from typing import Any
 
 import jax
@@ -21,6 +20,7 @@ from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
 from diffdrive.simulate import Costs, inputs_of
 from experiments.edition import edition
+from experiments.runtime import arithmetic
 from experiments.scenario import parse_load, require_left
 from experiments.sweeps.engine import Precision, costs_of
 from experiments.sweeps.machines import Values, machines
@@ -115,6 +115,12 @@ class Plan:
         """The load (N) that every machine has along a motion, beside what varies."""
         return parse_load(self.load, motion.time)
 
+    def every_load(self, motion: Motion) -> np.ndarray:
+        """The same with the least and the most of the load that varies."""
+        common = self.loads(motion)
+        ends = [one.of(np.array([0.0, 1.0])) for one in self.varied if one.name == "load"]
+        return np.concatenate([common + more for more in (ends[0] if ends else [0.0])])
+
     @cached_property
     def _root(self) -> np.ndarray | None:
         return root_of(self.correlation, [one.name for one in self.varied])
@@ -201,7 +207,7 @@ class Plan:
             edition(*(one.__module__ for one in (Plan, costs_of, machines, parse_varied, shares))).encode()
         )
         asked = [
-            [version(package) for package in ("jax", "jaxlib", "numpy", "scipy")],  # on which the last bits hang
+            arithmetic(),
             self.method,
             self.seed,
             self.samples,

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from diffdrive.effects.acting import force_limit
 from diffdrive.errors import ParameterError
 from diffdrive.parameters import Drive, as_arrays
 from diffdrive.run import Run, judged
@@ -66,7 +67,7 @@ def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: in
     loads = plan.loads(planned) + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
     inputs = inputs_of(planned, loads)
     frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
-    limit = machine.drive.actuator.force_limit
+    limit = force_limit(machine.drive)
     return judged(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
 
 

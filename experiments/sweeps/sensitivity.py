@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import mannwhitneyu
 
 FEWEST = 128  # machines, below which indices say nothing
 SIXTH = 1.0 / 6.0  # low and high: the lowest and the highest sixth, about a standard deviation off
@@ -24,6 +25,7 @@ class Influence(NamedTuple):
     uncertain: float  # half-width of its 95 % interval
     low: float  # mean where the quantity is low: of errors the geometric one (m), of events how often they happen
     high: float  # where it is high
+    chance: float = 1.0  # of events: that they lie so by chance, in any of the quantities
 
 
 def influences(
@@ -41,8 +43,19 @@ def influences(
 def influences_on_event(
     names: Sequence[str], values: Float[np.ndarray, "n d"], happened: np.ndarray, seed: int = 0
 ) -> list[Influence]:
-    """Every quantity's on whether something happened to a machine, as `influences`."""
-    return _shares(names, values, happened.astype(float), seed)
+    """Every quantity's on whether something happened to a machine, as `influences`.
+
+    Where that is rare (or the rule), no interval of the shares can be told (NaN): `chance` can, by a rank test of where
+    the events lie (Mann and Whitney 1947), paid for by how many quantities are looked at.
+    """
+    return [
+        one._replace(chance=min(1.0, len(names) * _chance(values[:, names.index(one.name)], happened)))
+        for one in _shares(names, values, happened.astype(float), seed)
+    ]
+
+
+def _chance(values: Float[np.ndarray, " n"], happened: np.ndarray) -> float:
+    return float(mannwhitneyu(values[happened], values[~happened]).pvalue)
 
 
 def _shares(names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.ndarray, seed: int) -> list[Influence]:
@@ -55,7 +68,8 @@ def _shares(names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.
     if not names:
         return []
     problem = {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
-    found = rbd_fast.analyze(problem, inputs, outputs, num_resamples=RESAMPLES, seed=seed)
+    with np.errstate(invalid="ignore", divide="ignore"):  # resamples in which all outputs are the same
+        found = rbd_fast.analyze(problem, inputs, outputs, num_resamples=RESAMPLES, seed=seed)
     told = []
     for k, name in enumerate(names):
         order = np.argsort(inputs[:, k], kind="stable")

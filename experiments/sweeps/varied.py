@@ -33,6 +33,7 @@ WIDEST = 1.0  # deviation of a logarithm: already a factor of 55 at four of them
 FARTHEST = 4.0  # standard deviations: no sample is decided by a machine that nobody will see
 
 Values = Float[np.ndarray, " n"]
+How = Literal["is", "plus", "times"]  # how a number meets the drive file's value
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Varied:
     name: str
     unit: str
     text: str
-    how: Literal["is", "plus", "times"]
+    how: How
     of: Callable[[Values], Values]
 
 
@@ -93,9 +94,22 @@ class Known(NamedTuple):
     """A quantity that may vary."""
 
     unit: str
-    there: bool  # the drive has a value of it
-    scales: bool  # one that is not zero
+    values: tuple[float, ...]  # that the drive has of it, one or one per direction; none where it has none
     bounds: tuple[float, float] = (-np.inf, np.inf)  # which it may not leave
+
+    @property
+    def scales(self) -> bool:
+        """Whether it has values to be relative to."""
+        return bool(self.values) and all(value != 0.0 for value in self.values)
+
+    def room(self, how: How) -> tuple[float, float]:
+        """The bounds of what meets the drive's values: of the value itself, an offset or a factor."""
+        ends = np.array([self.bounds] * max(1, len(self.values)))
+        if how == "plus":
+            ends = ends - np.reshape(self.values, (-1, 1))
+        elif how == "times":
+            ends = np.sort(ends / np.reshape(self.values, (-1, 1)), axis=1)
+        return float(ends[:, 0].max()), float(ends[:, 1].min())
 
 
 def known_quantities(drive: Drive) -> dict[str, Known]:
@@ -104,13 +118,13 @@ def known_quantities(drive: Drive) -> dict[str, Known]:
     A quantity per direction stands for both sides together, or for one of them with `.positive` or `.negative`. Effects
     that the drive file has not are there as well.
     """
-    known = {name: Known(unit, True, False) for name, unit in LOAD.items()}
+    known = {name: Known(unit, (0.0,)) for name, unit in LOAD.items()}
     for name, declared, value in quantities(with_effects(drive, EFFECTS)):
-        sides = [] if value is None else [value.positive, value.negative] if declared.directional else [value]
-        scales = bool(sides) and all(float(one) != 0.0 for one in sides)
-        known[name] = Known(declared.unit, bool(sides), scales, declared.range)
-        if declared.directional:
-            known |= {f"{name}.{side}": known[name] for side in ("positive", "negative")}
+        sides = ("positive", "negative") if declared.directional else ()
+        values = () if value is None else tuple(float(getattr(value, side)) for side in sides) or (float(value),)
+        known[name] = Known(declared.unit, values, declared.range)
+        for k, side in enumerate(sides):
+            known[f"{name}.{side}"] = Known(declared.unit, values[k : k + 1], declared.range)
     return known
 
 
@@ -133,19 +147,18 @@ def parse_varied(text: str, drive: Drive) -> Varied:
     if len(parts) not in NUMBERS[kind] or not all(parts):
         raise ParameterError(f"{where}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
     how, given = _given(kind, parts, unit, where)
-    if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].there):
+    if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].values):
         raise ParameterError(
             f"{where}: the drive file has no value for it, or zero, to be relative to: give all numbers in {unit}"
         )
     _require_sensible(kind, given, where)
-    low, high = known[name].bounds
-    if how == "is" and kind == "normal" and not low - FARTHEST * given[1] < given[0] < high + FARTHEST * given[1]:
+    low, high = known[name].room(how)
+    if kind == "normal" and not low - FARTHEST * given[1] < given[0] < high + FARTHEST * given[1]:
         raise ParameterError(f"{where}: nothing of {values} is from {low:g} to {high:g}, where it must be")
-    bounds = (low, high) if how == "is" else (-np.inf, np.inf)
-    return Varied(name, unit, text, how, _shape(kind, given, bounds))
+    return Varied(name, unit, text, how, _shape(kind, given, (low, high)))
 
 
-def _given(kind: str, parts: list[str], unit: str, where: str) -> tuple[Literal["is", "plus", "times"], list[float]]:
+def _given(kind: str, parts: list[str], unit: str, where: str) -> tuple[How, list[float]]:
     """How the numbers of a kind meet the drive file's value, and the numbers, a single deviation with its middle."""
     places, deviation = (parts[:-1], parts[-1]) if kind in ("normal", "lognormal") else (parts, None)
     shares = [part.endswith("%") for part in places]

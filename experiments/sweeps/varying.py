@@ -27,7 +27,7 @@ def varying(
     if identified is not None:
         known, together = read_uncertainty(identified)
         own = _names(texts)
-        texts += [text for text in known if not _names([text]) & own]
+        texts += [text for text in known if not any(_same(name, other) for name in _names([text]) for other in own)]
         left = _names(texts) - own
         correlation = {
             one: {other: value for other, value in others.items() if other in left}
@@ -40,22 +40,30 @@ def varying(
 
 
 def _names(texts: Sequence[str]) -> set[str]:
-    """The quantities of these texts; one of a direction counts as its pair, too."""
-    names = {text.partition("=")[0].strip() for text in texts}
-    return names | {name.removesuffix(".positive").removesuffix(".negative") for name in names}
+    """The quantities of these texts."""
+    return {text.partition("=")[0].strip() for text in texts}
+
+
+def _same(one: str, other: str) -> bool:
+    """Whether they are the same quantity, or one is a direction of the other."""
+    return one == other or one in _sides(other) or other in _sides(one)
+
+
+def _sides(name: str) -> list[str]:
+    return [f"{name}.positive", f"{name}.negative"]
 
 
 def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
-    """Every plant and friction parameter of the drive file that is not varied yet; both directions alike."""
+    """Every plant and friction parameter of the drive file that is not varied yet; both directions alike, unless one of
+    them is.
+    """
     percent = spread if spread.endswith("%") else f"{100.0 * number(spread, '1', '--spread'):.12g}%"
     taken = _names(there)
     axis = read_drive(drive).drive
     known = known_quantities(axis)
-    return [
-        f"{name}=lognormal:{percent}"
-        for name, _, _ in quantities(axis)
-        if name.startswith(("plant.", "friction.")) and name not in taken and known[name].scales
-    ]
+    names = [name for name, _, _ in quantities(axis) if name.startswith(("plant.", "friction."))]
+    left = [one for name in names for one in (_sides(name) if taken & {*_sides(name)} else [name])]
+    return [f"{name}=lognormal:{percent}" for name in left if name not in taken and known[name].scales]
 
 
 def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
