@@ -27,6 +27,8 @@ from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
 
+INTERRUPTED = 130
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -60,7 +62,7 @@ def everywhere(
 def demo(
     out: Out = None,
     emps: Annotated[Path | None, typer.Option(help="Folder of the EMPS benchmark's .mat files.")] = None,
-    quick: Annotated[bool, typer.Option(help="Fewer tuning steps and starts.")] = False,
+    quick: Annotated[bool, typer.Option(help="Searches from fewer starts: half the time.")] = False,
 ) -> None:
     """The main job: simulate the paper's drive, differentiate it, tune it over loads, and identify a real axis.
 
@@ -140,7 +142,7 @@ def tune(
     from diffdrive.drive_file import read_drive
     from diffdrive.errors import ParameterError
     from experiments.report import Report
-    from experiments.scenario import number, numbers, require_choice
+    from experiments.scenario import at_least_zero, number, numbers, require_choice
     from experiments.tune import tune_drive
     from experiments.tuning_cases import Plan
     from tuning.objective import AGGREGATIONS, Objective
@@ -148,17 +150,15 @@ def tune(
 
     description = read_drive(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
-    highest = number(max_load, "N", "--max-load")
-    if highest < 0.0:
-        raise ParameterError(f"--max-load {max_load}: must be 0 or more; the lowest load is none")
+    highest = at_least_zero(max_load, "N", "--max-load")
     factor = 10.0 ** (gain_margin / 20.0)
     limits = Limits(
         gain_up=factor,
         gain_down=factor,
         phase=math.radians(phase_margin),
         sensitivity=sensitivity,
-        command_noise=None if noise is None else number(noise, "N", "--noise"),
-        load_error=None if load_error is None else number(load_error, "N", "--load-error"),
+        command_noise=None if noise is None else at_least_zero(noise, "N", "--noise"),
+        load_error=None if load_error is None else at_least_zero(load_error, "N", "--load-error"),
     )
     plan = Plan(
         speed=number(speed, "m/s", "--speed"), max_load=highest, loads=loads, spread=spread, machines=machines,
@@ -261,10 +261,11 @@ def diagnose(
 ) -> None:
     """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
 
-    The nominal parameters are recalibrated first; only what that cannot explain speaks for an effect. With several logs
-    the last is held out for the judgement. Writes diagnosis.json, report.html (one page, self-contained), figures, and
-    augmented.toml: the drive with what was found, for `simulate`, `tune` and `sweep`. No log is refused, but a fatal
-    finding in one (volts for newtons, a shifted command) leaves no confidence above 0.5.
+    The nominal parameters are recalibrated first; only what that cannot explain speaks for an effect. How far it closes
+    the gap is judged on held-out data: with several logs the last that the others can spare. Writes diagnosis.json,
+    report.html (one page, self-contained), figures, and augmented.toml: the drive with what was found, for `simulate`,
+    `tune` and `sweep`. No log is refused for what it shows, but a fatal finding in one (volts for newtons, a shifted
+    command) leaves no confidence above 0.5.
 
     Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
     """
@@ -337,6 +338,7 @@ def main() -> None:
     except DiffdriveError as problem:
         error.print(f"error: {problem}", markup=False, style="red", soft_wrap=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        error.print("interrupted; what was written so far stays", style="yellow")
-        sys.exit(130)
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:  # which typer makes of a Ctrl-C
+            error.print("interrupted; what was written so far stays", style="yellow")
+        raise

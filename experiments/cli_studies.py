@@ -67,7 +67,11 @@ def withheld(
 def real_axes(
     axis: Annotated[str, typer.Option(help="all, emps or laas.")] = "all",
     term: Annotated[
-        list[str] | None, typer.Option(help="A term to withhold from EMPS, `none` for none; repeatable, default all.")
+        list[str] | None,
+        typer.Option(
+            help="A term to withhold from EMPS; `none`: the identified drive as it is, `nothing`: the published one; "
+            "repeatable, default all."
+        ),
     ] = None,
     out: Out = None,
 ) -> None:

@@ -19,6 +19,7 @@ from experiments.report import Report
 from experiments.reproduce import table_1
 from experiments.tune import tune_drive
 from experiments.tuning_cases import reversal
+from tuning.gains import STARTS
 
 PAPER_DRIVE = Path(__file__).parent / "drives" / "paper.toml"
 
@@ -56,7 +57,7 @@ def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
 
 
 def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = False) -> Report:
-    """The main job; `quick` takes fewer tuning steps and starts. Returns the report, written to `out` if given."""
+    """The main job; `quick` searches from fewer starts. Returns the report, written to `out` if given."""
     if emps_folder is not None and not (emps_folder / emps.FILES["estimation"]).is_file():
         raise ParameterError(f"--emps {emps_folder}: no {emps.FILES['estimation']} in it")
     with Report("diffdrive: the paper's drive, and a real axis", out) as report:
@@ -64,7 +65,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         _simulate(report, description)
         _differentiate(report, description)
         report.say("Tuning Kp, Kd, Q and R over loads from 0 to 12.6 kN, within stability margins.")
-        tune_drive(description, report)
+        tune_drive(description, report, starts=1 if quick else STARTS)
         folder = emps_folder or emps.find_folder()
         if folder is None:
             report.say(

@@ -30,7 +30,7 @@ _TABLES: tuple[tuple[str, str, Any], ...] = (
 )
 # what the parameter classes do not declare: choices, whole numbers, and what is about the axis and not in its equations
 _OTHERS = (
-    ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification alone"),
+    ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification and diagnosis"),
     (
         "controller", "all but unknown", "feedforward", "", "true, false", "true; pd and cascade: false",
         "whether inertia and damping of [plant] are fed forward",

@@ -10,7 +10,7 @@ import numpy as np
 
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, write_drive
-from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, quantities
 from experiments.checked_logs import described, parse_loads, read_checked
@@ -52,6 +52,10 @@ def identify_drive(
     `LogError` and `ParameterError`, one line each.
     """
     description = described(drive, columns, units)
+    if effects := [effect.name for effect in description.drive.effects]:
+        raise DriveFileError(
+            f"{drive}: [effects] {', '.join(effects)}: identification knows no effects; take the table out, or diagnose"
+        )
     bounded = parse_bounds(bounds, description.drive)
     _require_known(fixed, "--fix", NAMES)
     applied = parse_loads(loads, [*paths, *held_out])

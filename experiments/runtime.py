@@ -5,9 +5,11 @@ The library itself changes no global state; the command line, the studies and th
 
 import contextlib
 import os
+import platform
 from pathlib import Path
 
 import jax
+import numpy as np
 import platformdirs
 
 # Without these, jax before 0.12 dispatches each small operation of the loop on its own, five to twenty times slower
@@ -18,7 +20,13 @@ _XLA_FLAGS = (
 )
 
 
+_DEVICES = "--xla_force_host_platform_device_count"
 _WORTH_KEEPING = 0.1  # s of compilation
+
+
+def cores() -> int:
+    """The processor's cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def configure(devices: int | None = None) -> None:
@@ -28,10 +36,17 @@ def configure(devices: int | None = None) -> None:
     flags += [flag for flag in _XLA_FLAGS if flag.split("=")[0] not in names]
     os.environ["XLA_FLAGS"] = " ".join(flags)
     jax.config.update("jax_enable_x64", True)
-    if "JAX_NUM_CPU_DEVICES" not in os.environ and "--xla_force_host_platform_device_count" not in names:
+    if "JAX_NUM_CPU_DEVICES" not in os.environ and _DEVICES not in names:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
-            jax.config.update("jax_num_cpu_devices", devices or os.cpu_count() or 1)
+            jax.config.update("jax_num_cpu_devices", devices or cores())
+
+
+def arithmetic() -> list[str]:
+    """What the last bits of a number hang on beside the program: the device, the processor's vectors, the flags."""
+    vectors = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_DEVICES)]
+    return [jax.default_backend(), jax.devices()[0].device_kind, platform.machine(), *vectors, *sorted(flags)]
 
 
 def keep_compiled() -> None:

@@ -58,6 +58,14 @@ def number(text: str, unit: str, where: str) -> float:
         raise MotionError(f"{where}: {problem}") from None
 
 
+def at_least_zero(text: str, unit: str, where: str) -> float:
+    """Such a number that is not negative."""
+    found = number(text, unit, where)
+    if found < 0.0:
+        raise MotionError(f"{where} {text}: must be 0 or more")
+    return found
+
+
 def numbers(text: str, unit: str, where: str) -> list[float]:
     """Numbers separated by ;, where a unit behind the last is that of all: `5;10;20 N`."""
     parts = text.split(";")

@@ -156,8 +156,11 @@ def test_an_expected_error_is_one_line_and_code_2(drive_file):
 
 @pytest.mark.skipif(os.name == "nt", reason="a POSIX signal")
 def test_whoever_is_ended_loses_no_more_than_by_an_interrupt():
-    ended = "import os, signal; from experiments import cli; cli.app = lambda: os.kill(os.getpid(), signal.SIGTERM); "
-    run = subprocess.run([sys.executable, "-c", ended + "cli.main()"], capture_output=True, text=True, check=False)
+    ended = (
+        "import os, signal, sys; from experiments import cli, drive_reference as keys; "
+        "sys.argv = ['diffdrive', 'keys']; keys.markdown = lambda: os.kill(os.getpid(), signal.SIGTERM); cli.main()"
+    )
+    run = subprocess.run([sys.executable, "-c", ended], capture_output=True, text=True, check=False)
     assert run.returncode == 130
     assert "what was written so far stays" in run.stderr
 
