@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -174,17 +175,32 @@ def machine(place):
     return place
 
 
-def test_an_answer_that_fails_is_an_error_and_whole(tmp_path, monkeypatch):
+def test_an_answer_that_fails_is_an_error_and_whole(tmp_path, monkeypatch, capfd):
     def fails(place, without):
         raise ValueError("no such thing")
 
     monkeypatch.setattr(answer, "answer", fails)
     path = tmp_path / "answers" / "1" / "diagnosis.json"
-    assert answer._answer(machine(tmp_path / "1"), path, ()) == "1 error []"
+    answer._answer([(machine(tmp_path / "1"), path, ())])
+    assert capfd.readouterr().out == "1 error []\n"
     told = json.loads(path.read_text())
     assert told.pop("question") == answer.question(tmp_path / "1", ())
     assert told == {"verdict": "error", "says": "ValueError: no such thing", "causes": []}
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_cases_of_a_length_are_asked_in_one_process_the_longest_first_and_none_is_lost(tmp_path):
+    for number in range(25):
+        (place := tmp_path / f"{number:02d}").mkdir()
+        rows = (1990 if number % 2 else 2000) if number < 23 else 4000
+        pd.DataFrame({"time": np.arange(rows)}).to_parquet(place / "log-a.parquet")
+    machine(tmp_path / "unreadable")
+    groups = answer._alike([(place, tmp_path, ()) for place in sorted(tmp_path.iterdir())])
+    named = [[place.name for place, _, _ in some] for some in groups]
+    assert named[0] == ["23", "24"]
+    assert named[-1] == ["unreadable"]
+    assert [name for some in named[1:-1] for name in some] == [f"{number:02d}" for number in range(23)]
+    assert max(map(len, named)) == answer.TOGETHER
 
 
 def answered(place, out, without=()):

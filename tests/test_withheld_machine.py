@@ -69,6 +69,8 @@ FAULTS = [
         0.05,
     ),
     ({"gain": -0.1}, ForceGain(-0.1), 0.02),
+    ({"fading": 0.1, "fading_time": 1e-9}, ForceGain(-0.1), 0.02),  # at once, which the catalogue does know
+    ({"bumper": 3e3, "bumper_place": -1e-3}, PositionSpring(3e3, -1e-3), 0.02),  # met throughout
     ({"limit": 100.0}, ForceLimit(100.0), 0.05),
     ({"delay": 1.4}, LoopDelay(1.4), 0.05),
     ({"lead_error": 4e-6, "lead": 1.5e-3, "lead_phase": -PHASE, "linear": 1e-3},
@@ -116,6 +118,14 @@ def test_without_a_fault_it_is_the_simulator(sound):
     (position, command), (ours, asked) = sound
     assert np.abs(position - ours).max() < 5e-9
     assert np.sqrt(np.mean((command - asked) ** 2)) < 0.01 * np.abs(command).max()
+
+
+def test_a_dead_time_takes_its_toll_of_the_force_whichever_way_it_pushes():
+    _, sound = wrong({})
+    _, command = wrong({"dead": 5.0})
+    moving = slice(50, 750)  # the command is well above 5 N there, but for where it changes its sign
+    more = np.sign(sound[moving]) * (command - sound)[moving]
+    assert np.median(more) == pytest.approx(5.0, abs=0.5)
 
 
 def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue():

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from pyarrow import parquet
 from rich.console import Console
 
 from diffdrive.drive_file import read_drive
@@ -28,10 +29,13 @@ from experiments.diagnosis_json import as_json
 from experiments.edition import edition
 from experiments.report import Report
 from experiments.runtime import configure, keep_compiled
-from tuning.diagnosis.diagnose import diagnose
+from tuning.diagnosis.diagnose import diagnose, rounded
 from tuning.diagnosis.next_experiment import Experiment
 
 UNASKED = Experiment("", [], 0.0, "not asked")
+TOGETHER = 10  # cases that a process is given at once, at most
+
+Question = tuple[Path, Path, tuple[str, ...]]  # the case, where its answer goes, the effects left out
 
 
 def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -44,15 +48,36 @@ def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     return as_json(found, UNASKED) | {"findings": findings, "seconds": round(time.perf_counter() - began, 1)}
 
 
-def _answer(place: Path, path: Path, without: tuple[str, ...]) -> str:
-    """Write the answer of one case; what a line about it says."""
+def _answer(questions: Sequence[Question]) -> None:
+    """Write the answers to questions about cases that are alike, and a line about each as soon as it is there."""
+    for place, path, without in questions:
+        try:
+            told = answer(place, without)
+        except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
+            told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
+        _keep(place, path, without, told)
+        found = [one["effect"] for one in told["causes"] if one["found"]]
+        print(f"{place.name} {told['verdict']} {found}", flush=True)
+    jax.clear_caches()  # other lengths and rates have other programs: they would pile up
+
+
+def _alike(questions: Sequence[Question]) -> list[list[Question]]:
+    """Questions about logs of nearly the same length side by side: they share their programs, and tracing and compiling
+    these is half of a diagnosis.
+    """
+    alike: dict[int, list[Question]] = {}
+    for one in questions:
+        alike.setdefault(_length(one[0]), []).append(one)
+    longest_first = sorted(alike.items(), reverse=True)
+    return [some[k : k + TOGETHER] for _, some in longest_first for k in range(0, len(some), TOGETHER)]
+
+
+def _length(place: Path) -> int:
+    """Samples of a case's logs as their programs have them; 0 of what cannot be read, as the diagnosis will say."""
     try:
-        told = answer(place, without)
-    except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
-        told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
-    jax.clear_caches()  # logs differ in length and rate: compiled programs would pile up
-    _keep(place, path, without, told)
-    return f"{place.name} {told['verdict']} {[one['effect'] for one in told['causes'] if one['found']]}"
+        return max(rounded(parquet.read_metadata(path).num_rows) for path in place.glob("log-*.parquet"))
+    except (OSError, ValueError):
+        return 0
 
 
 def _keep(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any]) -> None:
@@ -129,13 +154,13 @@ def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]
                 _keep(place, path, leaving(place), {"verdict": "error", "says": str(problem), "causes": []})
 
 
-def _ask(questions: Sequence[tuple[Path, Path, tuple[str, ...]]], workers: int) -> None:
+def _ask(questions: Sequence[Question], workers: int) -> None:
     """Ask each; the processes are spawned, since a forked JAX hangs."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, initializer=_begin) as pool:
         try:
-            for one in as_completed([pool.submit(_answer, *each) for each in questions]):
-                print(one.result(), flush=True)
+            for one in as_completed([pool.submit(_answer, some) for some in _alike(questions)]):
+                one.result()
         except BaseException:  # whoever asked is gone, or wants no more: leave no process behind
             pool.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():

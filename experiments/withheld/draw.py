@@ -246,6 +246,26 @@ def _chip(room: ROOM, size: float) -> Fault:
     return _one("chip", size, given)
 
 
+def _dent(room: ROOM, size: float) -> Fault:
+    """A rail's: at one spot from the first to the last, as deep in either log."""
+    place = float(room.uniform(-0.4 * STROKE, 0.4 * STROKE))
+    return _one("dent", size, {"chip": 3.0 * size, "chip_place": place, "chip_width": float(room.uniform(1e-3, 4e-3))})
+
+
+def _dead_time(room: ROOM, size: float) -> Fault:
+    return _one("dead_time", size, {"dead": 5.0 * size})
+
+
+def _fading_magnets(room: ROOM, size: float) -> Fault:
+    return _one("fading_magnets", size, {"fading": 0.06 * size, "fading_time": float(room.uniform(2.0, 6.0))})
+
+
+def _bumper(room: ROOM, size: float) -> Fault:
+    """A cover that folds up near one end of the stroke."""
+    place = float(room.uniform(0.0, 0.5 * STROKE))
+    return _one("bumper", size, {"bumper": 500.0 * size, "bumper_place": place})
+
+
 def _droop(room: ROOM, size: float) -> Fault:
     return _one("droop", size, {"droop": min(0.1 * size, 0.4)})
 
@@ -303,6 +323,10 @@ OUTSIDE: dict[str, Callable[[ROOM, float], Fault]] = {
     "droop": _droop,
     "shocks": _shocks,
     "wandering_friction": _wandering,
+    "dent": _dent,
+    "dead_time": _dead_time,
+    "fading_magnets": _fading_magnets,
+    "bumper": _bumper,
 }
 PITFALLS: dict[str, Callable[[ROOM, float], Fault]] = {
     "swallowed_frame": _swallowed_frame,

@@ -26,6 +26,7 @@ ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the 
 LONGEST_DELAY = 8
 MOST_STEPS = 20_000  # of a control period
 AWAY = 5e-3  # m off the reference
+SOFT = 5.0  # N, within which an inverter's dead time takes its full toll
 
 
 class Faults(NamedTuple):
@@ -86,6 +87,11 @@ class Faults(NamedTuple):
     chip_start: Scalar = 0.0  # s
     droop: Scalar = 0.0  # outside the catalogue: share of the force that is lacking at `droop_force`
     droop_force: Scalar = 300.0  # N
+    dead: Scalar = 0.0  # N, outside the catalogue: what an inverter's dead time takes from the force, either way
+    fading: Scalar = 0.0  # outside the catalogue: share of the force that is lost as magnets grow warm
+    fading_time: Scalar = 5.0  # s
+    bumper: Scalar = 0.0  # N/m, outside the catalogue: a spring that is met beyond some place
+    bumper_place: Scalar = 1.0  # m
 
 
 class Kind(NamedTuple):
@@ -158,6 +164,7 @@ def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
     force = s.force if kind.lagging else asked
     mass = drive.plant.mass
     pushes = push + f.constant + drive.plant.constant_force - f.spring * (s.x - f.neutral)
+    pushes = pushes - f.bumper * jnp.maximum(s.x - f.bumper_place, 0.0)
     angle = 2 * jnp.pi * s.x / f.cogging_period + f.cogging_phase
     pushes = pushes + f.cogging * (jnp.sin(angle) + f.second * jnp.sin(2 * angle) + f.sixth * jnp.sin(6 * angle))
     beat = 2 * jnp.pi * f.process_frequency * t + f.process_phase
@@ -236,6 +243,8 @@ def _run(
         command = kp * error + kd * (error - jnp.where(k == 0, error, last)) * rate
         through = jnp.clip((1.0 + f.gain) * command, -f.limit, f.limit)
         through = through * (1.0 - f.droop * jnp.abs(through) / f.droop_force)
+        through = through * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
+        through = through - f.dead * jnp.tanh(through / SOFT)
         forces = jnp.concatenate([through[None], forces[:-1]])
         whole = jnp.floor(f.delay).astype(int)
         later, now = forces[whole], forces[whole + 1]

@@ -81,7 +81,7 @@ class Diagnosis:
         return self.explanation.best
 
 
-def _rounded(count: int) -> int:
+def rounded(count: int) -> int:
     """The next of lengths an eighth apart: logs of nearly the same length share their compiled programs."""
     step = max(1, 2 ** (int(count - 1).bit_length() - 4))
     return -(-count // step) * step
@@ -89,7 +89,7 @@ def _rounded(count: int) -> int:
 
 def _padded(lanes: Lanes) -> Lanes:
     """The lanes with samples that do not count at their ends."""
-    more = _rounded(lanes.position.shape[1]) - lanes.position.shape[1]
+    more = rounded(lanes.position.shape[1]) - lanes.position.shape[1]
 
     def longer(signal: Any, mode: str = "edge") -> Any:
         return jnp.pad(signal, ((0, 0), (0, more), *((0, 0),) * (signal.ndim - 2)), mode=mode)
