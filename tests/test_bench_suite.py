@@ -1,6 +1,7 @@
 """The benchmark: jobs by turns, and what it refuses."""
 
 import json
+import shutil
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.parameters import Sampling
 from diffdrive.presets import paper_drive
 from experiments import paper
-from experiments.bench import clock, suite
+from experiments.bench import clock, roof, suite
 from experiments.bench.arithmetic import of_step, operations
 from experiments.bench.figures import drawn
 from experiments.cli import app
@@ -45,6 +46,19 @@ def test_a_short_job_is_run_several_times_in_a_turn(monkeypatch):
     told = clock.by_turns({"short": run}, rounds=2)
     assert runs[0] == 2 + 2 * 10
     assert told["short"].median == pytest.approx(clock.LEAST / 10)
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc to compile the roof's kernels")
+def test_the_roof_is_of_work_that_is_done(monkeypatch):
+    monkeypatch.setattr(roof, "READ", roof.VECTOR * roof.CHAINS * 100)
+    begun = roof.VECTOR * sum(1.0 + k for k in range(roof.CHAINS))  # each chain begins a step above the last
+    each = roof.VECTOR * roof.CHAINS * roof.ROUNDS
+    with roof.kernels() as (jobs, size):
+        assert jobs["fused"]() == pytest.approx(begun + 0.75 * each)
+        assert jobs["added"]() == pytest.approx(begun + each)
+        assert jobs["multiplied"]() == pytest.approx(begun)
+        assert jobs["divided"]() == pytest.approx(begun)  # twice is not at all
+        assert jobs["read"]() == size / 8
 
 
 @pytest.mark.parametrize(

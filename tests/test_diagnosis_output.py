@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 from sound_log import DRIVE, described, logged, moved, two_sines
-from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
-from diffdrive.errors import ParameterError
 from diffdrive.logs import write_log
 from diffdrive.logs.plausibility import Finding
-from experiments import cli, real_axes
 from experiments import diagnose as command
 from experiments.diagnose_figures import _ladder
 from experiments.diagnose_page import parameter
@@ -32,7 +29,6 @@ from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.setting import setting
-from tuning.diagnosis.verdict import Belief
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 UNASKED = Experiment("", [], 0.0, "not asked")
@@ -367,48 +363,3 @@ def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps
     assert command.doubted(tilted, fatal).verdict.verdict == "unknown"
     assert command.doubted(tilted, []) is tilted
     assert "mend lap: shift it" in command._mended_first(found, fatal).says
-
-
-def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
-    nothing = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", beliefs=[]))
-    record = SimpleNamespace(log=SimpleNamespace(command=0.0))
-    stubs = {"identify_axis": SimpleNamespace(drive=real_axes.emps.reference_drive()), "force_error": 5.0}
-    stubs |= {"_scaled": None, "_diagnosed": nothing, "registered": None, "augmented_drive": None}
-    for name, value in stubs.items():
-        monkeypatch.setattr(real_axes, name, lambda *_, value=value: value)
-    monkeypatch.setattr(real_axes.emps, "find_folder", lambda: "here")
-    monkeypatch.setattr(real_axes.emps, "read_all", lambda _: {"estimation": record, "pulses": record})
-    monkeypatch.setattr(real_axes.emps, "controller", lambda _: None)
-    report = Report("axes", None, Console(quiet=True))
-    real_axes.real_axes(report, "emps", ["delay"])
-    assert list(report.data["tables"]) == ["emps_withheld"]
-    assert report.data["tables"]["emps_withheld"]["rows"] == [["delay", "unknown", "", "", "not", 5.0, 5.0, 5.0]]
-    nothing.verdict.beliefs = [Belief("loop_delay", 0.2, False, 0, 3.0, None, [])]  # tried, not found
-    real_axes.real_axes(report, "emps", ["delay"])
-    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["", "", "not"]
-    nothing.verdict.beliefs = [Belief("cogging", 0.9, True, 0, 90.0, None, ["loop_delay"])]
-    real_axes.real_axes(report, "emps", ["delay"])
-    assert report.data["tables"]["emps_withheld"]["rows"][0][2:5] == ["cogging", "loop_delay", "as a rival"]
-
-
-def test_what_was_diagnosed_of_real_axes_is_kept_when_it_is_interrupted(monkeypatch):
-    done = []
-
-    def one(report, records, term, *_):
-        if done:
-            raise KeyboardInterrupt
-        done.append(term)
-        return [term, "effect", "", "", True, 1.0, 2.0, 1.0]
-
-    monkeypatch.setattr(real_axes, "_without", one)
-    report = Report("axes", None, Console(quiet=True))
-    with pytest.raises(KeyboardInterrupt):
-        real_axes._emps_withheld(report, None, {"delay": None, "gain": None}, None)
-    assert [row[0] for row in report.data["tables"]["emps_withheld"]["rows"]] == ["delay"]
-
-
-@pytest.mark.parametrize(("axis", "says"), [("emps", "no such term"), ("all", "--axis emps")])
-def test_a_term_that_is_not_there_is_refused(axis, says):
-    result = CliRunner().invoke(cli.app, ["real-axes", "--axis", axis, "--term", "nonsense"])
-    assert isinstance(result.exception, ParameterError)
-    assert says in str(result.exception)

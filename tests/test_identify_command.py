@@ -15,21 +15,17 @@ from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.errors import LogError, MotionError, ParameterError
 from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
-from diffdrive.simulate import simulate
 from experiments import emps
 from experiments.checked_logs import read_checked
 from experiments.cli import app
 from experiments.excitation import joined, resting, strokes
-from experiments.forest import forest
 from experiments.identify import parse_bounds
 from experiments.interruption import at_next_step
-from experiments.modelled_friction import friction_on, stretches_of
 from experiments.report import Report
 from experiments.sweeps.machines import machines
 from experiments.sweeps.samples import correlated, root_of, shares
 from experiments.sweeps.varied import parse_varied
 from experiments.sweeps.varying import varying
-from tuning.estimates import Estimate
 
 TRUE = described()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
@@ -315,36 +311,25 @@ class _interrupting:  # noqa: N801
         return None
 
 
-def test_friction_along_a_motion_is_that_of_the_simulation():
-    drive = TRUE.drive
-    run = simulate(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
-    found = friction_on(drive, run.log(), run.velocity)
-    damping = np.where(run.velocity >= 0, drive.plant.damping.positive, drive.plant.damping.negative) * run.velocity
-    assert np.sqrt(np.mean((found - run.friction - damping) ** 2)) < 0.5  # of 100 N
-
-
-def test_stretches_are_those_of_the_lanes():
-    from tuning.fit import lanes_of
-
-    log = dataclasses.replace(logged(TRUE, MOTION), gaps=(1000, 1100, 3000))
-    lanes, pieces = lanes_of([log]), stretches_of([log])
-    assert [len(one.time) for one in pieces] == np.asarray(lanes.counts).sum(axis=1).tolist()
-    assert [one.position[0] for one in pieces] == np.asarray(lanes.position)[:, 0].tolist()
-
-
-def test_a_forest_plot_draws_every_kind_of_row():
-    rows = [
-        Estimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, "fitted"),
-        Estimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, "at its bound"),
-        Estimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, "fitted"),
-        Estimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, "fitted"),
-        Estimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, "not determined"),
-    ]
-    figure = forest(rows)
-    low, high = figure.axes[0].get_xlim()
-    assert low < 0.8
-    assert 30.0 < high < 100.0
-    figure.draw_without_rendering()
+def test_what_it_left_open_is_what_a_sweep_varies(identified):
+    _, out, written = identified
+    axis = read_drive(out / "identified.toml")
+    texts, together = varying(out / "identified.toml", [], None, out / "uncertainty.toml")
+    found = estimates(written)
+    fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
+    names = [text.partition("=")[0] for text in texts]
+    assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
+    drawn = correlated(shares("sobol", len(texts), 0, 0, 4096), root_of(together, names))
+    machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
+    for name, value in values.items():
+        row = found[name.split(".", 1)[1]]
+        near = 0.02 * (row["high"] - row["low"])
+        assert np.quantile(value, [0.025, 0.975]) == pytest.approx([row["low"], row["high"]], abs=near), name
+    assert len(np.ravel(machine.plant.mass)) == 4096
+    for one, other, r in written["tables"]["correlated"]["rows"]:
+        if f"friction.{one}" in names and f"friction.{other}" in names:
+            normal = np.corrcoef(values[f"friction.{one}"], values[f"friction.{other}"])[0, 1]
+            assert normal == pytest.approx(r, abs=0.02)
 
 
 FOLDER = emps.find_folder()
@@ -378,37 +363,3 @@ def test_the_emps_axis_end_to_end(tmp_path):
         for gap in ("one-step prediction, um", "missing force, N", "closed loop: command, %"):
             assert gaps[role, gap][1] < gaps[role, gap][0], (role, gap)
     assert read_drive(out / "identified.toml").mapping.columns["reference"] == "qg"
-
-
-def test_the_emps_drive_file_holds_the_published_parameters():
-    import jax
-
-    from experiments.demo import PAPER_DRIVE
-
-    held = read_drive(PAPER_DRIVE.parent / "emps.toml")
-    published = emps.reference_drive()
-    assert jax.tree.leaves((held.drive.plant, held.drive.friction)) == jax.tree.leaves(
-        (published.plant, published.friction)
-    )
-    assert held.sampling.rate == emps.SAMPLING.rate
-
-
-def test_what_it_left_open_is_what_a_sweep_varies(identified):
-    _, out, written = identified
-    axis = read_drive(out / "identified.toml")
-    texts, together = varying(out / "identified.toml", [], None, out / "uncertainty.toml")
-    found = estimates(written)
-    fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
-    names = [text.partition("=")[0] for text in texts]
-    assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
-    drawn = correlated(shares("sobol", len(texts), 0, 0, 4096), root_of(together, names))
-    machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
-    for name, value in values.items():
-        row = found[name.split(".", 1)[1]]
-        near = 0.02 * (row["high"] - row["low"])
-        assert np.quantile(value, [0.025, 0.975]) == pytest.approx([row["low"], row["high"]], abs=near), name
-    assert len(np.ravel(machine.plant.mass)) == 4096
-    for one, other, r in written["tables"]["correlated"]["rows"]:
-        if f"friction.{one}" in names and f"friction.{other}" in names:
-            normal = np.corrcoef(values[f"friction.{one}"], values[f"friction.{other}"])[0, 1]
-            assert normal == pytest.approx(r, abs=0.02)

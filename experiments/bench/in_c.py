@@ -14,27 +14,26 @@ import numpy as np
 from diffdrive.errors import DiffdriveError
 
 SOURCE = Path(__file__).with_name("step.c")
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC", "-std=c11")
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
 
 
-def _at(values: np.ndarray) -> Any:
+def at(values: np.ndarray) -> Any:
+    """The address of an array of doubles."""
     return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
 class InC:
     """`roll` and `sweep` of step.c."""
 
-    def __init__(self, library: Path) -> None:
-        self._library = ctypes.CDLL(str(library))
+    def __init__(self, code: ctypes.CDLL) -> None:
+        self._code = code
 
     def roll(
         self, row: np.ndarray, reference: np.ndarray, load: np.ndarray, period: float, substeps: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Costs (RMS and peak error, m; RMS load error, N) and the table's position, [n]; `reference` is [3, n]."""
         costs, position, n = np.zeros(3), np.zeros(load.size), ctypes.c_long(load.size)
-        self._library.roll(
-            _at(row), _at(reference), _at(load), n, ctypes.c_double(period), substeps, _at(costs), _at(position)
-        )
+        self._code.roll(at(row), at(reference), at(load), n, ctypes.c_double(period), substeps, at(costs), at(position))
         return costs, position
 
     def sweep(
@@ -42,23 +41,28 @@ class InC:
     ) -> np.ndarray:
         """Costs of each lane, [lanes, 3]."""
         costs, n, lanes = np.zeros((len(rows), 3)), ctypes.c_long(load.size), ctypes.c_long(len(rows))
-        self._library.sweep(
-            _at(rows), lanes, _at(reference), _at(load), n, ctypes.c_double(period), substeps, _at(costs)
-        )
+        self._code.sweep(at(rows), lanes, at(reference), at(load), n, ctypes.c_double(period), substeps, at(costs))
         return costs
 
 
 @contextmanager
-def compiled(compiler: str = "gcc") -> Iterator[InC]:
-    """The step compiled into a temporary library; `DiffdriveError` where there is no compiler."""
+def library(source: Path, *flags: str, compiler: str = "gcc") -> Iterator[ctypes.CDLL]:
+    """A source file compiled for this processor into a temporary library; `DiffdriveError` without a compiler."""
     found = shutil.which(compiler)
     if found is None:
         raise DiffdriveError(f"no {compiler} on this machine: install one to compare with C, or leave C out")
     with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "step.so"
+        made = Path(folder) / f"{source.stem}.so"
         done = subprocess.run(
-            [found, *FLAGS, str(SOURCE), "-o", str(library), "-lm"], capture_output=True, text=True, check=False
+            [found, *FLAGS, *flags, str(source), "-o", str(made), "-lm"], capture_output=True, text=True, check=False
         )
         if done.returncode:
-            raise DiffdriveError(f"{compiler} does not compile {SOURCE.name}: {done.stderr.strip()}")
-        yield InC(library)
+            raise DiffdriveError(f"{compiler} does not compile {source.name}: {done.stderr.strip()}")
+        yield ctypes.CDLL(str(made))
+
+
+@contextmanager
+def compiled(compiler: str = "gcc") -> Iterator[InC]:
+    """The step by hand; `DiffdriveError` without a compiler."""
+    with library(SOURCE, "-std=c11", compiler=compiler) as code:
+        yield InC(code)

@@ -17,7 +17,7 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.presets import paper_drive
 from experiments import paper
 from experiments.accuracy import REFERENCE, SUBSTEPS, integrator_errors
-from experiments.bench import clock, cold, in_c, loops
+from experiments.bench import clock, cold, in_c, loops, roof
 from experiments.bench.arithmetic import of_step
 from experiments.bench.figures import drawn
 from experiments.bench.parameters import row
@@ -61,6 +61,7 @@ def bench(report: Report, wanted: tuple[str, ...] = ()) -> None:
         "tuner": _tuner,
         "effects": _effects,
         "growth": _growth,
+        "roof": _roof,
         "start": _start,
         "accuracy": _accuracy,
     }
@@ -379,6 +380,30 @@ def _growth(report: Report) -> dict[str, float]:
         [[n, _ns(told[str(n)], steps), told[str(n)].best / told["0"].best, by[n].compile_seconds] for n in by],
         "One lane of PD+FC+LE in forward mode, 4 substeps",
     )  # fmt: skip
+    return {}
+
+
+def _roof(report: Report) -> dict[str, float]:
+    """How much of what one core can do at most a block of lanes does."""
+    steps, sampling = 2_000, Sampling(RATE)
+    drive, controller = _model()
+    work = of_step(drive, controller, sampling)
+    ours = loops.lanes(drive, controller, loops.inputs(steps), sampling, 64)
+    with report.working("the roof"), contextlib.ExitStack() as stack:
+        try:
+            jobs, size = stack.enter_context(roof.kernels())
+        except DiffdriveError as problem:
+            report.say(str(problem))
+            return {}
+        told = clock.by_turns(jobs | {"ours": ours.run}, rounds=5)
+    rates = {name: times * roof.OPERATIONS / told[name].best / 1e9 for name, times in roof.KERNELS.items()}
+    rates["ours"] = work * steps * 64 / told["ours"].best / 1e9
+    rows = [[name, rate, rate / rates["added"]] for name, rate in rates.items()]
+    report.table(
+        "roof", ("what", "1e9 operations a second", "over additions"), rows,
+        f"One core; {work} operations of a step of PD+FC+LE, a division counted as 8, in 64 lanes",
+    )  # fmt: skip
+    report.values("memory", read_GB_per_s=size / told["read"].best / 1e9)
     return {}
 
 
