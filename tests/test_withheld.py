@@ -21,7 +21,7 @@ from diffdrive.logs import Log
 from experiments import cli
 from experiments.report import Report
 from experiments.withheld import answer, generate, study
-from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, RATES, _scaled, draw, of_log
+from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, PLACED, RATES, _scaled, draw, of_log
 from experiments.withheld.machine import Faults
 from experiments.withheld.truth import truth
 
@@ -112,6 +112,15 @@ def test_a_limit_is_one_for_the_machine():
     assert told == of_log(case, 0, 200.0)[0].limit == of_log(case, 1, 200.0)[0].limit
     assert 150.0 < told < 200.0
     assert truth(case, case.faults[0]) == {}
+
+
+@pytest.mark.parametrize("name", PLACED)
+def test_what_is_met_at_a_place_is_met(name):
+    for seed in range(20):
+        case = drawn(name, seed=seed)
+        place = case.faults[0].faults[PLACED[name]]
+        ways = [(log.reference.min(), log.reference.max()) for log in case.told]
+        assert any(low + 0.1 * (high - low) < place < high - 0.1 * (high - low) for low, high in ways)
 
 
 def test_kinds_mix_every_effect_with_none_two_outsiders_and_pitfalls():

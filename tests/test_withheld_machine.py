@@ -120,12 +120,13 @@ def test_without_a_fault_it_is_the_simulator(sound):
     assert np.sqrt(np.mean((command - asked) ** 2)) < 0.01 * np.abs(command).max()
 
 
-def test_a_dead_time_takes_its_toll_of_the_force_whichever_way_it_pushes():
+@pytest.mark.parametrize("dead", [5.0, 15.0])
+def test_a_dead_time_takes_its_toll_of_the_force_whichever_way_it_pushes(dead):
     _, sound = wrong({})
-    _, command = wrong({"dead": 5.0})
-    moving = slice(50, 750)  # the command is well above 5 N there, but for where it changes its sign
+    _, command = wrong({"dead": dead})
+    moving = slice(50, 750)  # the command is well above the toll there, but for where it changes its sign
     more = np.sign(sound[moving]) * (command - sound)[moving]
-    assert np.median(more) == pytest.approx(5.0, abs=0.5)
+    assert np.median(more) == pytest.approx(dead, rel=0.1)
 
 
 def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue():

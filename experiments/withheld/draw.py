@@ -248,8 +248,8 @@ def _chip(room: ROOM, size: float) -> Fault:
 
 def _dent(room: ROOM, size: float) -> Fault:
     """A rail's: at one spot from the first to the last, as deep in either log."""
-    place = float(room.uniform(-0.4 * STROKE, 0.4 * STROKE))
-    return _one("dent", size, {"chip": 3.0 * size, "chip_place": place, "chip_width": float(room.uniform(1e-3, 4e-3))})
+    share, width = float(room.uniform(0.2, 0.8)), float(room.uniform(1e-3, 4e-3))
+    return _one("dent", size, {"chip": 3.0 * size, "chip_place": share, "chip_width": width})
 
 
 def _dead_time(room: ROOM, size: float) -> Fault:
@@ -262,8 +262,7 @@ def _fading_magnets(room: ROOM, size: float) -> Fault:
 
 def _bumper(room: ROOM, size: float) -> Fault:
     """A cover that folds up near one end of the stroke."""
-    place = float(room.uniform(0.0, 0.5 * STROKE))
-    return _one("bumper", size, {"bumper": 500.0 * size, "bumper_place": place})
+    return _one("bumper", size, {"bumper": 500.0 * size, "bumper_place": float(room.uniform(0.5, 0.8))})
 
 
 def _droop(room: ROOM, size: float) -> Fault:
@@ -328,6 +327,7 @@ OUTSIDE: dict[str, Callable[[ROOM, float], Fault]] = {
     "fading_magnets": _fading_magnets,
     "bumper": _bumper,
 }
+PLACED = {"dent": "chip_place", "bumper": "bumper_place"}  # drawn as shares of the way, so that the table comes there
 PITFALLS: dict[str, Callable[[ROOM, float], Fault]] = {
     "swallowed_frame": _swallowed_frame,
     "swallowed_screw": _swallowed_screw,
@@ -361,7 +361,17 @@ def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
     noise = float(room.uniform(2e-8, 5e-8))
     traces = {name: scale for fault in faults for name, scale in fault.traces.items()}
     logs = told(room, apart, rate, noise, traces), told(room, apart, rate, noise, traces)
+    faults = tuple(_placed(fault, logs) for fault in faults)
     return Case(nominal, true, (kp, kd), rate, faults, logs, noise, any(name in PITFALLS for name in effects))
+
+
+def _placed(fault: Fault, logs: tuple[Told, Told]) -> Fault:
+    """With its place in metres: a share of the longer way of the two logs."""
+    name = PLACED.get(fault.effect)
+    if name is None:
+        return fault
+    low, high = max(((float(log.reference.min()), float(log.reference.max())) for log in logs), key=np.ptp)
+    return fault._replace(faults=fault.faults | {name: low + fault.faults[name] * (high - low)})  # type: ignore[operator]
 
 
 def of_log(case: Case, log: int, peak: float | None = None) -> tuple[Faults, Kind]:

@@ -1,19 +1,27 @@
 """Cases as a user would have them: a drive file and two logs each; what the key says of them is kept elsewhere."""
 
+import functools
 import hashlib
+import inspect
 import json
+import sys
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from diffdrive import presets
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import DriveDescription, write_drive
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
 from diffdrive.motion import Limits
 from diffdrive.parameters import Sampling
+from experiments.withheld import draw as draws
+from experiments.withheld import machine, motions
+from experiments.withheld import truth as truths
 from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, Case, draw, of_log
 from experiments.withheld.machine import run
 from experiments.withheld.truth import truth
@@ -105,11 +113,12 @@ def generate(folder: Path, parts: Path, seed: int, count: int) -> Iterator[str]:
         yield name
 
 
+@functools.cache
 def drawn_by() -> str:
     """A digest of what draws and integrates machines: those of two editions are no one study."""
-    folder = Path(__file__).parent
-    sources = [(folder / f"{name}.py").read_bytes() for name in ("draw", "generate", "machine", "motions", "truth")]
-    return hashlib.sha256(b"".join(sources)).hexdigest()
+    parts = [inspect.getsource(one) for one in (draws, machine, motions, truths, sys.modules[__name__])]
+    parts += [repr(presets.paper_drive()), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
+    return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
 def _followable(seed: int, number: int, effects: tuple[str, ...]) -> tuple[Case, list[Log], float | None]:

@@ -26,7 +26,7 @@ ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the 
 LONGEST_DELAY = 8
 MOST_STEPS = 20_000  # of a control period
 AWAY = 5e-3  # m off the reference
-SOFT = 5.0  # N, within which an inverter's dead time takes its full toll
+SOFT = 5.0  # N, about which an inverter's dead time takes its full toll
 
 
 class Faults(NamedTuple):
@@ -244,7 +244,7 @@ def _run(
         through = jnp.clip((1.0 + f.gain) * command, -f.limit, f.limit)
         through = through * (1.0 - f.droop * jnp.abs(through) / f.droop_force)
         through = through * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
-        through = through - f.dead * jnp.tanh(through / SOFT)
+        through = through - f.dead * jnp.tanh(through / jnp.maximum(f.dead, SOFT))  # no more than there is
         forces = jnp.concatenate([through[None], forces[:-1]])
         whole = jnp.floor(f.delay).astype(int)
         later, now = forces[whole], forces[whole + 1]
