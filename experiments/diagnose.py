@@ -75,8 +75,7 @@ def diagnose_logs(
         found = doubted(found, fatal)
         beside = {"logs": [log.name for log in logs], "findings": findings}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
-            for name in NOT_ALWAYS:  # of an earlier diagnosis
-                (report.out / name).unlink(missing_ok=True)
+            _remove_stale(report, drive)
             _save(report, as_json(found, NOT_YET) | beside, None)
         with report.working("looking for the motion that would decide"):
             offer = _mended_first(found, fatal) if fatal else next_experiment(found, description)
@@ -109,6 +108,15 @@ def read(
         report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, and is believed accordingly.")
     told = [(log, one.severity, one.channel, one.found, one.mend) for log, one in found if one.severity != "note"]
     return logs, [dict(zip(FINDING, row, strict=True)) for row in told], fatal
+
+
+def _remove_stale(report: Report, drive: Path) -> None:
+    """What an earlier diagnosis left in the folder and this one may not write; never the drive file that was given."""
+    assert report.out is not None
+    unwritten = () if "findings" in report.data["tables"] else ("findings.csv",)
+    for name in (*NOT_ALWAYS, *unwritten):
+        if (report.out / name).resolve() != drive.resolve():
+            (report.out / name).unlink(missing_ok=True)
 
 
 def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:

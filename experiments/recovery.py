@@ -7,7 +7,6 @@ Draws are kept line by line as they come; an interrupted study goes on where it 
 
 import json
 import multiprocessing
-import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -22,7 +21,7 @@ from diffdrive.load import ramp
 from diffdrive.parameters import Drive
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from experiments.report import Report, new_figure
-from experiments.runtime import configure
+from experiments.runtime import configure, cores
 
 RATE = 4_000.0  # Hz
 LOAD, LOADED = 8_000.0, (6.0, 6.2)  # N, and when it comes on, s
@@ -112,7 +111,7 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
     with Report(f"identification of {count} random drives", out) as report:
         done = []
         with report.progress("draws", count) as advance:
-            for one in draws(count, out / "draws.jsonl", workers or os.cpu_count() or 1):
+            for one in draws(count, out / "draws.jsonl", workers or cores()):
                 done.append(one)
                 advance(len(done), count, one["seconds"])
         rows = summary(done)

@@ -44,7 +44,7 @@ def configure(devices: int | None = None) -> None:
 
 def arithmetic() -> list[str]:
     """What the last bits of a number hang on beside the program: the device, the processor's vectors, the flags."""
-    vectors = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    vectors = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found", [])
     flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_DEVICES)]
     return [jax.default_backend(), jax.devices()[0].device_kind, platform.machine(), *vectors, *sorted(flags)]
 

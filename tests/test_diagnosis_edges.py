@@ -1,6 +1,7 @@
 """The diagnosis at its edges: gaps in a log, no friction in the file, long delays, impossible machines."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,7 @@ from diffdrive.effects.transmission import Compliance
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
 from diffdrive.parameters import Directional, as_arrays
+from experiments import diagnose as command
 from experiments.diagnose import diagnose_logs
 from experiments.diagnosis_json import as_json
 from tuning.diagnosis.calibration import NAMES
@@ -161,6 +163,16 @@ def test_a_screw_that_the_drive_file_knows_leaves_the_noise_its_floor():
     assert 0.0 < found.floor < 2.0
     assert found.rungs[1].force.rms < 2.0 * found.floor
     assert all(np.isfinite(one.p_value) for one in found.where)
+
+
+def test_the_drive_file_that_was_given_is_never_removed_as_an_earlier_diagnosis(tmp_path):
+    (tmp_path / "augmented.toml").write_text("the drive")
+    (tmp_path / "findings.csv").write_text("of this diagnosis")
+    report = SimpleNamespace(out=tmp_path, data={"tables": {"findings": {}}})
+    command._remove_stale(report, tmp_path / "." / "augmented.toml")
+    assert {path.name for path in tmp_path.iterdir()} == {"augmented.toml", "findings.csv"}
+    command._remove_stale(SimpleNamespace(out=tmp_path, data={"tables": {}}), tmp_path / "other.toml")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):

@@ -12,6 +12,7 @@ from diffdrive.parameters import Drive, Sampling, Sensor
 from diffdrive.presets import paper_drive
 from diffdrive.simulate import simulate
 from experiments import paper
+from experiments.runtime import arithmetic
 from experiments.sweeps.parts import here, missing, path_of, run
 from experiments.sweeps.plan import Plan
 
@@ -101,6 +102,19 @@ def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
 def test_a_sweep_that_cannot_be_is_refused_before_it_starts(vary, more, says):
     with pytest.raises(DiffdriveError, match=says):
         plan(vary=vary, **more)
+
+
+@pytest.mark.parametrize("vary", ["load=uniform:0..12 kN", "load.change=uniform:0..12 kN"])
+def test_what_a_motion_is_judged_by_is_the_most_load_that_varies(vary):
+    planned = plan(vary=(vary,))
+    loads = planned.every_load(next(iter(planned.motions.values())))
+    assert (loads.min(), loads.max()) == (0.0, 12e3)
+
+
+def test_where_numpy_has_no_vectors_of_its_own_there_are_none_to_name(monkeypatch):
+    named = arithmetic()
+    monkeypatch.setattr("experiments.runtime.np.show_config", lambda mode: {})
+    assert set(arithmetic()) < set(named)
 
 
 def test_a_motion_of_another_rate_is_refused():

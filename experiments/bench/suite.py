@@ -1,7 +1,6 @@
 """`diffdrive bench`: how fast the tool is on this machine, each figure beside what it is compared with."""
 
 import contextlib
-import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -22,6 +21,7 @@ from experiments.bench.arithmetic import of_step
 from experiments.bench.figures import drawn
 from experiments.bench.parameters import row
 from experiments.report import Report
+from experiments.runtime import cores
 from experiments.sweeps.engine import Precision, costs_of
 from experiments.sweeps.varied import with_effects
 
@@ -70,7 +70,7 @@ def bench(report: Report, wanted: tuple[str, ...] = ()) -> None:
             raise ParameterError(f"--part {name}: no such part; known: {', '.join(parts)}")
     report.values(
         "machine",
-        cores=os.cpu_count(),
+        cores=cores(),
         devices=len(jax.devices()),
         kind=jax.devices()[0].device_kind,
         jax=jax.__version__,
@@ -104,7 +104,7 @@ def _others(report: Report, given: Any, sampling: Sampling, count: int) -> Itera
     drive, controller = _model()
     reference, load = np.stack([np.asarray(one) for one in given.reference]), np.asarray(given.load)
     rows = np.stack([row(drive, controller, factor) for factor in np.linspace(0.5, 1.5, count)])
-    one, steps, threads = row(drive, controller), sampling.plant_steps, os.cpu_count() or 1
+    one, steps, threads = row(drive, controller), sampling.plant_steps, cores()
     jobs: dict[str, Callable[[], Any]] = {}
     with contextlib.ExitStack() as stack:
         try:

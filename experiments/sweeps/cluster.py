@@ -75,21 +75,23 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
         devices = None if address else max(1, cores() // workers)
         try:
             with _client(address, cluster) as client:
-                at_once = AHEAD * max(1, len(client.nthreads()), workers)
                 left, number = iter(wanted), {}
 
-                def submitted() -> Any:
-                    for part in left:
+                def submitted() -> list[Any]:
+                    """As many as the workers of this moment are short of: some join late, some go."""
+                    short = AHEAD * max(1, len(client.nthreads()), workers) - len(number)
+                    futures = []
+                    for part in itertools.islice(left, max(0, short)):
                         future = client.submit(_part, text, question, devices, part, pure=False)
                         number[future] = part
-                        yield future
+                        futures.append(future)
+                    return futures
 
-                going = submitted()
-                done = as_completed(itertools.islice(going, at_once))
+                done = as_completed(submitted())
                 for future in done:
                     yield number.pop(future), future.result()
                     future.release()
-                    done.update(itertools.islice(going, 1))
+                    done.update(submitted())
         finally:
             if cluster is not None:
                 cluster.close()

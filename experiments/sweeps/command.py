@@ -159,7 +159,7 @@ def _numbers(told: Told, tolerance: float | None) -> dict[str, Any]:
         "misses": None
         if tolerance is None
         else {"tolerance_m": tolerance} | {name: exceedance(group.error(name), tolerance)._asdict() for name in ERRORS},
-        "sensitivity": [one._asdict() for one in every],
+        "sensitivity": [{name: value for name, value in one._asdict().items() if name != "chance"} for one in every],
     }
 
 
@@ -201,31 +201,39 @@ def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
 
 def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) -> None:
     """Machines that diverged have no share in the errors' spread: what decides over that is told apart."""
-    rows = [
-        [
-            one.motion,
-            one.controller,
-            each.name,
-            100 * each.share,
-            100 * each.uncertain if np.isfinite(each.uncertain) else None,
-            100 * each.low,
-            100 * each.high,
-        ]
-        for one in found
-        if one.diverged.any()
-        for each in influences_on_event(list(plan.units), _values(plan, one), one.diverged, plan.seed)
-        if each.share > each.uncertain or each.chance < RARELY
-    ]
+    rows = []
     for one in found:
-        if one.diverged.any() and not any(row[:2] == [one.motion, one.controller] for row in rows):
+        if not one.diverged.any():
+            continue
+        every = influences_on_event(list(plan.units), _values(plan, one), one.diverged, plan.seed)
+        clear = [each for each in every if each.share > each.uncertain or each.chance < RARELY]
+        for each in clear:
+            uncertain = 100 * each.uncertain if np.isfinite(each.uncertain) else None
+            shown = [100 * each.share, uncertain, each.chance, 100 * each.low, 100 * each.high]
+            rows.append([one.motion, one.controller, each.name, *shown])
+        if not clear:
+            why = (
+                "which nothing that varies tells from the others"
+                if every
+                else f"and of why nothing is said: that takes {FEWEST} machines, some that stay, and what varies"
+            )
             report.say(
-                f"{one.motion}, {one.controller}: {np.sum(one.diverged)} machines diverged, which nothing that varies "
-                f"tells from the others (the worst ones are named below)."
+                f"{one.motion}, {one.controller}: {np.sum(one.diverged)} machines diverged, {why} (the worst ones are "
+                "named below)."
             )
     if rows:
         report.table(
             "divergence",
-            ("motion", "controller", "quantity", "share, %", "+-", "% diverge where low", "% diverge where high"),
+            (
+                "motion",
+                "controller",
+                "quantity",
+                "share, %",
+                "+-",
+                "by chance",
+                "% diverge where low",
+                "% diverge where high",
+            ),
             rows,
             "What decides whether a machine diverges; those that do are not in the shares above"
             + (TOGETHER if plan.correlation else ""),
@@ -288,7 +296,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             rms, peak = np.sqrt(np.mean(error**2)), np.max(error)
         report.values("run", status=simulated.status.message)
         report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
-        if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, equal_nan=True):
+        if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, atol=0.0, equal_nan=True):
             report.say(
                 f"The signals are of a machine by itself, whose last digits differ: RMS error {1e6 * rms:.4g} um, peak "
                 f"error {1e6 * peak:.4g} um. On a quantised scale, or at the edge of stability, such runs part."

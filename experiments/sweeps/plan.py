@@ -116,10 +116,12 @@ class Plan:
         return parse_load(self.load, motion.time)
 
     def every_load(self, motion: Motion) -> np.ndarray:
-        """The same with the least and the most of the load that varies."""
-        common = self.loads(motion)
-        ends = [one.of(np.array([0.0, 1.0])) for one in self.varied if one.name == "load"]
-        return np.concatenate([common + more for more in (ends[0] if ends else [0.0])])
+        """The same with the least and the most of the load that varies, before and behind its change."""
+        ends = {one.name: one.of(np.array([0.0, 1.0])) for one in self.varied}
+        behind = np.append(ends.get("load.change", []), 0.0)
+        return np.concatenate(
+            [self.loads(motion) + more + change for more in ends.get("load", [0.0]) for change in behind]
+        )
 
     @cached_property
     def _root(self) -> np.ndarray | None:

@@ -76,6 +76,7 @@ def score(
         "exact_clear": (clear, "exact"),
         "top1_clear": (clear, "top1"),
         "declared_clear": (clear, "declared"),
+        "declared_clear_of_few": (clear, "declared_of_few"),
         "top2_clear": (clear, "top2"),
         "named_drawn_clear": (drawn, "named"),
         "named_faint": (faint, "named"),
@@ -115,9 +116,6 @@ def score(
         "without_ratio": [row["case"] for row, one in zip(clear, shrinks, strict=bool(shrinks)) if one is None],
         "declared_at_once": _quantile([float(row["rivals"]) for row in clear], 0.5),
         "most_declared": max((row["rivals"] for row in clear), default=0),
-        "declared_clear_of_few": _share(
-            [row | {"few": row["declared"] and row["rivals"] <= FEW} for row in clear], "few"
-        ),
         "oracle_asked": sum(row["case"] in (oracle or {}) for row in clear),
         "confusion": _confusion(rows),
         "rows": rows,
