@@ -126,7 +126,7 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     assert base.evidence - fit.evidence > WORTH
 
 
-def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted):
+def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted, monkeypatch):
     """A contact that slips under a tilt which nothing holds against never ages."""
     fitter, base = tilted
     tilt = next(one for one in catalogue(fitter, base) if one.name == "constant_force")
@@ -134,6 +134,12 @@ def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted):
     known = np.asarray(_pushed(fit).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance)
     np.testing.assert_allclose(known, fit.model.values(fit.u)[0]["force"][0], rtol=1e-9)
     assert not np.any(np.asarray(_pushed(base).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance))
+    dwell = next(one for one in catalogue(fitter, base) if one.name == "friction_dwell")
+    point = looked_for(fit, dwell)[0]
+    beside = _directions(fit, dwell, point)[0]
+    monkeypatch.setattr("tuning.diagnosis.screening._pushed", lambda fitted: fitted.model.logged)
+    alone = _directions(fit, dwell, point)[0]
+    assert np.linalg.norm(beside - alone) > 0.01 * np.linalg.norm(alone)
 
 
 def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations():

@@ -156,6 +156,25 @@ def test_the_force_is_scaled_before_it_is_limited_whatever_the_order():
         assert acting.through(effects, states, jnp.asarray(200.0), 1e-3)[1].mean == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize("behind", [LoopDelay(0.5), ActuatorLag(2e-3)])
+def test_a_command_is_limited_before_it_is_late_or_lags(behind):
+    """Behind them only the mean of a period would be."""
+    effects = (behind, ForceLimit(100.0))
+    states, (alone,) = acting.at_rest(effects, jnp.zeros(())), acting.at_rest((behind,), jnp.zeros(()))
+    found = acting.through(effects, states, jnp.asarray(1000.0), 1e-3)[1]
+    expected = behind.step(alone, jnp.asarray(100.0), 1e-3)[1]
+    assert found.mean == pytest.approx(expected.mean)
+    assert found.tilt == pytest.approx(expected.tilt)
+
+
+@pytest.mark.parametrize(("gain", "own", "most"), [(1.0, None, 50.0), (-0.5, None, 200.0), (-0.5, 150.0, 150.0)])
+def test_saturation_is_told_of_the_command(gain, own, most):
+    limited = dataclasses.replace(DRIVE, actuator=dataclasses.replace(DRIVE.actuator, force_limit=own))
+    drive = dataclasses.replace(limited, effects=(ForceGain(gain), ForceLimit(100.0)))
+    assert float(acting.force_limit(drive)) == pytest.approx(most)
+    assert acting.force_limit(dataclasses.replace(DRIVE, effects=(ForceGain(gain),))) is None
+
+
 def test_the_friction_recorded_is_that_which_acts():
     """A force balance: what accelerates the table is the force less damping and the friction recorded."""
     drive = with_effects(PositionFriction(0.0, 0.0, 0.02, 0.3, 0.0))

@@ -110,6 +110,32 @@ def test_what_sets_in_late_in_the_log_held_out_is_registered_on_all_of_it():
     assert found.test[1].all()
 
 
+@pytest.mark.parametrize("lengths", [(6_000, 200), (200, 6_000), (3_800, 200)])
+def test_a_short_log_that_alone_tells_an_effect_is_fitted_as_much_as_judged(lengths):
+    """Pieces are of each log: of all motion together, the short one would lie within one piece."""
+    tells, short = np.zeros((2, max(lengths), 1)), int(np.argmin(lengths))
+    tells[short, : lengths[short]] = 1.0
+    fitter, best = of([moving(max(lengths))] * 2, tells, [(0, "mass", None)])
+    for lane, length in enumerate(lengths):
+        fitter.logged.lanes.counts[lane, length:] = 0.0
+    found = split(fitter, best)
+    assert 0.4 < found.train[short].sum() / lengths[short] < 0.6
+    assert 0.4 < found.test[short].sum() / lengths[short] < 0.6
+
+
+def test_of_many_logs_alike_one_is_held_out():
+    found = split(*of([moving()] * 12, np.ones((12, 2_000, 1)), [(0, "force", None)]))
+    assert found.whole == [11]
+
+
+def test_a_log_at_rest_between_others_is_not_judged_by():
+    tells = np.zeros((3, 2_000, 1))
+    tells[0] = 1.0
+    found = split(*of([moving(), 0.0 * moving(), moving()], tells, [(0, "force", None)]))
+    assert found.logs == [0, 2]
+    assert not found.test[1].any()
+
+
 def test_nothing_is_judged_by_a_log_at_rest():
     found = split(*of([moving(), 0.0 * moving()], np.ones((2, 2_000, 1)), [(0, "force", None)]))
     assert found.logs == found.whole == [0]

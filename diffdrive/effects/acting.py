@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from diffdrive.effects.actuator import ForceLimit
+from diffdrive.effects.actuator import ForceGain, ForceLimit
 from diffdrive.effects.base import (
     Acts,
     ActuatorEffect,
@@ -54,8 +54,16 @@ def through(effects: Effects, states: tuple[Any, ...], force: Scalar, period: fl
 
 
 def force_limit(drive: Drive) -> Scalar | None:
-    """The largest force that is not cut off (N): the drive's own limit, or an effect's where that is less."""
-    limits = [effect.limit for effect in drive.effects if isinstance(effect, ForceLimit)]
+    """The largest command that is not cut off (N): the drive's own limit, or an effect's where that is less.
+
+    An effect limits the force that a `ForceGain` has scaled, the drive its command.
+    """
+    gain = functools.reduce(
+        lambda gain, effect: gain * jnp.abs(1.0 + effect.gain),
+        [effect for effect in drive.effects if isinstance(effect, ForceGain)],
+        1.0,
+    )
+    limits = [effect.limit / gain for effect in drive.effects if isinstance(effect, ForceLimit)]
     if drive.actuator.force_limit is not None:
         limits.append(drive.actuator.force_limit)
     return functools.reduce(jnp.minimum, limits) if limits else None

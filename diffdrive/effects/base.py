@@ -71,12 +71,16 @@ class MachineEffect(Effect):
 
 
 class Stage(enum.IntEnum):
-    """Where an effect stands between command and force; force passes through them in this order."""
+    """Where an effect stands between command and force; force passes through them in this order.
+
+    What is limited is the amplifier's command, as `Actuator` has it: behind a lag or a delay only the mean of a period
+    would be.
+    """
 
     SCALED = 0
-    LAGGED = 1
-    DELAYED = 2
-    LIMITED = 3
+    LIMITED = 1
+    LAGGED = 2
+    DELAYED = 3
 
 
 class ActuatorEffect(Effect):

@@ -61,7 +61,8 @@ def _directions(
 ) -> tuple[np.ndarray, list[tuple[Parameter, int | None]]]:
     """Answers to each amplitude of the candidate at a point of its grid ([lanes, n, m]), and what each is of.
 
-    What the candidate does alone, the others being a force that acts: to first order that is what it does beside them.
+    What the candidate does alone, the others outside the filter being a force that acts beside the motor: to first
+    order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
     """
     logged = _pushed(fitted)
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
@@ -90,7 +91,7 @@ def _directions(
 
 
 def _pushed(fitted: Fitted) -> Logged:
-    """The logs, and what the effects that are there push, which one that follows the table has to know, as known."""
+    """The logs, and what the effects outside the filter push, which what follows the table has to know, as known."""
     logged = fitted.model.logged
     without = exposed(logged, fitted.drive, (), fitted.track.course)
     known = logged.lanes.disturbance + (fitted.acting.force - without.force)

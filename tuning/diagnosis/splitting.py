@@ -9,7 +9,7 @@ half of a log that is held out, and judged by the second, where the first tells 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.fitting import Fitted, Fitter
@@ -18,7 +18,7 @@ from tuning.diagnosis.model import Model
 
 TRAINED = 0.6  # of a single log's motion
 TOLD = 0.1  # of what all samples tell of a number: less, and the part that is fitted does not know it
-TURNS = 10  # pieces of a log, every other one held out
+TURNS = 10  # pieces of each log's motion, every other one held out
 SESSION = "phases, times and sizes of waves registered on "
 
 
@@ -45,24 +45,34 @@ def split(fitter: Fitter, best: Fitted) -> Split:
     moves = counts * sliding(np.asarray(best.track.course.velocity), logged.sampling.rate)
     if moves.sum() <= SLID * counts.sum():
         moves = counts
-    travelled = np.cumsum(moves).reshape(moves.shape) / moves.sum()
+    owner = np.array(logged.owner)
+    travelled = _travelled(moves, owner)
     if logged.logs == 1:
         early, times = travelled <= TRAINED, of_session(best.model)
         if np.all(told(best, early) | times) and np.all(told(best, ~early) | times | ~_of_effects(best.model)):
             says = f"the last {100 * (1 - TRAINED):.0f} % of the motion held out"
             return Split(counts * early, counts * early, counts * ~early, [0], [], says)
-    for log in reversed(range(logged.logs)) if logged.logs > 1 else ():
-        mine = np.array([owner == log for owner in logged.owner])[:, None]
-        goes = (moves * mine).sum() > SLID * (counts * mine).sum()
-        session = _of_session(best.model)
-        shown = told(best, counts * mine > 0) | session | ~_of_effects(best.model)
-        if goes and np.all(told(best, counts * ~mine > 0) | session) and np.all(shown):
+    going = [
+        log for log in range(logged.logs) if moves[owner == log].sum() > SLID * counts[owner == log].sum()
+    ]  # by what rests nothing is judged
+    session = _of_session(best.model)
+    for log in reversed(going) if logged.logs > 1 else ():
+        mine = (owner == log)[:, None]
+        shown = told(best, counts * mine > 0, TOLD / logged.logs) | session | ~_of_effects(best.model)
+        if np.all(told(best, counts * ~mine > 0) | session) and np.all(shown):
             return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
-    fitted = np.floor(travelled * TURNS * logged.logs) % 2 == 0
-    says = f"every other tenth of {'the log' if logged.logs == 1 else 'the logs'} held out, {SESSION}the rest"
-    owner, judged = np.array(logged.owner), (counts * ~fitted).any(axis=1)
-    logs = [log for log in range(logged.logs) if judged[owner == log].any()]
-    return Split(counts * fitted, counts * fitted, counts * ~fitted, logs, [], says)
+    fitted = (np.floor(travelled * TURNS) % 2 == 0) | ~np.isin(owner, going)[:, None]
+    says = f"every other tenth of {'the log' if logged.logs == 1 else 'each log'} held out, {SESSION}the rest"
+    return Split(counts * fitted, counts * fitted, counts * ~fitted, going, [], says)
+
+
+def _travelled(moves: Weights, owner: Int[np.ndarray, " lanes"]) -> Weights:
+    """How much of its log's motion is behind each sample, from 0 to 1."""
+    travelled = np.empty_like(moves)
+    for log in np.unique(owner):
+        mine = moves[owner == log]
+        travelled[owner == log] = np.cumsum(mine).reshape(mine.shape) / max(mine.sum(), 1.0)
+    return travelled
 
 
 def _held_out(best: Fitted, train: Weights, there: Weights, moves: Weights, log: int) -> Split:
@@ -101,8 +111,10 @@ def _of_effects(model: Model) -> Bool[np.ndarray, " k"]:
     return np.arange(model.size) >= len(NAMES)
 
 
-def told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"]) -> Bool[np.ndarray, " k"]:
-    """Which of a fit's numbers these samples tell, of what all of them do; nor do these tell more than the prior."""
+def told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"], least: float = TOLD) -> Bool[np.ndarray, " k"]:
+    """Which of a fit's numbers these samples tell: at least such a share of what all do, or all tell less than the
+    prior.
+    """
     squares = one.jacobian**2
     every = squares.sum(axis=0)
-    return (fitted.ravel() @ squares >= TOLD * every) | (every < 1.0)
+    return (fitted.ravel() @ squares >= least * every) | (every < 1.0)
