@@ -119,7 +119,7 @@ def bench(
     part: Annotated[
         list[str] | None,
         typer.Option(
-            help="single, lanes, sweep, controllers, gradients, reverse, tuner, effects, growth, start or accuracy; "
+            help="single, lanes, sweep, controllers, gradients, reverse, tuner, effects, growth, roof, start or accuracy; "
             "repeatable, default all."
         ),
     ] = None,

@@ -113,7 +113,7 @@ def read(
 def _remove_stale(report: Report, drive: Path) -> None:
     """What an earlier diagnosis left in the folder and this one may not write; never the drive file that was given."""
     assert report.out is not None
-    unwritten = () if "findings" in report.data["tables"] else ("findings.csv",)
+    unwritten = () if "findings" in report.data.get("tables", {}) else ("findings.csv",)
     for name in (*NOT_ALWAYS, *unwritten):
         if (report.out / name).resolve() != drive.resolve():
             (report.out / name).unlink(missing_ok=True)
