@@ -119,8 +119,8 @@ def bench(
     part: Annotated[
         list[str] | None,
         typer.Option(
-            help="single, lanes, sweep, controllers, gradients, reverse, tuner, effects, growth, roof, start or accuracy; "
-            "repeatable, default all."
+            help="single, lanes, sweep, controllers, gradients, reverse, tuner, effects, growth, roof, start or "
+            "accuracy; repeatable, default all."
         ),
     ] = None,
     out: Out = None,
