@@ -180,9 +180,10 @@ def _closed(found: Diagnosis) -> dict[str, Any]:
         untold = "the recalibrated drive" if after.told else "what was found"
         says = f"On {found.split.says}: the filter that would tell the missing force is lost with {untold}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
+    alike = np.array_equal(found.rungs[1].trusting, found.rungs[-1].trusting)
     on = (
         f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor "
-        f"{floor:.3g} N"
+        f"{floor:.3g} N{'' if alike else ' (by a filter that trusts it more: the other is lost with it)'}"
     )
     if gone is None:
         moved = strain(found.explanation.base)

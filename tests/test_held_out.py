@@ -57,11 +57,12 @@ def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out
     assert [one.enough == np.inf for one in found.rounds] == [False, stays < 2]  # and is not believed any more
 
 
-def lacking(force, floor=1.0):
-    """A rung whose force gap is white, of this RMS (N), over 20 s; the same noise in each."""
+def lacking(force, floor=1.0, trusting=2.0):
+    """A rung whose force gap is white, of this RMS (N), over 20 s, told by such a filter; the same noise in each."""
     white = np.random.default_rng(1).standard_normal((1, 20_000))
     signal = force * white / np.sqrt(np.mean(white**2))
-    return SimpleNamespace(force=ForceGap(signal, None, signal**2, np.ones_like(signal)), floor=floor)
+    gap = ForceGap(signal, None, signal**2, np.ones_like(signal))
+    return SimpleNamespace(force=gap, floor=floor, trusting=np.array([trusting, 1e-3]))
 
 
 def test_what_is_closed_is_counted_from_the_floor():
@@ -72,6 +73,14 @@ def test_what_is_closed_is_counted_from_the_floor():
     assert closed(lacking(3.0), lacking(0.9), RATE).share == 1.0  # below the floor is at it
     assert closed(lacking(3.0), lacking(4.0), RATE).share < 0.0
     assert closed(lacking(1.02), lacking(1.0), RATE) is None  # of nothing there is no share
+
+
+def test_a_model_told_by_a_filter_of_its_own_is_held_against_the_floor_of_that():
+    before = lacking(3.0, floor=np.sqrt(5.0), trusting=200.0)
+    assert closed(before, lacking(1.0, floor=0.5), RATE).share == pytest.approx(1.0 - 0.75 / 4.0)
+    assert closed(before, lacking(1.0, floor=0.5, trusting=200.0), RATE).share == pytest.approx(1.0 - 0.75 / 8.75)
+    hidden = lacking(1.02, floor=1.0, trusting=200.0)
+    assert closed(hidden, lacking(0.5, floor=0.5), RATE) is None  # not more than its own filter makes of the noise
 
 
 def test_an_effect_that_opens_a_gap_closes_none():

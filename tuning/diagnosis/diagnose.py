@@ -174,7 +174,7 @@ def diagnose(
         starts=logged.starts,
         noise=force_noise(fitter, uncoupled(fitter, base), trusting),
         lead=next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None),
-        others=_subsystems(found),
+        others=_subsystems(found, verdict.unexplained),
     )
     progress("judging on held-out data", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
@@ -200,12 +200,15 @@ def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
     return verdict.doubted(says) if verdict.beliefs else verdict._replace(verdict="unknown", says=says)
 
 
-def _subsystems(found: Explanation) -> list[Region]:
-    """How much of what is missing a change in each place of the machine could explain, as far as it was tried."""
+def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
+    """How much of what is missing a change in each place of the machine could explain, as far as it was tried.
+
+    What was found explains all of it but for what is `unexplained`.
+    """
     if not found.best.model.added:
         return []
     first: Round = found.rounds[0]
-    total = max(found.base.cost - found.best.cost, 1e-9)
+    total = max(found.base.cost - found.best.cost, 1e-9) / max(1.0 - unexplained, 1e-9)
     told = [(one.candidate, one.gain) for one in reversed(first.screened)]  # the best of each name last
     told += [(one.model.members[-1].candidate, first.before.cost - one.cost) for one in first.fits]
     gains = {candidate.name: gain for candidate, gain in told}

@@ -30,18 +30,19 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
     first is, it cannot be told how much there was to close.
     """
-    floor = after.floor
+    alike = np.array_equal(before.trusting, after.trusting)  # else each has the floor of its own filter
+    floors = np.array([after.floor if alike else before.floor, after.floor])
     squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
-    if not np.all(np.isfinite([floor, *squares[0], *squares[1]])) or not after.force.told:
+    if not np.all(np.isfinite([*floors, *squares[0], *squares[1]])) or not after.force.told:
         return Closed(0.0, 0.0, 0.0)
     if not before.force.told:
         return None
-    least = (HIDDEN**2 - 1.0) * floor**2
-    hidden = [one[0] < HIDDEN**2 * floor**2 for one in squares]
+    least = (HIDDEN**2 - 1.0) * floors[0] ** 2
+    hidden = [one[0] < (HIDDEN * floor) ** 2 for one, floor in zip(squares, floors, strict=True)]
     opened = np.percentile(squares[1][1:] - squares[0][1:], 2.5) > 0.0
     if hidden[0] and (hidden[1] or not opened):
         return None
-    beyond = [np.maximum(one - floor**2, bound) for one, bound in zip(squares, (least, 0.0), strict=True)]
+    beyond = [np.maximum(squares[0] - floors[0] ** 2, least), np.maximum(squares[1] - floors[1] ** 2, 0.0)]
     shares = 1.0 - beyond[1] / beyond[0]
     low, high = np.percentile(shares[1:], [2.5, 97.5])
     return Closed(float(shares[0]), float(low), float(high))

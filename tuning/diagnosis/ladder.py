@@ -19,7 +19,7 @@ from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.splitting import Split, of_session, split, told
 from tuning.diagnosis.threads import in_parallel
-from tuning.diagnosis.trust import comparing
+from tuning.diagnosis.trust import Forces, comparing, following
 
 PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
@@ -36,6 +36,7 @@ class Rung(NamedTuple):
     shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
     loop: LoopGap | None
     unlikely: Float[np.ndarray, " pieces"]  # -2 log probability of each piece of what is held out, as `deviance`
+    trusting: Forces  # N: process forces of the filter that tells the missing force
 
     @property
     def deviance(self) -> float:
@@ -62,6 +63,18 @@ def _unlikely(track: Track, counts: Float[np.ndarray, "lanes n"], rate: float) -
     each = counts * (squares / size - 1.0 + np.log(size) + 2.0 * np.log(scatter))
     begins = np.arange(0, counts.shape[1], max(1, round(PIECE * rate)))
     return np.add.reduceat(each, begins, axis=1)[np.add.reduceat(counts, begins, axis=1) > 0]
+
+
+def _told_by(fitter: Fitter, one: Fitted, process: Forces) -> tuple[ForceGap, Forces]:
+    """The force that a model lacks, and the filter that tells it: the one that follows the recalibrated drive, or where
+    it is lost with this model, one of its own.
+
+    A worn screw needs a force of hundreds of newtons invented where no gap is known; in a filter that may invent so
+    much, nothing keeps the motor in its gap.
+    """
+    gap = force_gap(fitter, one, one.model, one.u, process)
+    own = None if gap.told else following(fitter, one)
+    return (gap, process) if own is None else (force_gap(fitter, one, one.model, one.u, own), own)
 
 
 def climb(
@@ -98,13 +111,15 @@ def climb(
     fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]
     rate = fitter.logged.sampling.rate
     process = comparing(test, fits[1][1])
-    gaps = [force_gap(test, one, one.model, one.u, process) for _, one in fits]
+    told_by = [(force_gap(test, one, one.model, one.u, process), process) for _, one in fits[:2]]
+    told_by += [_told_by(test, one, process) for _, one in fits[2:]]
+    gaps = [gap for gap, _ in told_by]
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
 
-    def rung(asked: tuple[tuple[str, Fitted], ForceGap, Float[np.ndarray, " draws"]]) -> Rung:
-        (name, one), gap, squares = asked
+    def rung(asked: tuple[tuple[str, Fitted], ForceGap, Forces, Float[np.ndarray, " draws"]]) -> Rung:
+        (name, one), gap, process, squares = asked
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
         there = test.at(one.model, one.u, one.process, one.track.course)
         foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST, quiet(one.process)]))
@@ -124,7 +139,9 @@ def climb(
             loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
         return Rung(
-            name, one, gap, gap.interval(rate), floor, shrink, loop, _unlikely(foreseen.track, parts.test, rate)
-        )
+            name, one, gap, gap.interval(rate), floor, shrink, loop,
+            _unlikely(foreseen.track, parts.test, rate), process,
+        )  # fmt: skip
 
-    return in_parallel(rung, list(zip(fits, gaps, drawn, strict=True))), parts
+    trusting = [one for _, one in told_by]
+    return in_parallel(rung, list(zip(fits, gaps, trusting, drawn, strict=True))), parts

@@ -44,11 +44,14 @@ def least_trusted(fitter: Fitter) -> Forces:
     return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, LEAST])
 
 
-def comparing(fitter: Fitter, base: Fitted) -> Forces:
-    """The process forces (N) of the filter that compares models: the least with which it follows `base`.
-
-    Where none helps (blows), the very least.
-    """
+def following(fitter: Fitter, fitted: Fitted) -> Forces | None:
+    """The least process forces (N) with which the filter follows a model; None where none helps (blows)."""
     least = least_trusted(fitter)
     tried = [np.array([more * least[0], least[1]]) for more in MORE]
-    return next((one for one in tried if lost_share(fitter, base, one) <= SELDOM), least)
+    return next((one for one in tried if lost_share(fitter, fitted, one) <= SELDOM), None)
+
+
+def comparing(fitter: Fitter, base: Fitted) -> Forces:
+    """The process forces (N) of the filter that compares models: those with which it follows `base`, or the least."""
+    found = following(fitter, base)
+    return least_trusted(fitter) if found is None else found

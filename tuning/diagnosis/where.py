@@ -48,6 +48,11 @@ class Region(NamedTuple):
     low: float | None = None  # ends of a band, in SI units
     high: float | None = None
 
+    @property
+    def is_band(self) -> bool:
+        """Whether it is a band of frequencies."""
+        return self.dimension == "frequency" and self.low is not None
+
 
 class Motion(NamedTuple):
     """The motion that the regions are of, [lanes, n] each."""
@@ -90,15 +95,16 @@ def phases(motion: Motion, rate: float) -> dict[str, Labels]:
 def ranked(regions: Sequence[Region], unlisted: int = 0) -> list[Region]:
     """The regions with p-values paid for by how many were looked at, `unlisted` ones besides these.
 
-    Significant ones first, and among these those with most of the gap beyond what was expected. To be called once, with
-    every region of a kind and p-values that nothing was paid for yet.
+    Significant ones first, and among these those with most of the gap beyond what was expected; bands of frequencies
+    behind the rest, since most of any gap lies below the noise's. To be called once, with every region of a kind and
+    p-values that nothing was paid for yet.
     """
     if not regions:
         return []
     each = np.array([one.p_value for one in regions])
     paid = scipy.stats.false_discovery_control(np.r_[each, np.ones(unlisted)])[: len(regions)]
     found = [one._replace(p_value=float(p)) for one, p in zip(regions, paid, strict=True)]
-    return sorted(found, key=lambda one: (one.p_value >= SIGNIFICANT, one.expected - one.share))
+    return sorted(found, key=lambda one: (one.p_value >= SIGNIFICANT, one.is_band, one.expected - one.share))
 
 
 class _Asked(NamedTuple):
