@@ -308,6 +308,23 @@ def test_a_payload_may_be_missing_but_not_half_of_the_table():
     assert found == [True, True, False, False]
 
 
+@pytest.mark.parametrize("resolution", [1e-7, 1e-6, 3e-5])
+def test_a_signal_period_is_longer_than_the_counts_that_divide_it(resolution):
+    """Coarse counts repeat themselves with the place, too: no period that a scale could have is to pass for them."""
+    coarse = dataclasses.replace(DRIVE.drive, sensor=Sensor(resolution=resolution))
+    log = logged_of(coarse, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    assert at.count > 0.99 * resolution
+    candidate = next(one for one in candidates(at) if one.name == "interpolation_error")
+    begun = [point["period"] for point in candidate.grid]
+    assert min(begun) >= 4.0 * resolution
+    assert any(np.isclose(begun, 2e-5)) == (resolution < 4e-6)  # the usual one, where it can be
+    found = [
+        candidate.plausible({"period": np.array([one * at.count])}, np.ones(1), RATE) for one in (1.0, 2.0, 4.0, 8.0)
+    ]
+    assert found == [False, False, False, True]
+
+
 def test_a_resonance_is_one_that_the_log_can_show():
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)

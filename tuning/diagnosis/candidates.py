@@ -16,6 +16,7 @@ SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no
 LARGE = 0.3  # of its largest in any log
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
+DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: what is shorter is the counts themselves
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -27,6 +28,7 @@ class Candidate(NamedTuple):
     grid: tuple[dict[str, float], ...] = ({},)
     coupled: bool = False  # it acts by the table's velocity and friction, and these by it
     searched: bool = False  # its cost is steep near the truth and flat elsewhere: no slope leads there
+    finest: float = 0.0  # m, below which its period cannot be
 
     @property
     def name(self) -> str:
@@ -43,8 +45,10 @@ class Candidate(NamedTuple):
     ) -> bool:
         """Whether an engineer would call it that: a process swings several times while it is on in a log of that many
         seconds in which it is large; a payload that is missing takes no half of the table with it; a resonance is one
-        that a log of that `rate` (Hz) shows.
+        that a log of that `rate` (Hz) shows; a scale's signal period is longer than its counts.
         """
+        if self.effect is scale.InterpolationError:
+            return bool(np.min(values["period"]) >= self.finest)
         if self.effect is transmission.Compliance:
             return bool(np.max(values["frequency"]) <= SHOWN * rate)
         if self.effect is machine.PayloadMass:
@@ -329,7 +333,8 @@ def _lead_error(at: Setting) -> Candidate:
 
 
 def _interpolation_error(at: Setting) -> Candidate:
-    names = ("cosine", "sine", "cosine2", "sine2")
+    names, finest = ("cosine", "sine", "cosine2", "sine2"), DIVIDED * at.count
+    periods = 1e-6 * np.array([2.0, 4.0, 8.0, 10.0, 16.0, 20.0, 40.0, 80.0, 100.0])
     return Candidate(
         scale.InterpolationError,
         (
@@ -339,7 +344,8 @@ def _interpolation_error(at: Setting) -> Candidate:
             ),
             _positive("period", 2e-5, 0.5),
         ),
-        _grid(period=1e-6 * np.array([2.0, 4.0, 8.0, 10.0, 16.0, 20.0, 40.0, 80.0, 100.0])),
+        _grid(period=periods[periods >= finest] if finest <= periods[-1] else finest * np.array([2.0, 4.0, 20.0])),
+        finest=finest,
     )
 
 

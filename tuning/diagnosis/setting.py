@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive.parameters import Drive
+from tuning.fit import noise_floor
 from tuning.prediction import Lanes
 
 LEAST = 0.05  # of the largest command: the scale of a friction that the drive file does not know
@@ -27,6 +28,7 @@ class Setting(NamedTuple):
     high: float  # m
     speed: float  # m/s, fastest
     command: float  # N, largest
+    count: float = 0.0  # m, of the scale: its resolution, or as coarse a one as the log's scatter is
 
 
 def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts: ArrayLike = 0.0) -> Setting:
@@ -61,4 +63,5 @@ def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts
         high=float(position[counted].max()),
         speed=fastest,
         command=command,
+        count=float(np.sqrt(12.0)) * noise_floor(drive, lanes, 1.0 / period),
     )
