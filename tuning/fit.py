@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling
-from tuning.prediction import Gains, Lanes, Predicted, predict
+from tuning.prediction import Gains, Lanes, Predicted, begin_velocity, predict
 from tuning.space import Free, Space
 from tuning.unknowns import Unknowns
 
@@ -36,15 +36,9 @@ def lanes_of(logs: list[Log]) -> Lanes:
         return np.stack([padded(getattr(log, name), log, piece) for log, piece in stretches])
 
     counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
-    begins = [_velocity(log.position[piece], log.rate) for log, piece in stretches]
+    begins = [begin_velocity(log.position[piece], log.rate) for log, piece in stretches]
     arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
     return Lanes(*(jnp.asarray(one) for one in arrays))
-
-
-def _velocity(position: np.ndarray, rate: float) -> float:
-    """Velocity (m/s) at the first sample: slope of a line through the first 5 ms, at least 5 samples."""
-    first = position[: max(5, round(5e-3 * rate))]
-    return float(np.polyfit(np.arange(len(first)) / rate, first, 1)[0])
 
 
 def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:

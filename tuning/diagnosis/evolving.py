@@ -22,9 +22,8 @@ from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Exposure, Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
-from tuning.diagnosis.segments import begin_velocity
 from tuning.evolution import Budget, evolve
-from tuning.prediction import Lanes
+from tuning.prediction import Lanes, begin_velocity
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side

@@ -27,8 +27,8 @@ from diffdrive.effects.base import Effect, Place, Seen, TableEffect
 from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
-from tuning.diagnosis.segments import begin_velocity, segments
-from tuning.prediction import Lanes, moving
+from tuning.diagnosis.segments import segments
+from tuning.prediction import Lanes, begin_velocity, moving
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 LASTING = 0.02  # s, that a missing force lasts

@@ -6,13 +6,11 @@ second of the log costs little more than one for its first second.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 LENGTH, LEAD = 0.5, 0.1  # s that count, at least, and s before them
 MOST = 16
-BEGIN = 5e-3  # s, in which the velocity at the first sample is measured
 
 
 class Segments(NamedTuple):
@@ -41,10 +39,3 @@ def segments(count: int, rate: float) -> Segments:
     sample = np.arange(count)
     segment = sample // length
     return Segments(begins[:, None] + np.arange(wide), segment, sample - begins[segment])
-
-
-def begin_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:
-    """Velocity (m/s) at the first sample: the slope of a straight line through the first few."""
-    few = min(max(5, round(BEGIN * rate)), position.shape[-1])
-    time = (np.arange(few) - 0.5 * (few - 1)) / rate
-    return (position[..., :few] - position[..., :1]) @ jnp.asarray(time / np.sum(time**2))
