@@ -8,6 +8,7 @@ import pytest
 
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.candidates import candidates
+from tuning.diagnosis.screening import _at_its_root
 from tuning.diagnosis.setting import Setting
 
 RATE = 1_000.0
@@ -36,6 +37,26 @@ def test_the_period_of_a_scales_error_is_seen_in_the_force_that_it_feigns(name, 
     travel = np.ptp(position)
     off = min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
     assert off < 0.25  # turns over the travel: a fit finds the rest
+
+
+@pytest.mark.parametrize("name", ["cogging", "process_force"])
+@pytest.mark.parametrize(("first", "alone"), [(1e-3, True), (1.0, False)])
+def test_a_wave_that_is_all_second_harmonic_is_named_by_its_own_period(name, first, alone):
+    candidate = next(one for one in candidates(SETTING) if one.name == name)
+    of, factor = {"cogging": ("period", 0.5), "process_force": ("frequency", 2.0)}[name]
+    values = {one.name: np.zeros(2) for one in candidate.parameters} | {of: np.array([0.04, 0.04])}
+    values |= {"cosine": np.array([0.0, first]), "cosine2": np.array([3.0, 2.0]), "sine2": np.array([4.0, -3.0])}
+    found = _at_its_root(candidate, values)
+
+    def wave(one, at):
+        turned = 2.0 * np.pi * (at / one[of] if of == "period" else at * one[of])
+        first = one["cosine"] * np.cos(turned) + one["sine"] * np.sin(turned)
+        return first + one["cosine2"] * np.cos(2.0 * turned) + one["sine2"] * np.sin(2.0 * turned)
+
+    assert found[of] == pytest.approx(np.full(2, (factor if alone else 1.0) * 0.04))
+    for at in (0.0, 0.013, 0.3):
+        assert wave(found, at) == pytest.approx(wave(values, at), abs=2e-3)
+    assert found.keys() == values.keys()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
