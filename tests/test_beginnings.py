@@ -8,7 +8,7 @@ import pytest
 
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.screening import _at_its_root
+from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.setting import Setting
 
 RATE = 1_000.0
@@ -46,7 +46,7 @@ def test_a_wave_that_is_all_second_harmonic_is_named_by_its_own_period(name, fir
     of, factor = {"cogging": ("period", 0.5), "process_force": ("frequency", 2.0)}[name]
     values = {one.name: np.zeros(2) for one in candidate.parameters} | {of: np.array([0.04, 0.04])}
     values |= {"cosine": np.array([0.0, first]), "cosine2": np.array([3.0, 2.0]), "sine2": np.array([4.0, -3.0])}
-    found = _at_its_root(candidate, values)
+    found = at_its_root(candidate, values)
 
     def wave(one, at):
         turned = 2.0 * np.pi * (at / one[of] if of == "period" else at * one[of])

@@ -42,24 +42,19 @@ from tuning.diagnosis.model import (
 from tuning.diagnosis.second_encoder import Twist, foreseen, unlikelihood
 
 LEAST, MOST = 1e-3, 1e3  # N, of process force
+USUAL = 5.8e-6  # kg m, mass times noise, down to which that least hides in the noise: 100 kg behind a scale of 0.1 um
 BEGIN = np.array([1e2, 1.0])
 MISSED = 0.03  # N, of a force that the model lacks
 NEAR = np.array(  # times the last process forces are tried after a step
     [(1, 1), (0.1, 0.1), (0.3, 0.3), (3, 3), (0.3, 1), (1, 0.1), (1, 3)], float
 )
-FIRST = np.array([(lasting, share * lasting) for lasting in np.geomspace(LEAST, MOST, 7) for share in (1e-2, 0.3, 3.0)])
 MOST_STEPS, TRIALS = 25, 6
-WHITE = np.geomspace(LEAST, 0.3, 14)  # N, where nothing lasting is missing: what an integrator's error looks like
+SUDDEN, SIZES = 0.3, 14  # N, where nothing lasting is missing, and how many: what an integrator's error looks like
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 ENOUGH = 0.5  # of cost, that a step must gain
 SETTLING = 3  # passes after the last step: what a passing course gained is no evidence
 FAR = 100.0  # of cost: a step that gains more is still on its way
-
-
-def quiet(process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "w 2"]:
-    """These process forces (N) with any small sudden one: it matters, and the cost is rough in it."""
-    return np.stack([np.full(WHITE.size, process[0]), WHITE], axis=1)
 
 
 class Fitted(NamedTuple):
@@ -141,6 +136,20 @@ class Fitter:
         self.logged, self.twist = logged, twist
         self.counts = np.asarray(logged.lanes.counts)
         self.given = (logged.noise, logged.lanes, logged.sampling)
+        fine = float(logged.drive.plant.mass) * float(logged.noise) / USUAL
+        # in decades: a least that followed the noise would change with every log
+        self.least = LEAST * min(1.0, 10.0 ** round(np.log10(fine)))
+
+    @property
+    def first(self) -> Float[np.ndarray, "w 2"]:
+        """Process forces (N) where nothing is known of them."""
+        lasting = np.geomspace(self.least, MOST, 7)
+        return np.array([(one, share * one) for one in lasting for share in (1e-2, 0.3, 3.0)])
+
+    def quiet(self, process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "w 2"]:
+        """These process forces (N) with any small sudden one: it matters, and the cost is rough in it."""
+        sudden = np.geomspace(self.least, SUDDEN, SIZES)
+        return np.stack([np.full(SIZES, process[0]), sudden], axis=1)
 
     def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> Point:
         """The hypothesis at u."""
@@ -154,7 +163,7 @@ class Fitter:
 
     def with_process(self, point: Point, model: Model, processes: np.ndarray) -> Point:
         """The same point under the likeliest of these process forces, its effects along its own track."""
-        processes = np.clip(processes, LEAST, MOST)
+        processes = np.clip(processes, self.least, MOST)
         filled = np.pad(processes, ((0, -len(processes) % len(NEAR)), (0, 0)), mode="edge")  # one program for all
         loose, coupled = model.apart(model.effects(point.u))
         acting = exposed(self.logged, point.own, loose, point.onward)
@@ -254,11 +263,12 @@ class Fitter:
         free = np.ones(model.size) if free is None else free
         point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
-            point = self.with_process(point, model, FIRST)
+            point = self.with_process(point, model, self.first)
         point, steps = self._down(model, point, most, free, BOLDNESS)
         if steps == most:
             return point, steps
-        other = self.with_process(point, model, FIRST if point.process[0] >= MISSED else quiet(point.process))
+        lasts = point.process[0] >= MISSED
+        other = self.with_process(point, model, self.first if lasts else self.quiet(point.process))
         if point.cost - other.cost < ENOUGH:
             return point, steps
         point, more = self._down(model, other, most - steps, free, 1.0)
@@ -307,4 +317,4 @@ class Fitter:
 
     def _trusting(self, model: Model, point: Point, boldness: float) -> Point:
         """The same hypothesis in a filter that has less of a process force to blame."""
-        return self.at(model, point.u, np.maximum(point.process / boldness, LEAST), point.onward)
+        return self.at(model, point.u, np.maximum(point.process / boldness, self.least), point.onward)

@@ -21,7 +21,7 @@ from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
-from tuning.diagnosis.fitting import LEAST, Fitted, Fitter, slopes_of
+from tuning.diagnosis.fitting import Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
 from tuning.diagnosis.leftover import BLIND
 from tuning.diagnosis.model import Model, Vector, counted_in
@@ -100,7 +100,7 @@ def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: 
     rate = fitter.logged.sampling.rate
     every = np.asarray(fitter.logged.lanes.counts)
     counts = _counting(every, track, rate)
-    trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, LEAST), fitted.track.course).track
+    trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, fitter.least), fitted.track.course).track
     surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.scatter)) ** 2, LOST**2)
     surprise = every * np.maximum(surprise - float(fitted.track.size), 0.0)
     return ForceGap(np.asarray(track.lacking) * counts, track.course, surprise, counts, share_lost(track, every))

@@ -13,7 +13,7 @@ from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation
-from tuning.diagnosis.fitting import FIRST, NEAR, Fitted, Fitter, quiet
+from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.model import Model
@@ -122,7 +122,8 @@ def climb(
         (name, one), gap, process, squares = asked
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
         there = test.at(one.model, one.u, one.process, one.track.course)
-        foreseen = test.with_process(there, one.model, np.vstack([one.process * NEAR, FIRST, quiet(one.process)]))
+        processes = np.vstack([one.process * NEAR, test.first, test.quiet(one.process)])
+        foreseen = test.with_process(there, one.model, processes)
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end

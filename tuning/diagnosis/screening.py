@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.effects.base import MachineEffect
-from diffdrive.effects.forces import Cogging, ProcessForce
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
@@ -40,9 +39,6 @@ TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1
 BEST = 3  # of a grid, under other process forces too
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
-ROOTS = {Cogging: ("period", 0.5), ProcessForce: ("frequency", 2.0)}  # what is to be halved, or doubled
-ORDERS = ("", "2", "6")  # harmonics, as the names of their amplitudes end
-PURE = 0.1  # of the second harmonic, that all others may be where it stands for all
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
 
 
@@ -128,29 +124,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
             rest = fitted.u - limited(left + making_way @ amount)
             best = Screened(candidate, gain, evidence, values, rest, fitted.process * TRIED)
     assert best is not None
-    return best._replace(values=_at_its_root(candidate, best.values))
-
-
-def _at_its_root(candidate: Candidate, values: Values) -> Values:
-    """A wave that is hardly more than its second harmonic is one of half the period: an engineer would not call a
-    ripple once per turn of the screw the second harmonic of one every other turn.
-    """
-    known = ROOTS.get(candidate.effect)
-    if known is None:
-        return values
-    sizes = {order: float(np.max(np.hypot(*_wave(values, order)))) for order in ORDERS if f"cosine{order}" in values}
-    second = sizes.pop("2")
-    if max(sizes.values()) > PURE * second:
-        return values
-    name, factor = known
-    gone = {key: 0.0 * value for key, value in values.items() if key.startswith(("cosine", "sine"))}
-    cosine, sine = _wave(values, "2")
-    return values | gone | {name: factor * values[name], "cosine": cosine, "sine": sine}
-
-
-def _wave(values: Values, order: str) -> tuple[Vector, Vector]:
-    """Cosine and sine of one harmonic, log by log."""
-    return values[f"cosine{order}"], values[f"sine{order}"]
+    return best
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:

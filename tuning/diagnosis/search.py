@@ -6,7 +6,6 @@ The candidates of one round do not depend on one another.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -17,6 +16,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
+from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
@@ -176,6 +176,18 @@ def _on(fitter: Fitter, one: Fitted) -> Fitted:
     return next(iter(_possible([further])), one)
 
 
+def _renamed(fitter: Fitter, one: Fitted) -> Fitted:
+    """The fit with the wave that was added last told by its own period, where that is no worse."""
+    last = one.model.members[-1]
+    values = one.model.values(one.u)[-1]
+    rooted = at_its_root(last.candidate, values)
+    if rooted is values:
+        return one
+    own = begin(one.model, rooted)
+    again = fitter.fit(one.model, np.r_[one.u[: one.u.size - own.size], own], one.process, one.track.course)
+    return again if again.cost < one.cost + WORTH else one
+
+
 def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
     """A fit, however few steps it was given, where no more of them gain."""
     for _ in range(1 + LONGER):
@@ -276,7 +288,7 @@ def _ended(
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
     ended = in_parallel(
-        partial(_on, fitter),
+        lambda one: _renamed(fitter, _on(fitter, one)),
         ahead,
         lambda k: progress("fitting", count + k, count + len(ahead)),
     )

@@ -6,7 +6,7 @@ A lost filter begins again from the measurement, time after time, and sees no fo
 import numpy as np
 from jaxtyping import Float
 
-from tuning.diagnosis.fitting import LEAST, Fitted, Fitter
+from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.setting import setting
 
@@ -41,7 +41,7 @@ def lost_share(fitter: Fitter, fitted: Fitted, process: Forces) -> float:
 def least_trusted(fitter: Fitter) -> Forces:
     """The process forces (N) of a filter that trusts every model to a small share of the friction."""
     logged = fitter.logged
-    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, LEAST])
+    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, fitter.least])
 
 
 def following(fitter: Fitter, fitted: Fitted) -> Forces | None:
