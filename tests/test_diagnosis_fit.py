@@ -427,7 +427,7 @@ def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
         return abs(told[1] - told[0])
 
     assert apart(fitter.least) < 5.0
-    assert apart(LEAST) > 20.0
+    assert apart(LEAST) > 10.0
     assert sound[0].least == LEAST
 
 
