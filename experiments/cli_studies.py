@@ -35,6 +35,10 @@ def withheld(
     out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
     cases: Annotated[int | None, typer.Option(min=1, help="How many machines; by default 120.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the machines; by default 0.")] = None,
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(help="paper (default), gantry, linear or vertical; repeatable: machines of each in turn."),
+    ] = None,
     bench: Annotated[
         Path | None,
         typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
@@ -56,9 +60,9 @@ def withheld(
     from experiments.withheld.study import withheld as run
 
     if bench is None:
-        run(out, 120 if cases is None else cases, seed or 0, workers, twice)
-    elif cases is not None or seed is not None:
-        raise ParameterError("--bench: its machines are there already; leave out --cases and --seed")
+        run(out, 120 if cases is None else cases, seed or 0, workers, twice, tuple(axis or ("paper",)))
+    elif cases is not None or seed is not None or axis:
+        raise ParameterError("--bench: its machines are there already; leave out --cases, --seed and --axis")
     else:
         examined(out, bench, bench / "key.json", workers, twice)
 

@@ -21,7 +21,8 @@ from diffdrive.logs import Log
 from experiments import cli
 from experiments.report import Report
 from experiments.withheld import answer, generate, study
-from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, PLACED, RATES, _scaled, draw, of_log
+from experiments.withheld.axes import AXES
+from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, PLACED, _scaled, draw, of_log
 from experiments.withheld.machine import Faults
 from experiments.withheld.truth import truth
 
@@ -35,7 +36,7 @@ def drawn(*effects, seed=3):
 @pytest.mark.parametrize("name", ALL)
 def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
     case, same = drawn(name), drawn(name)
-    assert case.rate in RATES
+    assert case.rate in AXES["paper"].rates
     for log in range(2):
         faults, kind = of_log(case, log, 200.0)
         assert (faults, kind) == of_log(same, log, 200.0)
@@ -57,7 +58,7 @@ def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
 
 def test_machines_differ_in_what_the_engineer_knows():
     several = [drawn("cogging", seed=seed) for seed in range(30)]
-    assert {one.rate for one in several} == set(RATES)
+    assert {one.rate for one in several} == set(AXES["paper"].rates)
     assert len({float(one.nominal.friction.initial_load) for one in several}) == 30
     loaded = [bool(told.load.any()) for one in several for told in one.told]
     assert 0 < sum(loaded) < len(loaded)
@@ -412,5 +413,5 @@ def test_machines_that_are_there_are_not_drawn_as_well(tmp_path):
     asked = ["withheld", "--out", str(tmp_path / "o"), "--bench", str(tmp_path), "--seed", "3"]
     result = CliRunner().invoke(cli.app, asked)
     assert isinstance(result.exception, ParameterError)
-    assert "--cases and --seed" in str(result.exception)
+    assert "--cases, --seed and --axis" in str(result.exception)
     assert not (tmp_path / "o").exists()

@@ -6,15 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from diffdrive import presets
 from diffdrive.parameters import Directional, Drive
+from experiments.withheld.axes import AXES, Axis
 from experiments.withheld.machine import Faults, Kind, Told
 from experiments.withheld.motions import ROOM, STROKE, told
 
 OFF = 0.03  # the most that a true parameter is off nominal, by its logarithm
 LEADS, SCALE_PERIODS, POLES = (3e-3, 1.6e-2), (8e-6, 6e-5), (5e-4, 4e-3)  # m, between which they are drawn
 FAINT, STRONG = 0.3, 4.0  # sizes against that which is clear
-RATES, OFTEN = (1000.0, 2000.0, 4000.0, 10000.0), (0.15, 0.5, 0.25, 0.1)  # Hz
 
 
 class Fault(NamedTuple):
@@ -38,6 +37,7 @@ class Case(NamedTuple):
     faults: tuple[Fault, ...]
     told: tuple[Told, Told]
     noise: float
+    resolution: float  # m
     pitfall: bool  # the effect is such that other parameters absorb much of it
 
 
@@ -266,7 +266,7 @@ def _bumper(room: ROOM, size: float) -> Fault:
 
 
 def _droop(room: ROOM, size: float) -> Fault:
-    return _one("droop", size, {"droop": min(0.1 * size, 0.4)})
+    return _one("droop", size, {"droop": min(0.1 * size, 0.4), "droop_force": 300.0})
 
 
 def _shocks(room: ROOM, size: float) -> Fault:
@@ -334,15 +334,14 @@ PITFALLS: dict[str, Callable[[ROOM, float], Fault]] = {
 }
 
 
-def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
+def draw(room: ROOM, effects: tuple[str, ...], axis: Axis = AXES["paper"]) -> Case:
     """A machine with these effects, of sizes drawn at random."""
-    base, apart = presets.paper_drive(), room.spawn(1)[0]
+    base, apart = axis.drive, room.spawn(1)[0]
     varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
     varied |= {name: float(np.exp(room.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
     varied["initial_load"] = float(np.exp(apart.normal(0, 0.2)))
-    nominal = dataclasses.replace(
-        _scaled(base, varied), sensor=dataclasses.replace(base.sensor, resolution=1e-7, noise=0.0)
-    )
+    nominal = _scaled(base, varied)
+    nominal = dataclasses.replace(nominal, sensor=dataclasses.replace(base.sensor, noise=0.0))
     names = ("mass", "coulomb_screw+", "coulomb_screw-", "load_coefficient+", "load_coefficient-", "breakaway_gap+",
              "breakaway_gap-", "stribeck_velocity+", "stribeck_velocity-", "viscous+", "viscous-", "damping",
              "bristle_stiffness", "bristle_damping")  # fmt: skip
@@ -351,18 +350,36 @@ def draw(room: ROOM, effects: tuple[str, ...]) -> Case:
     if len(effects) > 1:
         sizes = np.maximum(sizes, 1.5)
     makers = KNOWN | OUTSIDE | PITFALLS
-    faults = tuple(makers[name](room, float(size)) for name, size in zip(effects, sizes, strict=True))
+    drawn = [makers[name](room, float(size)) for name, size in zip(effects, sizes, strict=True)]
+    faults = tuple(_of_size(fault, axis) for fault in drawn)
     true = _scaled(nominal, off)
     for fault in faults:
         true = _scaled(true, fault.scaled)
-    rate = float(room.choice(RATES, p=OFTEN))
-    bandwidth = _between(room, (130.0, 250.0))  # rad/s
+    rate = float(room.choice(axis.rates, p=axis.often))
+    bandwidth = _between(room, axis.bandwidth)  # rad/s
     kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
-    noise = float(room.uniform(2e-8, 5e-8))
+    noise = float(room.uniform(*axis.noise))
     traces = {name: scale for fault in faults for name, scale in fault.traces.items()}
-    logs = told(room, apart, rate, noise, traces), told(room, apart, rate, noise, traces)
+    way = (rate, noise, traces, axis.length, axis.load)
+    logs = told(room, apart, *way), told(room, apart, *way)
     faults = tuple(_placed(fault, logs) for fault in faults)
-    return Case(nominal, true, (kp, kd), rate, faults, logs, noise, any(name in PITFALLS for name in effects))
+    pitfall = any(name in PITFALLS for name in effects)
+    return Case(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
+
+
+def _of_size(fault: Fault, axis: Axis) -> Fault:
+    """The fault as large for this axis as it was drawn for the paper's; shares of the way stay shares."""
+    sizes = axis.sizes() | {name: 1.0 for effect, name in PLACED.items() if effect == fault.effect}
+
+    def brought(numbers: dict[str, Any]) -> dict[str, Any]:
+        return {
+            name: tuple(sizes.get(name, 1.0) * one for one in value)
+            if isinstance(value, tuple)
+            else sizes.get(name, 1.0) * value
+            for name, value in numbers.items()
+        }
+
+    return fault._replace(faults=brought(fault.faults), traces=brought(fault.traces))
 
 
 def _placed(fault: Fault, logs: tuple[Told, Told]) -> Fault:

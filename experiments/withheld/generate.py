@@ -12,22 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive import presets
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import DriveDescription, write_drive
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
 from diffdrive.motion import Limits
 from diffdrive.parameters import Sampling
+from experiments.withheld import axes, machine, motions
 from experiments.withheld import draw as draws
-from experiments.withheld import machine, motions
 from experiments.withheld import truth as truths
+from experiments.withheld.axes import AXES, Axis
 from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, Case, draw, of_log
 from experiments.withheld.machine import run
 from experiments.withheld.truth import truth
 
 NONE, TWO, UNKNOWN, PITFALL = 0.12, 0.12, 0.12, 0.05  # shares of cases
-RESOLUTION = 1e-7  # m
 SCREWS = {"compliance", "backlash"}
 ATTEMPTS = 10  # at a machine whose loop is stable
 
@@ -62,7 +61,7 @@ def _followed(log: Log) -> bool:
 def _log(case: Case, log: int, peak: float | None = None) -> Log:
     told = case.told[log]
     faults, kind = of_log(case, log, peak)
-    position, command = run(case.true, faults, kind, case.gains, RESOLUTION, told, case.rate)
+    position, command = run(case.true, faults, kind, case.gains, case.resolution, told, case.rate)
     time = np.arange(len(position)) / case.rate
     return Log("ab"[log], time, position, command, reference=told.reference, load=told.load)
 
@@ -91,23 +90,27 @@ def key_of(case: Case, peak: float | None = None) -> dict[str, Any]:
     }
 
 
-def generate(folder: Path, parts: Path, seed: int, count: int) -> Iterator[str]:
+def generate(
+    folder: Path, parts: Path, seed: int, count: int, on: tuple[Axis, ...] = (AXES["paper"],)
+) -> Iterator[str]:
     """Write the cases that are not there yet, and to `parts` what the key says of each; yields the name of each.
 
-    Raises `ParameterError` where `parts` is of another seed or count, `DivergenceError` for a case that no attempt
-    keeps on its reference.
+    Each is a machine of one of the axes, in turn. Raises `ParameterError` where `parts` is of another seed or count,
+    `DivergenceError` for a case that no attempt keeps on its reference.
     """
     parts.mkdir(parents=True, exist_ok=True)
     for number, effects in enumerate(kinds(seed, count)):
-        name, drawn = f"{number + 1:03d}", {"seed": seed, "of": count, "by": drawn_by()}
+        name, axis = f"{number + 1:03d}", on[number % len(on)]
+        drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": drawn_by()}
         part = parts / f"{name}.json"
         there = part.exists() and (folder / name / "drive.toml").exists()
         if there and json.loads(part.read_text(encoding="utf-8"))["drawn"] != drawn:
             raise ParameterError(
-                f"{folder.parent}: holds machines of another seed or number, or of other sources; choose another folder"
+                f"{folder.parent}: holds machines of another seed, number or axis, or of other sources; choose another "
+                "folder"
             )
         if not there:
-            case, logs, peak = _followable(seed, number, effects)
+            case, logs, peak = _followable(seed, number, effects, axis)
             part.write_text(json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n", encoding="utf-8")
             _write(folder / name, case, logs)
         yield name
@@ -116,14 +119,14 @@ def generate(folder: Path, parts: Path, seed: int, count: int) -> Iterator[str]:
 @functools.cache
 def drawn_by() -> str:
     """A digest of what draws and integrates machines: those of two editions are no one study."""
-    parts = [inspect.getsource(one) for one in (draws, machine, motions, truths, sys.modules[__name__])]
-    parts += [repr(presets.paper_drive()), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
+    parts = [inspect.getsource(one) for one in (axes, draws, machine, motions, truths, sys.modules[__name__])]
+    parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
-def _followable(seed: int, number: int, effects: tuple[str, ...]) -> tuple[Case, list[Log], float | None]:
+def _followable(seed: int, number: int, effects: tuple[str, ...], axis: Axis) -> tuple[Case, list[Log], float | None]:
     for attempt in range(ATTEMPTS):
-        case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects)
+        case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects, axis)
         logs, peak = _logs(case)
         if all(_followed(log) for log in logs):
             return case, logs, peak

@@ -54,12 +54,15 @@ def known_load(room: ROOM, n: int, rate: float) -> Float[np.ndarray, " n"]:
     return load * np.clip((time - start) / PUT_ON, 0, 1) * np.clip((end - time) / PUT_ON, 0, 1)
 
 
-def told(room: ROOM, apart: ROOM, rate: float, noise: float, traces: dict[str, float]) -> Told:
+def told(
+    room: ROOM, apart: ROOM, rate: float, noise: float, traces: dict[str, float], length: float, load: float
+) -> Told:
     """One log's instructions at `rate` (Hz) under `noise` (m, rms); `traces` as in `draw.Fault`.
 
-    The load is drawn from a stream `apart`.
+    Motions are so many times as long and as fast as on the paper's axis, loads so many times as large; these are drawn
+    from a stream `apart`.
     """
-    reference = moves(room, rate)
+    reference = length * moves(room, rate)
     n = len(reference)
     push, rub = np.zeros(n), np.zeros(n)
     if "peak" in traces:
@@ -73,4 +76,4 @@ def told(room: ROOM, apart: ROOM, rate: float, noise: float, traces: dict[str, f
         kick = traces["share"] * np.sqrt(1 - fade**2) * room.standard_normal(n)
         for k in range(1, n):
             rub[k] = fade * rub[k - 1] + kick[k]
-    return Told(reference, known_load(apart, n, rate), noise * room.standard_normal(n), push, rub)
+    return Told(reference, load * known_load(apart, n, rate), noise * room.standard_normal(n), push, rub)

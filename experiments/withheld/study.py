@@ -14,6 +14,7 @@ from diffdrive.errors import ParameterError
 from experiments.report import Report
 from experiments.withheld import again
 from experiments.withheld.answer import machines, unanswered
+from experiments.withheld.axes import axes_named
 from experiments.withheld.generate import generate, write_key
 from experiments.withheld.score import read_answers, read_key, score
 
@@ -30,16 +31,19 @@ ANSWERING = ("-m", "experiments.withheld.answer")
 CODE = Path(__file__).resolve().parents[2]
 
 
-def withheld(out: Path, count: int, seed: int, workers: int = 1, twice: bool = False) -> dict[str, Any]:
-    """Run the check, or what is left of it, in the folder `out`.
+def withheld(
+    out: Path, count: int, seed: int, workers: int = 1, twice: bool = False, axes: tuple[str, ...] = ("paper",)
+) -> dict[str, Any]:
+    """Run the check, or what is left of it, in the folder `out`, on machines of these axes in turn.
 
     The answering process is given copies of logs and drive files in a folder of their own; the key is written once all
     answers are there.
     """
-    with Report(f"withheld-effect check: {count} machines, seed {seed}", out) as report:
+    on = axes_named(axes)
+    with Report(f"withheld-effect check: {count} machines of {', '.join(axes)}, seed {seed}", out) as report:
         cases, parts = out / "cases", out / "key_parts"
         with report.stages() as progress:
-            for done, _ in enumerate(generate(cases, parts, seed, count), start=1):
+            for done, _ in enumerate(generate(cases, parts, seed, count, on), start=1):
                 progress("drawing machines", done, count)
         _ask(report, cases, out / "answers", workers)
         return _tell(report, cases, write_key(out / "key.json", parts), workers, twice)
