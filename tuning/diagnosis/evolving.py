@@ -27,7 +27,7 @@ from tuning.prediction import Lanes, begin_velocity
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
-SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 3  # at first, in all; members per number searched
+SAMPLE, SIMULATIONS, POPULATION = 512, 6000, 6  # at first, in all; members per number searched
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 WHITE = 0.1  # of it
