@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis import trust
+from tuning.diagnosis import ladder, trust
 from tuning.diagnosis.fitting import LEAST
 
 SAMPLES = 1000
@@ -38,3 +38,17 @@ def lost_with(share):
 def test_a_filter_is_trusted_as_far_as_it_is_not_lost(monkeypatch, share, more):
     monkeypatch.setattr(trust, "least_trusted", lambda _: np.array([1.0, LEAST]))
     np.testing.assert_allclose(trust.comparing(*lost_with(share)), [more, LEAST])
+
+
+@pytest.mark.parametrize(("lost", "own", "told_with"), [(True, 2.0, 2.0), (False, 2.0, 200.0), (True, None, 200.0)])
+def test_a_model_that_is_lost_in_the_others_filter_is_told_by_one_of_its_own(monkeypatch, lost, own, told_with):
+    """In that of the recalibrated drive, of 200 N; where none follows it, it is told to be lost."""
+
+    def gap_of(fitter, one, model, u, process):
+        return SimpleNamespace(told=process[0] < 200.0 or not lost)
+
+    monkeypatch.setattr(ladder, "force_gap", gap_of)
+    monkeypatch.setattr(ladder, "least_following", lambda *_: None if own is None else np.array([own, LEAST]))
+    gap, process = ladder._told_by(None, SimpleNamespace(model=None, u=None), np.array([200.0, LEAST]))
+    assert process[0] == told_with
+    assert gap.told == (own is not None)

@@ -19,7 +19,7 @@ from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.splitting import Split, of_session, split, told
 from tuning.diagnosis.threads import in_parallel
-from tuning.diagnosis.trust import Forces, comparing, following
+from tuning.diagnosis.trust import Forces, comparing, least_following
 
 PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
@@ -73,7 +73,7 @@ def _told_by(fitter: Fitter, one: Fitted, process: Forces) -> tuple[ForceGap, Fo
     much, nothing keeps the motor in its gap.
     """
     gap = force_gap(fitter, one, one.model, one.u, process)
-    own = None if gap.told else following(fitter, one)
+    own = None if gap.told else least_following(fitter, one)
     return (gap, process) if own is None else (force_gap(fitter, one, one.model, one.u, own), own)
 
 

@@ -44,7 +44,7 @@ def least_trusted(fitter: Fitter) -> Forces:
     return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, fitter.least])
 
 
-def following(fitter: Fitter, fitted: Fitted) -> Forces | None:
+def least_following(fitter: Fitter, fitted: Fitted) -> Forces | None:
     """The least process forces (N) with which the filter follows a model; None where none helps (blows)."""
     least = least_trusted(fitter)
     tried = [np.array([more * least[0], least[1]]) for more in MORE]
@@ -53,5 +53,5 @@ def following(fitter: Fitter, fitted: Fitted) -> Forces | None:
 
 def comparing(fitter: Fitter, base: Fitted) -> Forces:
     """The process forces (N) of the filter that compares models: those with which it follows `base`, or the least."""
-    found = following(fitter, base)
+    found = least_following(fitter, base)
     return least_trusted(fitter) if found is None else found
