@@ -198,6 +198,18 @@ def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
     return one
 
 
+def _begun_anew(fitter: Fitter, one: Fitted) -> Fitted:
+    """A coupled fit that moved nominal parameters far, begun again from the drive file's, if that ends better.
+
+    Its Jacobian is carried from step to step, which ends early in a long valley.
+    """
+    if not one.model.coupled or strain(one) < STRAINED:
+        return one
+    u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
+    again = to_its_end(fitter, fitter.fit(one.model, u, one.process, one.track.course))
+    return min(_possible([one, again]), key=lambda fit: fit.evidence, default=one)
+
+
 def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
     """The fits that can be, best first, the best at its end: what it has not yet explained, others would seem to."""
     fits = _possible(fits)
@@ -208,7 +220,7 @@ def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
         if further is fits[0]:
             break
         fits = _possible([further, *fits[1:]])
-    return fits
+    return _possible([_begun_anew(fitter, fits[0]), *fits[1:]]) if fits else fits
 
 
 def _believed(fitter: Fitter, before: Fitted) -> Fitted | None:
