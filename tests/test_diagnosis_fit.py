@@ -6,15 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from off_its_file import OFF, catalogue, fitter_of
 from sound_log import DRIVE, RATE, described, logged, two_sines
 
 from diffdrive.effects.actuator import ForceGain, LoopDelay
-from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
-from diffdrive.effects.friction import AppliedLoad, PreslidingHysteresis
+from diffdrive.effects.forces import Cogging, ConstantForce
+from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.machine import PayloadMass
-from diffdrive.effects.transmission import Backlash
-from diffdrive.parameters import Directional, Sampling, as_arrays
-from tuning.diagnosis import evolving
+from diffdrive.parameters import Directional
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
@@ -22,36 +21,20 @@ from tuning.diagnosis.curvature import FARTHEST
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.explain import _further
 from tuning.diagnosis.fitting import LEAST, Fitter
-from tuning.diagnosis.leftover import LACKING, STRAINED, complete, lacking, power_left, strain
-from tuning.diagnosis.model import Logged, Model
+from tuning.diagnosis.leftover import LACKING, STRAINED, WORTH, lacking, strain
+from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import _directions, _pushed, begin, joined, screen, tried
 from tuning.diagnosis.search import (
     IMPOSSIBLE,
     RACE,
-    WORTH,
     fit_from,
     look,
     recalibrated,
     standing,
 )
 from tuning.diagnosis.setting import setting
-from tuning.fit import lanes_of, noise_floor
 
-OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 HIDDEN = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))
-
-
-def fitter_of(*effects):
-    """A log of a machine that is not quite as its file says, with these effects."""
-    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
-    truth = dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects))
-    lanes = lanes_of([logged(truth, two_sines())])
-    noise = jnp.asarray(noise_floor(DRIVE.drive, lanes, RATE))
-    return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10), jnp.zeros(1)))
-
-
-def catalogue(fitter, base):
-    return candidates(setting(base.own, fitter.logged.lanes, 1.0 / RATE))
 
 
 @pytest.fixture(scope="module")
@@ -142,77 +125,6 @@ def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted, monkey
     assert np.linalg.norm(beside - alone) > 0.01 * np.linalg.norm(alone)
 
 
-def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations():
-    fitter = fitter_of(FrameVibration(ratio=0.08, frequency=21.0, damping=0.05))
-    base = recalibrated(fitter, TOLERANCE)
-    candidate = next(one for one in catalogue(fitter, base) if one.name == "frame_vibration")
-    fit = fit_from(fitter, base, screen(base, candidate))
-    values = fit.model.values(fit.u)[0]
-    assert values["frequency"][0] == pytest.approx(21.0, rel=0.02)
-    assert values["ratio"][0] == pytest.approx(0.08, rel=0.1)
-    assert strain(fit) < STRAINED
-    assert power_left(base, fit) < 0.02
-
-    point = fitter.at(fit.model, fit.u, fit.process, fit.track.course)
-    jacobian, unit = fitter.jacobian(fit.model, point), fitter.residuals(point)[1]
-    for k in (NAMES.index("mass"), len(NAMES), len(NAMES) + 1):
-        h = 1e-4
-        ahead, behind = (
-            np.asarray(
-                fitter.at(
-                    fit.model, fit.u + way * h * np.eye(fit.model.size)[k], fit.process, point.course
-                ).track.innovation
-            )
-            for way in (1.0, -1.0)
-        )
-        slope = ((ahead - behind) / (2.0 * h) / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
-        assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
-
-
-@pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
-def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monkeypatch, name):
-    fitter, base = sound
-    candidate = next(one for one in catalogue(fitter, base) if one.name == name)
-    point = {key: np.array([value]) for key, value in candidate.grid[0].items()}
-    along, labels = _directions(base, candidate, point)
-    monkeypatch.setattr(type(base.model), "coupled", True)
-    differences, _ = _directions(base, candidate, point)
-    for k, (parameter, _) in enumerate(labels):
-        off = np.linalg.norm(differences[..., k] - along[..., k]) / np.linalg.norm(differences[..., k])
-        assert off < 0.05, parameter.name
-
-
-def test_what_acts_beside_an_effect_within_the_filter_is_screened_as_it_is():
-    """Presliding by Maxwell elements alone: no linear recursion along the filter's course holds there."""
-    truth = PreslidingHysteresis(share=0.95, longest=1e-5, shortest=0.2)
-    fitter = fitter_of(truth, Cogging(0.00125, 1.0, 0.5))
-    base = recalibrated(fitter, TOLERANCE)
-    known = {one.name: one for one in catalogue(fitter, base)}
-    model = joined(base.model, known["presliding_hysteresis"])
-    values = {key: np.array([getattr(truth, key)]) for key in ("share", "longest", "shortest")}
-    first = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, base.track.course, 6)
-    found = screen(first, known["cogging"])
-    assert found.gain < np.sum(first.residual**2) + np.sum(first.u**2)  # no projection explains more than there is
-    assert found.values["period"][0] == pytest.approx(0.00125, rel=0.05)
-    assert found.values["cosine"][0] == pytest.approx(1.0, abs=0.3)
-    assert found.values["sine"][0] == pytest.approx(0.5, abs=0.3)
-    fit = fit_from(fitter, first, found, 4)
-    assert first.evidence - fit.evidence > 100.0
-
-
-@pytest.mark.parametrize("name", ["backlash", "compliance"])
-def test_where_nobody_can_say_what_is_missing_a_search_begins_as_expected(sound, monkeypatch, name):
-    fitter, base = sound
-    candidate = next(one for one in catalogue(fitter, base) if one.name == name)
-    nothing = np.full(np.shape(base.track.innovation), np.nan)
-    monkeypatch.setattr(evolving, "missing_force", lambda fitted: nothing)
-    values, forces = evolving.evolved(base, joined(base.model, candidate), candidate, base.u)
-    assert {key: value[0] for key, value in values.items()} == pytest.approx(
-        {one.name: one.middle for one in candidate.parameters}
-    )
-    assert np.all(np.isfinite(forces))
-
-
 def test_screening_points_no_further_than_any_prior_could_mean(sound):
     """What is missing far beyond what the drive's own numbers can make up for has them run away."""
     fitter, base = sound
@@ -230,24 +142,6 @@ def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
     fit = fit_from(fitter, base, found._replace(values=far, rest=base.u + 30.0), 4)
     assert base.evidence - fit.evidence > 100.0
     assert fit.model.values(fit.u)[0]["cosine"][0] == pytest.approx(2.0, abs=0.2)
-
-
-def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
-    """Its state outlasts a segment: begun at rest in each, half a second of it would be missing again and again."""
-    truth = {"ratio": 0.05, "frequency": 6.0, "damping": 0.02}
-    fitter = fitter_of(FrameVibration(**truth))
-    candidate = next(
-        one
-        for one in candidates(setting(DRIVE.drive, fitter.logged.lanes, 1.0 / RATE))
-        if one.name == "frame_vibration"
-    )
-    model = joined(Model(fitter.logged), candidate)
-    u = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in truth.items()})]
-    little, more = np.full(2, 0.02), np.array([[1.0, 0.1], [0.1, 0.1], [0.1, 1.0], [0.01, 0.3], [0.3, 0.01]])  # N
-    there = fitter.at(model, u, more[1], standing(fitter.logged))
-    for _ in range(12):
-        there = fitter.at(model, u, little, there.onward)
-    assert there.cost - fitter.with_process(there, model, more).cost < LACKING
 
 
 def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(sound, tilted):
@@ -284,20 +178,6 @@ def test_what_made_up_for_an_effect_makes_way_for_it():
     assert base.evidence - fit.evidence > 100.0  # of the prior alone: one explains the log as well as the other
 
 
-@pytest.mark.slow
-def test_a_backlash_is_found_where_no_gradient_leads():
-    truth = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
-    fitter = fitter_of(Backlash(**truth))
-    base = recalibrated(fitter, TOLERANCE)
-    few = [one for one in catalogue(fitter, base) if one.name in ("backlash", "compliance", "frame_vibration")]
-    found = look(fitter, base, few, lambda what, done, most: None, lambda one: complete(fitter, one))
-    first = found.fits[0]
-    assert [member.candidate.name for member in first.model.members] == ["backlash"]
-    values = first.model.values(first.u)[0]
-    assert values["gap"][0] == pytest.approx(truth["gap"], rel=0.1)
-    assert values["motor_share"][0] == pytest.approx(truth["motor_share"], rel=0.15)
-
-
 def test_no_step_leads_further_than_a_prior_could_mean(sound, monkeypatch):
     fitter, base = sound
     point = fitter.at(base.model, base.u, base.process, base.track.course)
@@ -312,7 +192,7 @@ def test_no_step_leads_further_than_a_prior_could_mean(sound, monkeypatch):
 
     monkeypatch.setattr(fitter, "at", watched)
     monkeypatch.setattr(fitter, "residuals", lambda point: (residual, np.ones_like(residual)))
-    fitter._step(base.model, point, 0.1, np.ones(base.model.size), jacobian)
+    fitter.step(base.model, point, 0.1, np.ones(base.model.size), jacobian)
     assert np.max(np.abs(seen[0] - point.u)) == pytest.approx(FARTHEST)
 
 

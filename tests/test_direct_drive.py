@@ -68,7 +68,8 @@ def test_of_two_sizes_of_one_kind_only_the_likelier_is_fitted():
     assert usual.kind == strong.kind
     gain = Candidate(ForceGain, (Parameter("gain", 0.0, 0.15),))
     screened = [
-        Screened(one, 0.0, evidence, {}, None, None) for one, evidence in ((strong, 90.0), (gain, 80.0), (usual, 70.0))
+        Screened(one, 0.0, evidence, {}, None, None, None)
+        for one, evidence in ((strong, 90.0), (gain, 80.0), (usual, 70.0))
     ]
     assert [one.candidate for one in _promising(screened)] == [strong, gain]
     assert [one.candidate for one in _likeliest(screened)] == [strong, gain]  # about the drive file's numbers, too

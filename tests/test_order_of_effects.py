@@ -13,8 +13,9 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, Explanation, _better, _enough, _other_first
 from tuning.diagnosis.fitting import MOST_STEPS
-from tuning.diagnosis.leftover import lacking, unexplained
-from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, WORTH, Round, _led_on, _ranked, to_its_end
+from tuning.diagnosis.leading import led_on, to_its_end
+from tuning.diagnosis.leftover import WORTH, lacking, unexplained
+from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, Round, _ranked
 from tuning.diagnosis.setting import Setting
 
 AXIS = Setting(
@@ -180,11 +181,11 @@ def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
     for further in (runaway, impossible):
         further.steps = 3
         assert to_its_end(fitter(further), one) is one
-        assert _led_on(fitter(further), [one]) == [one]
+        assert led_on(fitter(further), [one]) == [one]
     sound = hypothesis("frame_vibration", evidence=-200.0)
     sound.steps = 3
     assert to_its_end(fitter(sound), one) is sound
-    assert _led_on(fitter(sound), [one]) == [sound]
+    assert led_on(fitter(sound), [one]) == [sound]
 
 
 def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):

@@ -5,6 +5,7 @@ so that the cost is flat far from the truth and steep near it: no gradient leads
 population does, on seconds of the log in the place of all of it.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +18,6 @@ from diffdrive.effects.acting import Effects
 from diffdrive.friction import coulomb
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Exposure, Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
@@ -27,7 +27,8 @@ from tuning.prediction import Lanes, begin_velocity
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
-SAMPLE, SIMULATIONS, POPULATION = 512, 6000, 6  # at first, in all; members per number searched
+SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 6  # at first, in all; members per number searched
+AGAIN = 1500  # simulations, around a fit
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 WHITE = 0.1  # of it
@@ -94,11 +95,17 @@ def _deviances(
     return jax.vmap(one)(coupled, push, process)
 
 
-def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tuple[dict[str, Vector], np.ndarray]:
-    """The likeliest parameters of the last member of `model`, a coupled one, and process forces; all else is at `u`."""
-    logged = model.logged
-    effects = fitted.model.effects(u)
-    loose, others = fitted.model.apart(effects)
+def evolved(
+    fitted: Fitted, model: Model, index: int, u: Vector, seed: int | None = None
+) -> tuple[dict[str, Vector], np.ndarray]:
+    """The likeliest parameters of a coupled member of `model`, and process forces; all else is at `u`.
+
+    `fitted` says where most is missing. With a `seed` the search is a shorter one, and begins at `u` too.
+    """
+    logged, candidate = model.logged, model.members[index].candidate
+    others = dataclasses.replace(model, members=(*model.members[:index], *model.members[index + 1 :]))
+    effects = others.effects(u[~model.of_member(index)])
+    loose, within = others.apart(effects)
     own, drive = machine(logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
     free, level = candidate.parameters, float(coulomb(drive.friction, 1.0, 0.0))
 
@@ -109,16 +116,20 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tu
     def forces(shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s 2"]:
         return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, WHITE])
 
+    first = np.full(len(free) + 2, 0.5)
+    if seed is not None:
+        there = [one.standard(float(model.values(u)[index][one.name][0])) for one in free]
+        first[: len(free)] = np.clip(0.5 + np.array(there) / (2 * REACH), 0.0, 1.0)
     places = telling(fitted)
     if not places:  # nothing is missing, or nobody can say where
-        middle = np.full(len(free) + 2, 0.5)
-        return values(middle), forces(middle)
+        return values(first), forces(first)
     stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), places)
 
     def in_stretches(share: Float[np.ndarray, " k"]) -> Effects:
         return effect_in_lanes(candidate.effect, values(share), stretches.owner)
 
-    there = others and jax.tree.map(lambda one: one[np.array([logged.owner.index(k) for k in stretches.owner])], others)
+    lanes = np.array([logged.owner.index(k) for k in stretches.owner])
+    beside = within and jax.tree.map(lambda one: one[lanes], within)
 
     def costs(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
         size = POPULATION * shares.shape[1]  # of a generation: one program for all, whatever their number
@@ -126,10 +137,11 @@ def evolved(fitted: Fitted, model: Model, candidate: Candidate, u: Vector) -> tu
         return np.concatenate([block(some) for some in np.split(filled, len(filled) // size)])[: len(shares)]
 
     def block(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
-        members = stacked([(*there, in_stretches(share)) for share in shares])
+        members = stacked([(*beside, in_stretches(share)) for share in shares])
         push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
         return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
 
-    budget = Budget(SIMULATIONS, np.inf, -np.inf)
-    found = evolve(costs, np.full(len(free) + 2, 0.5), budget, population=POPULATION, sample=SAMPLE)
+    settings = (SIMULATIONS, SAMPLE, 0) if seed is None else (AGAIN, 0, seed)
+    budget = Budget(settings[0], np.inf, -np.inf)
+    found = evolve(costs, first, budget, population=POPULATION, sample=settings[1], seed=settings[2])
     return values(found.share), forces(found.share)

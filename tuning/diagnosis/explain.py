@@ -10,9 +10,10 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, blind, complete, strain, unexplained
+from tuning.diagnosis.leading import to_its_end
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, blind, complete, strain, unexplained
 from tuning.diagnosis.model import Vector
-from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, WORTH, Progress, Round, apart_from, look, to_its_end
+from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, Progress, Round, apart_from, look
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place

@@ -207,7 +207,7 @@ class Fitter:
         found = answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
         return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
 
-    def _step(
+    def step(
         self, model: Model, point: Point, damping: float, free: Vector, jacobian: np.ndarray
     ) -> tuple[Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""
@@ -287,7 +287,7 @@ class Fitter:
                 return point, steps
             trusting = point if boldness == 1.0 else self._trusting(model, point, boldness)
             jacobian = self.jacobian(model, trusting, free=free) if carried is None else carried
-            ahead, damping = self._step(model, trusting, damping, free, jacobian)
+            ahead, damping = self.step(model, trusting, damping, free, jacobian)
             stale, carried = carried is not None, None
             if ahead is not trusting:
                 if model.coupled:

@@ -6,8 +6,8 @@ import numpy as np
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.leftover import strain
-from tuning.diagnosis.search import IMPOSSIBLE, WORTH
+from tuning.diagnosis.leftover import WORTH, strain
+from tuning.diagnosis.search import IMPOSSIBLE
 from tuning.diagnosis.verdict import Verdict
 
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose

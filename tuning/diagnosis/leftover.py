@@ -18,6 +18,7 @@ MOSTLY = 0.5  # of what is missing
 BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 BLIND = 0.05  # of the samples: where the filter is lost at more of them, its cost counts nothing but blows
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
+WORTH = 12.0  # in evidence, that an effect must bring
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 RELEVANT = 3e-4  # of the friction
 # what a table that slides tells: effects before sliding take over what the others mean

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect
@@ -104,6 +104,10 @@ class Model:
                 logs = range(self.logged.logs) if one.session else [None]
                 found += [(index, one.name, log) for log in logs]
         return found
+
+    def of_member(self, index: int) -> Bool[np.ndarray, " k"]:
+        """Which numbers of u are of one member."""
+        return np.r_[np.zeros(len(NAMES), bool), np.array([one == index for one, _, _ in self.slots], bool)]
 
     @property
     def size(self) -> int:

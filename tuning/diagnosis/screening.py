@@ -53,6 +53,7 @@ class Screened(NamedTuple):
     evidence: float  # and of -2 log evidence
     values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
     rest: Vector  # u of all that was free before, moved along
+    aside: Vector  # and moved no further than to make way
     processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
 
 
@@ -121,8 +122,8 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
             for (one, log), value in zip(labels, amount, strict=True):
                 row = values.setdefault(one.name, np.zeros(logged.logs))
                 row[slice(None) if log is None else log] = value * one.spread
-            rest = fitted.u - limited(left + making_way @ amount)
-            best = Screened(candidate, gain, evidence, values, rest, fitted.process * TRIED)
+            moved = [fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left)]
+            best = Screened(candidate, gain, evidence, values, *moved, fitted.process * TRIED)
     assert best is not None
     return best
 
@@ -138,7 +139,8 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     before = np.where(astray & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
     points, processes = looked_for(fitted, candidate), fitted.process * TRIED
     if candidate.searched:
-        best, process = evolved(fitted, model, candidate, before)
+        last = len(model.members) - 1
+        best, process = evolved(fitted, model, last, np.r_[before, begin(model, {})])
         points, processes = [best], np.vstack([processes, process])
 
     def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:
@@ -154,7 +156,7 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
     there, values = min(likely, key=lambda one: one[0].cost)
     gain, rest = fitted.cost - there.cost, there.u[: fitted.u.size]
-    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, processes)
+    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, rest, processes)
 
 
 def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Values]) -> tuple[Point, Values]:
@@ -189,13 +191,13 @@ def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None 
     return Model(model.logged, (*model.members, Member(candidate, fixed)), model.tolerance)
 
 
-def begin(model: Model, values: dict[str, Vector]) -> Vector:
-    """U of the last member of a model at `values`; at its middle where none is given."""
-    last = len(model.members) - 1
-    known = {one.name: one for one in model.members[last].candidate.parameters}
+def begin(model: Model, values: dict[str, Vector], member: int = -1) -> Vector:
+    """U of a member of a model, the last one if none is given, at `values`; at its middle where there is none."""
+    wanted = member % len(model.members)
+    known = {one.name: one for one in model.members[wanted].candidate.parameters}
     u = []
     for index, name, log in model.slots:
-        if index == last:
+        if index == wanted:
             given = values.get(name)
             u.append(0.0 if given is None else known[name].standard(float(given[0 if log is None else log])))
     return np.array(u)

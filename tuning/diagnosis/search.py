@@ -16,8 +16,8 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
-from tuning.diagnosis.harmonics import at_its_root
-from tuning.diagnosis.leftover import STRAINED, strain
+from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
+from tuning.diagnosis.leftover import STRAINED, WORTH, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 from tuning.diagnosis.threads import in_parallel
@@ -26,10 +26,8 @@ FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first st
 ALONE = 4  # first steps of a coupled effect
 BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those that can bring its parameters back
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
-LONGER = 4  # times the most steps, for the best
 PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
-WORTH = 12.0  # in evidence, that an effect must bring
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 IMPOSSIBLE = 6.0  # standard deviations of its prior, of a nominal parameter that is explained before anything else
 
@@ -77,8 +75,9 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
 
 def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
-    """From where screening points: the parameters of before moved along, as they were, or as the drive file has them;
-    and from where nothing is added yet, should it have pointed too far.
+    """From where screening points: the parameters of before moved along, or to make way and no further, where a coupled
+    effect has the cost rough; as they were, or as the drive file has them; and from where nothing is added yet, should
+    it have pointed too far.
 
     A coupled effect is no small change: alone first, everything else held, which costs little.
     """
@@ -94,7 +93,8 @@ def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_S
             there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
         return there.u, there.process, there.track.course, there.cost
 
-    rests = {tuple(one): one for one in (found.rest, before.u, nominal)}.values()
+    aside = [found.aside] if before.model.coupled else []
+    rests = {tuple(one): one for one in (found.rest, *aside, before.u, nominal)}.values()
     *begun, cost = min((beginning(np.r_[rest, own]) for rest in rests), key=lambda one: one[-1])
     ended = fitter.fit(model, *begun, most)
     amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
@@ -136,17 +136,19 @@ def look(
     left = [one for one in catalogue if not any(one.excludes(other) for other in there)]
     few, searched = [one for one in left if not one.searched], [one for one in left if one.searched]
     screened, fits = _race(fitter, before, few, progress)
-    fits = _led_on(fitter, fits)
+    fits = led_on(fitter, fits)
     believed = None
     if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
         believed = _believed(fitter, before)
         more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
-        fits = _led_on(fitter, [*fits, *more])
+        fits = led_on(fitter, [*fits, *more])
     settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
         also, further = _race(fitter, before, searched, progress)
-        screened, fits = screened + also, _led_on(fitter, fits + further)
+        screened, fits = screened + also, led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
+    if fits and any(one.searched for one in there):
+        fits = possible([searched_again(fitter, before, fits[0]), *fits[1:]])
     return _ranked(before, believed, screened, fits)
 
 
@@ -168,59 +170,6 @@ def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], f
 def _clearly(best: Fitted, relieving: Fitted) -> bool:
     """Whether the best may stay the best, though another effect leaves the nominal parameters nearer to the file's."""
     return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
-
-
-def _on(fitter: Fitter, one: Fitted) -> Fitted:
-    """The fit gone on with, from where it ended; itself where that leads to no machine that can be."""
-    further = fitter.fit(one.model, one.u, one.process, one.track.course)
-    return next(iter(_possible([further])), one)
-
-
-def _renamed(fitter: Fitter, one: Fitted) -> Fitted:
-    """The fit with the wave that was added last told by its own period, where that is no worse."""
-    last = one.model.members[-1]
-    values = one.model.values(one.u)[-1]
-    rooted = at_its_root(last.candidate, values)
-    if rooted is values:
-        return one
-    own = begin(one.model, rooted)
-    again = fitter.fit(one.model, np.r_[one.u[: one.u.size - own.size], own], one.process, one.track.course)
-    return again if again.cost < one.cost + WORTH else one
-
-
-def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
-    """A fit, however few steps it was given, where no more of them gain."""
-    for _ in range(1 + LONGER):
-        further = _on(fitter, one)
-        if further is one or further.steps < MOST_STEPS:
-            return further
-        one = further
-    return one
-
-
-def _begun_anew(fitter: Fitter, one: Fitted) -> Fitted:
-    """A coupled fit that moved nominal parameters far, begun again from the drive file's, if that ends better.
-
-    Its Jacobian is carried from step to step, which ends early in a long valley.
-    """
-    if not one.model.coupled or strain(one) < STRAINED:
-        return one
-    u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
-    again = to_its_end(fitter, fitter.fit(one.model, u, one.process, one.track.course))
-    return min(_possible([one, again]), key=lambda fit: fit.evidence, default=one)
-
-
-def _led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
-    """The fits that can be, best first, the best at its end: what it has not yet explained, others would seem to."""
-    fits = _possible(fits)
-    for _ in range(LONGER):
-        if not fits or fits[0].steps < MOST_STEPS:
-            break
-        further = _on(fitter, fits[0])
-        if further is fits[0]:
-            break
-        fits = _possible([further, *fits[1:]])
-    return _possible([_begun_anew(fitter, fits[0]), *fits[1:]]) if fits else fits
 
 
 def _believed(fitter: Fitter, before: Fitted) -> Fitted | None:
@@ -267,7 +216,7 @@ def _race(
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
-    return screened, _ended(fitter, begun, ahead, len(promising), progress)
+    return screened, _ended(fitter, before, begun, ahead, len(promising), progress)
 
 
 def _promising(screened: Sequence[Screened]) -> list[Screened]:
@@ -292,18 +241,19 @@ def _race_to_nominal(
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
     begun = _best_of_each(begun, _name)
-    return _ended(fitter, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
+    return _ended(fitter, before, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
 
 
 def _ended(
-    fitter: Fitter, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
+    fitter: Fitter, before: Fitted, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
-    ended = in_parallel(
-        lambda one: _renamed(fitter, _on(fitter, one)),
-        ahead,
-        lambda k: progress("fitting", count + k, count + len(ahead)),
-    )
+
+    def to_the_end(one: Fitted) -> Fitted:
+        one = renamed(fitter, on(fitter, one))
+        return searched_again(fitter, before, one) if one.model.members[-1].candidate.searched else one
+
+    ended = in_parallel(to_the_end, ahead, lambda k: progress("fitting", count + k, count + len(ahead)))
     return [*ended, *apart_from(begun, ahead)]
 
 
@@ -322,15 +272,9 @@ def _name(fitted: Fitted) -> str:
     return fitted.model.members[-1].candidate.name
 
 
-def _possible(fits: Iterable[Fitted]) -> list[Fitted]:
-    """Those of a machine that can be, best first."""
-    kept = [one for one in fits if np.isfinite(one.evidence) and one.model.possible(one.u)]
-    return sorted(kept, key=lambda one: one.evidence)
-
-
 def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
     """One fit of each kind, the best first."""
     found: dict[Hashable, Fitted] = {}
-    for one in _possible(fits):
+    for one in possible(fits):
         found.setdefault(kind(one), one)
     return list(found.values())

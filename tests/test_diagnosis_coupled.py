@@ -1,0 +1,165 @@
+"""Diagnosis: effects that are stepped within the filter."""
+
+import numpy as np
+import pytest
+from off_its_file import OFF, catalogue, fitter_of
+from sound_log import DRIVE, RATE
+
+from diffdrive.effects.forces import Cogging, FrameVibration
+from diffdrive.effects.friction import PreslidingHysteresis
+from diffdrive.effects.transmission import Backlash
+from tuning.diagnosis import evolving
+from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.candidates import candidates
+from tuning.diagnosis.cooling import cooled
+from tuning.diagnosis.leading import led_on, to_its_end
+from tuning.diagnosis.leftover import LACKING, STRAINED, complete, power_left, strain
+from tuning.diagnosis.model import Model
+from tuning.diagnosis.screening import _directions, begin, joined, screen
+from tuning.diagnosis.search import fit_from, look, recalibrated, standing
+from tuning.diagnosis.setting import setting
+
+PLAY = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
+
+
+@pytest.fixture(scope="module")
+def sound():
+    fitter = fitter_of()
+    return fitter, recalibrated(fitter, TOLERANCE)
+
+
+@pytest.fixture(scope="module")
+def vibrating():
+    """A machine on a base that swings, and the fit that has it."""
+    fitter = fitter_of(FrameVibration(ratio=0.08, frequency=21.0, damping=0.05))
+    base = recalibrated(fitter, TOLERANCE)
+    candidate = next(one for one in catalogue(fitter, base) if one.name == "frame_vibration")
+    return fitter, base, fit_from(fitter, base, screen(base, candidate))
+
+
+def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations(vibrating):
+    fitter, base, fit = vibrating
+    values = fit.model.values(fit.u)[0]
+    assert values["frequency"][0] == pytest.approx(21.0, rel=0.02)
+    assert values["ratio"][0] == pytest.approx(0.08, rel=0.1)
+    assert strain(fit) < STRAINED
+    assert power_left(base, fit) < 0.02
+
+    point = fitter.at(fit.model, fit.u, fit.process, fit.track.course)
+    jacobian, unit = fitter.jacobian(fit.model, point), fitter.residuals(point)[1]
+    for k in (NAMES.index("mass"), len(NAMES), len(NAMES) + 1):
+        h = 1e-4
+        ahead, behind = (
+            np.asarray(
+                fitter.at(
+                    fit.model, fit.u + way * h * np.eye(fit.model.size)[k], fit.process, point.course
+                ).track.innovation
+            )
+            for way in (1.0, -1.0)
+        )
+        slope = ((ahead - behind) / (2.0 * h) / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
+        assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
+
+
+def test_a_coupled_fit_that_stopped_in_a_valley_is_begun_again_from_the_drive_file(vibrating):
+    fitter, _, fit = vibrating
+    astray = fit.u + 6.0 * (np.arange(fit.u.size) == NAMES.index("load_coefficient.negative"))
+    stopped = fitter.fit(fit.model, astray, fit.process, fit.track.course, 0)
+    assert strain(stopped) > STRAINED
+    again = led_on(fitter, [stopped])[0]
+    assert strain(again) < STRAINED
+    assert again.evidence == pytest.approx(fit.evidence, abs=5.0)
+    assert led_on(fitter, [fit])[0] is fit
+
+
+@pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
+def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monkeypatch, name):
+    fitter, base = sound
+    candidate = next(one for one in catalogue(fitter, base) if one.name == name)
+    point = {key: np.array([value]) for key, value in candidate.grid[0].items()}
+    along, labels = _directions(base, candidate, point)
+    monkeypatch.setattr(type(base.model), "coupled", True)
+    differences, _ = _directions(base, candidate, point)
+    for k, (parameter, _) in enumerate(labels):
+        off = np.linalg.norm(differences[..., k] - along[..., k]) / np.linalg.norm(differences[..., k])
+        assert off < 0.05, parameter.name
+
+
+def test_what_acts_beside_an_effect_within_the_filter_is_screened_as_it_is():
+    """Presliding by Maxwell elements alone: no linear recursion along the filter's course holds there."""
+    truth = PreslidingHysteresis(share=0.95, longest=1e-5, shortest=0.2)
+    fitter = fitter_of(truth, Cogging(0.00125, 1.0, 0.5))
+    base = recalibrated(fitter, TOLERANCE)
+    known = {one.name: one for one in catalogue(fitter, base)}
+    model = joined(base.model, known["presliding_hysteresis"])
+    values = {key: np.array([getattr(truth, key)]) for key in ("share", "longest", "shortest")}
+    first = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, base.track.course, 6)
+    found = screen(first, known["cogging"])
+    assert found.gain < np.sum(first.residual**2) + np.sum(first.u**2)  # no projection explains more than there is
+    assert found.values["period"][0] == pytest.approx(0.00125, rel=0.05)
+    assert found.values["cosine"][0] == pytest.approx(1.0, abs=0.3)
+    assert found.values["sine"][0] == pytest.approx(0.5, abs=0.3)
+    fit = fit_from(fitter, first, found, 4)
+    assert first.evidence - fit.evidence > 100.0
+
+
+@pytest.mark.parametrize("name", ["backlash", "compliance"])
+def test_where_nobody_can_say_what_is_missing_a_search_begins_as_expected(sound, monkeypatch, name):
+    fitter, base = sound
+    candidate = next(one for one in catalogue(fitter, base) if one.name == name)
+    nothing = np.full(np.shape(base.track.innovation), np.nan)
+    monkeypatch.setattr(evolving, "missing_force", lambda fitted: nothing)
+    model = joined(base.model, candidate)
+    values, forces = evolving.evolved(base, model, 0, np.r_[base.u, begin(model, {})])
+    assert {key: value[0] for key, value in values.items()} == pytest.approx(
+        {one.name: one.middle for one in candidate.parameters}
+    )
+    assert np.all(np.isfinite(forces))
+
+
+def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
+    """Its state outlasts a segment: begun at rest in each, half a second of it would be missing again and again."""
+    truth = {"ratio": 0.05, "frequency": 6.0, "damping": 0.02}
+    fitter = fitter_of(FrameVibration(**truth))
+    candidate = next(
+        one
+        for one in candidates(setting(DRIVE.drive, fitter.logged.lanes, 1.0 / RATE))
+        if one.name == "frame_vibration"
+    )
+    model = joined(Model(fitter.logged), candidate)
+    u = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in truth.items()})]
+    little, more = np.full(2, 0.02), np.array([[1.0, 0.1], [0.1, 0.1], [0.1, 1.0], [0.01, 0.3], [0.3, 0.01]])  # N
+    there = fitter.at(model, u, more[1], standing(fitter.logged))
+    for _ in range(12):
+        there = fitter.at(model, u, little, there.onward)
+    assert there.cost - fitter.with_process(there, model, more).cost < LACKING
+
+
+def test_where_blows_are_mistimed_a_filter_that_forgives_at_first_leads_nearer():
+    fitter = fitter_of(Backlash(**PLAY))
+    base = recalibrated(fitter, TOLERANCE)
+    screw = next(one for one in catalogue(fitter, base) if one.name == "backlash")
+    model = joined(base.model, screw)
+    truth = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in PLAY.items()})]
+    there = fitter.fit(model, truth, None, base.track.course)
+    spread = np.r_[np.full(len(NAMES), 2.0), np.full(len(PLAY), 0.05)]
+    rng, alone, led = np.random.default_rng(0), [], []
+    for _ in range(2):
+        u = truth + spread * rng.standard_normal(model.size)
+        alone.append(to_its_end(fitter, fitter.fit(model, u, None, base.track.course)).cost - there.cost)
+        led.append(cooled(fitter, model, u, base.track.course).cost - there.cost)
+    assert min(alone) > 500.0
+    assert sum(led) < 0.5 * sum(alone)
+
+
+@pytest.mark.slow
+def test_a_backlash_is_found_where_no_gradient_leads():
+    fitter = fitter_of(Backlash(**PLAY))
+    base = recalibrated(fitter, TOLERANCE)
+    few = [one for one in catalogue(fitter, base) if one.name in ("backlash", "compliance", "frame_vibration")]
+    found = look(fitter, base, few, lambda what, done, most: None, lambda one: complete(fitter, one))
+    first = found.fits[0]
+    assert [member.candidate.name for member in first.model.members] == ["backlash"]
+    values = first.model.values(first.u)[0]
+    assert values["gap"][0] == pytest.approx(PLAY["gap"], rel=0.05)
+    assert values["motor_share"][0] == pytest.approx(PLAY["motor_share"], rel=0.05)
