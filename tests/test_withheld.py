@@ -22,7 +22,8 @@ from experiments import cli
 from experiments.report import Report
 from experiments.withheld import answer, generate, study
 from experiments.withheld.axes import AXES
-from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, PLACED, _scaled, draw, of_log
+from experiments.withheld.draw import _scaled, draw, of_log
+from experiments.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED
 from experiments.withheld.machine import Faults
 from experiments.withheld.truth import truth
 

@@ -14,7 +14,8 @@ from diffdrive.simulate import simulate
 from experiments import cli
 from experiments.withheld import generate
 from experiments.withheld.axes import AXES
-from experiments.withheld.draw import KNOWN, OUTSIDE, PLACED, draw, of_log
+from experiments.withheld.draw import draw, of_log
+from experiments.withheld.faults import KNOWN, OUTSIDE, PLACED
 from experiments.withheld.machine import Faults, Kind, Told, run
 
 OTHERS = [name for name in AXES if name != "paper"]

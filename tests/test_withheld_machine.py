@@ -20,7 +20,7 @@ from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.motion import from_array
 from diffdrive.simulate import simulate
 from experiments.withheld import machine
-from experiments.withheld.draw import KNOWN
+from experiments.withheld.faults import KNOWN
 from experiments.withheld.machine import Faults, Kind, Told, run
 
 PLAIN = described(resolution=None, noise=0.0)

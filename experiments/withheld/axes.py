@@ -36,8 +36,9 @@ class Axis(NamedTuple):
         """By what each number of a fault is larger here, by its name; all others are alike on every axis."""
         force, length, bristle = self.force, self.length, self.bristle
         return {
-            **dict.fromkeys(("constant", "cogging", "process", "process_mean", "chip", "dead", "peak"), force),
-            **dict.fromkeys(("droop_force",), force),
+            **dict.fromkeys(
+                ("constant", "cogging", "process", "process_mean", "chip", "dead", "peak", "droop_force"), force
+            ),
             **dict.fromkeys(("spring", "bumper"), force / length),
             **dict.fromkeys(("neutral", "wave_period", "cogging_period", "chip_place", "chip_width"), length),
             "slope": 1.0 / length,

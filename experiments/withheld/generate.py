@@ -18,11 +18,12 @@ from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
 from diffdrive.motion import Limits
 from diffdrive.parameters import Sampling
-from experiments.withheld import axes, machine, motions
+from experiments.withheld import axes, faults, machine, motions
 from experiments.withheld import draw as draws
 from experiments.withheld import truth as truths
 from experiments.withheld.axes import AXES, Axis
-from experiments.withheld.draw import KNOWN, OUTSIDE, PITFALLS, Case, draw, of_log
+from experiments.withheld.draw import Case, draw, of_log
+from experiments.withheld.faults import KNOWN, OUTSIDE, PITFALLS
 from experiments.withheld.machine import run
 from experiments.withheld.truth import truth
 
@@ -119,7 +120,7 @@ def generate(
 @functools.cache
 def drawn_by() -> str:
     """A digest of what draws and integrates machines: those of two editions are no one study."""
-    parts = [inspect.getsource(one) for one in (axes, draws, machine, motions, truths, sys.modules[__name__])]
+    parts = [inspect.getsource(one) for one in (axes, draws, faults, machine, motions, truths, sys.modules[__name__])]
     parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 from diffdrive.parameters import Directional
-from experiments.withheld.draw import Case, Fault, of_log
+from experiments.withheld.draw import Case, of_log
+from experiments.withheld.faults import Fault
 
 LOAD_RISE, PROCESS_RISE = 0.05, 0.01  # s, of the machine's windows, which the catalogue counts from halfway up
 
