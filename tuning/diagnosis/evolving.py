@@ -28,7 +28,6 @@ from tuning.prediction import Lanes, begin_velocity
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
 SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 6  # at first, in all; members per number searched
-AGAIN = 1500  # simulations, around a fit
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 WHITE = 0.1  # of it
@@ -100,7 +99,7 @@ def evolved(
 ) -> tuple[dict[str, Vector], np.ndarray]:
     """The likeliest parameters of a coupled member of `model`, and process forces; all else is at `u`.
 
-    `fitted` says where most is missing. With a `seed` the search is a shorter one, and begins at `u` too.
+    `fitted` says where most is missing. With a `seed` the search begins at `u`, and in the middle without.
     """
     logged, candidate = model.logged, model.members[index].candidate
     others = dataclasses.replace(model, members=(*model.members[:index], *model.members[index + 1 :]))
@@ -141,7 +140,7 @@ def evolved(
         push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
         return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
 
-    settings = (SIMULATIONS, SAMPLE, 0) if seed is None else (AGAIN, 0, seed)
-    budget = Budget(settings[0], np.inf, -np.inf)
-    found = evolve(costs, first, budget, population=POPULATION, sample=settings[1], seed=settings[2])
+    budget = Budget(SIMULATIONS, np.inf, -np.inf)
+    begun = {"sample": SAMPLE} if seed is None else {"seed": seed}
+    found = evolve(costs, first, budget, population=POPULATION, **begun)
     return values(found.share), forces(found.share)
