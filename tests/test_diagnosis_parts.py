@@ -327,8 +327,25 @@ def test_a_payload_may_be_missing_but_not_half_of_the_table():
     log = logged_of(DRIVE.drive, [SOUND])  # of 100 kg
     at = setting(log.drive, log.lanes, log.sampling.period)
     payload = next(one for one in candidates(at) if one.name == "payload_mass")
-    found = [payload.plausible({"mass": np.array([one])}, np.ones(1), RATE) for one in (80.0, -40.0, -60.0, -95.0)]
+    found = [payload.plausible({"mass": np.array([one])}, np.ones(1)) for one in (80.0, -40.0, -60.0, -95.0)]
     assert found == [True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "strokes", "so_called"),
+    [
+        ("position_spring", "neutral", [-4.0, -1.0, 0.0, 2.0, 6.0], [False, True, True, True, False]),
+        ("cogging", "period", [0.01, 0.5, 0.9, 1.2, 3.0], [True, True, True, False, False]),
+    ],
+)
+def test_what_looks_the_same_everywhere_is_neither_a_spring_nor_a_ripple(name, parameter, strokes, so_called):
+    """A spring of -10 N/m about a place six strokes away, and a ripple longer than the stroke, passed for a tilt."""
+    log = logged_of(DRIVE.drive, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    stroke, middle = at.high - at.low, 0.5 * (at.high + at.low) if name == "position_spring" else 0.0
+    for one in (one for one in candidates(at) if one.name == name):
+        found = [one.plausible({parameter: np.array([middle + share * stroke])}, np.ones(1)) for share in strokes]
+        assert found == so_called
 
 
 @pytest.mark.parametrize("resolution", [1e-7, 1e-6, 3e-5])
@@ -342,9 +359,7 @@ def test_a_signal_period_is_longer_than_the_counts_that_divide_it(resolution):
     begun = [point["period"] for point in candidate.grid]
     assert min(begun) >= 4.0 * resolution
     assert any(np.isclose(begun, 2e-5)) == (resolution < 4e-6)  # the usual one, where it can be
-    found = [
-        candidate.plausible({"period": np.array([one * at.count])}, np.ones(1), RATE) for one in (1.0, 2.0, 4.0, 8.0)
-    ]
+    found = [candidate.plausible({"period": np.array([one * at.count])}, np.ones(1)) for one in (1.0, 2.0, 4.0, 8.0)]
     assert found == [False, False, False, True]
 
 
@@ -352,8 +367,8 @@ def test_a_resonance_is_one_that_the_log_can_show():
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     screw = next(one for one in candidates(at) if one.name == "compliance")
-    both = [{"frequency": np.array([150.0, one])} for one in (390.0, 430.0, 900.0)]
-    found = [screw.plausible(one, np.ones(2), 1_000.0) for one in both]
+    both = [{"frequency": np.array([150.0, one])} for one in (0.39 * RATE, 0.43 * RATE, 0.9 * RATE)]
+    found = [screw.plausible(one, np.ones(2)) for one in both]
     assert found == [True, False, False]
 
 

@@ -92,8 +92,9 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
     if candidate.effect in SCALES:
         # a scale's error passes for a force that shakes the table at each place alike
         name, shortest, longest = SCALES[candidate.effect]
+        finest = next((low for bound, low, _ in candidate.bounds if bound == name), 0.0)
         position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
-        lines = lines_in_position(missing_force(fitted), position, counts, max(shortest, candidate.finest), longest)
+        lines = lines_in_position(missing_force(fitted), position, counts, max(shortest, finest), longest)
         known = [one[name] for one in candidate.grid]
         return [{name: everywhere(value)} for value in (*known, *(one.value for one in lines))]
     if candidate.effect is ProcessForce:

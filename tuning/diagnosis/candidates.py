@@ -17,6 +17,7 @@ LARGE = 0.3  # of its largest in any log
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
 DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: what is shorter is the counts themselves
+FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -28,7 +29,7 @@ class Candidate(NamedTuple):
     grid: tuple[dict[str, float], ...] = ({},)
     coupled: bool = False  # it acts by the table's velocity and friction, and these by it
     searched: bool = False  # its cost is steep near the truth and flat elsewhere: no slope leads there
-    finest: float = 0.0  # m, below which its period cannot be
+    bounds: tuple[tuple[str, float, float], ...] = ()  # between which an engineer would call it that
 
     @property
     def name(self) -> str:
@@ -40,19 +41,12 @@ class Candidate(NamedTuple):
         screws = (transmission.Compliance, transmission.Backlash)
         return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
 
-    def plausible(
-        self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"], rate: float
-    ) -> bool:
-        """Whether an engineer would call it that: a process swings several times while it is on in a log of that many
-        seconds in which it is large; a payload that is missing takes no half of the table with it; a resonance is one
-        that a log of that `rate` (Hz) shows; a scale's signal period is longer than its counts.
+    def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
+        """Whether an engineer would call it that: within its bounds; and a process swings several times while it is on
+        in a log of that many seconds in which it is large.
         """
-        if self.effect is scale.InterpolationError:
-            return bool(np.min(values["period"]) >= self.finest)
-        if self.effect is transmission.Compliance:
-            return bool(np.max(values["frequency"]) <= SHOWN * rate)
-        if self.effect is machine.PayloadMass:
-            return bool(np.min(values["mass"]) > -LIGHTER / PAYLOAD * self.parameters[0].spread)
+        if any(np.min(values[name]) < low or np.max(values[name]) > high for name, low, high in self.bounds):
+            return False
         if self.effect is not forces.ProcessForce:
             return True
         large = np.sqrt(sum(values[name] ** 2 for name in ("cosine", "sine", "cosine2", "sine2")))
@@ -102,7 +96,12 @@ def _share(name: str, middle: float, spread: float) -> Parameter:
 
 
 def _payload_mass(at: Setting) -> Candidate:
-    return Candidate(machine.PayloadMass, (_amplitude("mass", PAYLOAD * at.mass),))
+    """What is missing takes no half of the table with it."""
+    return Candidate(
+        machine.PayloadMass,
+        (_amplitude("mass", PAYLOAD * at.mass),),
+        bounds=(("mass", -LIGHTER * at.mass, np.inf),),
+    )
 
 
 def _friction_shape(at: Setting) -> Candidate:
@@ -201,15 +200,17 @@ def _constant_force(at: Setting) -> Candidate:
 
 
 def _position_spring(at: Setting) -> Candidate:
-    stroke = max(at.high - at.low, 1e-4)
+    """From a neutral place far away it would be a tilt."""
+    stroke, middle = max(at.high - at.low, 1e-4), 0.5 * (at.low + at.high)
     force = 0.1 * at.friction
     return Candidate(
         forces.PositionSpring,
         (
             Parameter("stiffness", 0.0, force / stroke, amplitude=True),
-            Parameter("neutral", 0.5 * (at.low + at.high), stroke),
+            Parameter("neutral", middle, stroke),
         ),
         tuple({"neutral": at.low + share * stroke} for share in (0.0, 0.25, 0.5, 0.75, 1.0)),
+        bounds=(("neutral", middle - FAR * stroke, middle + FAR * stroke),),
     )
 
 
@@ -226,8 +227,9 @@ def _strong_cogging(at: Setting) -> Candidate:
 def _cogging_of(at: Setting, force: float) -> Candidate:
     names = ("cosine", "sine", "cosine2", "sine2", "cosine6", "sine6")
     shares = (1.0, 1.0, 0.4, 0.4, 0.4, 0.4)
-    # from a direct drive with many poles to a linear motor's magnets, where the stroke has two of them
-    periods = np.array([SHORTEST_COGGING, np.clip(0.5 * (at.high - at.low), 2.0 * SHORTEST_COGGING, LONGEST_COGGING)])
+    # from a direct drive with many poles to a linear motor's magnets, where the stroke has two; one is no ripple
+    stroke = at.high - at.low
+    periods = np.array([SHORTEST_COGGING, np.clip(0.5 * stroke, 2.0 * SHORTEST_COGGING, LONGEST_COGGING)])
     return Candidate(
         forces.Cogging,
         (
@@ -235,6 +237,7 @@ def _cogging_of(at: Setting, force: float) -> Candidate:
             _positive("period", 1.5e-3, 0.7),
         ),
         _grid(period=periods),
+        bounds=(("period", 0.0, max(stroke, 2.0 * SHORTEST_COGGING)),),
     )
 
 
@@ -264,6 +267,7 @@ def _frame_vibration(at: Setting) -> Candidate:
 
 
 def _compliance(at: Setting) -> Candidate:
+    """Its resonance is one that a log of that rate shows."""
     return Candidate(
         transmission.Compliance,
         (
@@ -274,6 +278,7 @@ def _compliance(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
+        bounds=(("frequency", 0.0, SHOWN / at.period),),
     )
 
 
@@ -333,6 +338,7 @@ def _lead_error(at: Setting) -> Candidate:
 
 
 def _interpolation_error(at: Setting) -> Candidate:
+    """A signal period is longer than the counts that it is divided into."""
     names, finest = ("cosine", "sine", "cosine2", "sine2"), DIVIDED * at.count
     periods = 1e-6 * np.array([2.0, 4.0, 8.0, 10.0, 16.0, 20.0, 40.0, 80.0, 100.0])
     return Candidate(
@@ -345,7 +351,7 @@ def _interpolation_error(at: Setting) -> Candidate:
             _positive("period", 2e-5, 0.5),
         ),
         _grid(period=periods[periods >= finest] if finest <= periods[-1] else finest * np.array([2.0, 4.0, 20.0])),
-        finest=finest,
+        bounds=(("period", finest, np.inf),),
     )
 
 

@@ -155,8 +155,7 @@ class Model:
                 continue
             if any(fields[one.name].broken_by(values[one.name]) for one in member.candidate.parameters):
                 return False
-            rate = self.logged.sampling.rate
-            if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts, rate):
+            if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts):
                 return False
         return True
 
