@@ -12,7 +12,7 @@ from tuning.diagnosis import evolving
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.cooling import cooled
-from tuning.diagnosis.leading import led_on, to_its_end
+from tuning.diagnosis.leading import begun_anew, to_its_end
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, power_left, strain
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import _directions, begin, joined, screen
@@ -66,10 +66,10 @@ def test_a_coupled_fit_that_stopped_in_a_valley_is_begun_again_from_the_drive_fi
     astray = fit.u + 6.0 * (np.arange(fit.u.size) == NAMES.index("load_coefficient.negative"))
     stopped = fitter.fit(fit.model, astray, fit.process, fit.track.course, 0)
     assert strain(stopped) > STRAINED
-    again = led_on(fitter, [stopped])[0]
+    again = begun_anew(fitter, stopped)
     assert strain(again) < STRAINED
     assert again.evidence == pytest.approx(fit.evidence, abs=5.0)
-    assert led_on(fitter, [fit])[0] is fit
+    assert begun_anew(fitter, fit) is fit
 
 
 @pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])

@@ -99,4 +99,4 @@ def led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
         if further is fits[0]:
             break
         fits = possible([further, *fits[1:]])
-    return possible([begun_anew(fitter, fits[0]), *fits[1:]]) if fits else fits
+    return fits

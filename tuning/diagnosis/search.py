@@ -16,7 +16,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.following import Course
-from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
+from tuning.diagnosis.leading import begun_anew, led_on, on, possible, renamed, searched_again
 from tuning.diagnosis.leftover import STRAINED, WORTH, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
@@ -147,8 +147,9 @@ def look(
         also, further = _race(fitter, before, searched, progress)
         screened, fits = screened + also, led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
-    if fits and any(one.searched for one in there):
-        fits = possible([searched_again(fitter, before, fits[0]), *fits[1:]])
+    if fits:
+        best = searched_again(fitter, before, fits[0]) if any(one.searched for one in there) else fits[0]
+        fits = possible([begun_anew(fitter, best), *fits[1:]])
     return _ranked(before, believed, screened, fits)
 
 
