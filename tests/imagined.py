@@ -9,6 +9,8 @@ from tuning.diagnosis.calibration import NAMES
 
 def hypothesis(*effects, evidence, strain=0.0, coarse=False):
     """A fit with these effects, of this evidence, that moves a nominal parameter by `strain` tolerances."""
-    members = tuple(SimpleNamespace(candidate=SimpleNamespace(name=one)) for one in effects)
-    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, coupled=False, possible=lambda u: True)
+    members = tuple(
+        SimpleNamespace(candidate=SimpleNamespace(name=one, searched=False, parameters=(one,))) for one in effects
+    )
+    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, possible=lambda u: True)
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])

@@ -8,7 +8,7 @@ from sound_log import DRIVE, RATE
 from diffdrive.effects.forces import Cogging, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash
-from tuning.diagnosis import evolving
+from tuning.diagnosis import evolving, leading
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.cooling import cooled
@@ -148,8 +148,49 @@ def test_where_blows_are_mistimed_a_filter_that_forgives_at_first_leads_nearer()
         u = truth + spread * rng.standard_normal(model.size)
         alone.append(to_its_end(fitter, fitter.fit(model, u, None, base.track.course)).cost - there.cost)
         led.append(cooled(fitter, model, u, base.track.course).cost - there.cost)
-    assert min(alone) > 500.0
     assert sum(led) < 0.5 * sum(alone)
+
+
+def both(fitter, base):
+    """A play and a tilt, in that order, of values that differ from all middles."""
+    known = {one.name: one for one in catalogue(fitter, base)}
+    model = joined(joined(base.model, known["backlash"]), known["constant_force"])
+    values = {name: np.array([value]) for name, value in PLAY.items()}
+    return model, np.r_[base.u, begin(model, values, 0), begin(model, {"force": np.array([3.0])})]
+
+
+def test_numbers_of_a_member_are_those_that_its_values_are_made_of(sound):
+    model, u = both(*sound)
+    found = model.values(u)
+    assert {name: value[0] for name, value in found[0].items()} == pytest.approx(PLAY)
+    assert found[1]["force"][0] == pytest.approx(3.0)
+    np.testing.assert_array_equal(begin(model, found[0], 0), u[model.of_member(0)])
+    np.testing.assert_array_equal(begin(model, found[1], 1), u[model.of_member(1)])
+    assert not np.any(model.of_member(0) & model.of_member(1))
+    assert not np.any(model.of_member(0)[: len(NAMES)])
+
+
+@pytest.mark.parametrize(("gains", "searches"), [((0.0, 0.0), 1), ((50.0, 0.0, 0.0), 2), ((0.0, 50.0, 50.0, 50.0), 3)])
+def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, monkeypatch, gains, searches):
+    fitter, base = sound
+    model, u = both(fitter, base)
+    one = base._replace(model=model, u=u, hessian=np.eye(u.size))
+    asked, costs = [], one.cost - np.cumsum(gains)
+
+    def evolved(before, model, index, u, seed):
+        asked.append((index, seed))
+        return {name: 1.1 * value for name, value in model.values(u)[index].items()}, None
+
+    cold = iter(costs)
+    monkeypatch.setattr(leading, "evolved", evolved)
+    monkeypatch.setattr(leading, "cooled", lambda fitter, model, u, course: one._replace(u=u, cost=next(cold)))
+    again = leading.searched_again(fitter, base, one)
+    assert asked == [(0, seed) for seed in range(1, 1 + searches)]
+    assert again.cost == min(costs)
+    others = ~model.of_member(0)
+    np.testing.assert_array_equal(again.u[others], u[others])
+    helped = sum(gain > 0.0 for gain in gains[1:])
+    assert model.values(again.u)[0]["gap"][0] == pytest.approx(1.1**helped * PLAY["gap"])
 
 
 @pytest.mark.slow

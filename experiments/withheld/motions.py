@@ -57,7 +57,7 @@ def known_load(room: ROOM, n: int, rate: float) -> Float[np.ndarray, " n"]:
 def told(
     room: ROOM, apart: ROOM, rate: float, noise: float, traces: dict[str, float], length: float, load: float
 ) -> Told:
-    """One log's instructions at `rate` (Hz) under `noise` (m, rms); `traces` as in `draw.Fault`.
+    """One log's instructions at `rate` (Hz) under `noise` (m, rms); `traces` as in `faults.Fault`.
 
     Motions are so many times as long and as fast as on the paper's axis, loads so many times as large; these are drawn
     from a stream `apart`.

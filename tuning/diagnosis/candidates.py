@@ -227,7 +227,7 @@ def _strong_cogging(at: Setting) -> Candidate:
 def _cogging_of(at: Setting, force: float) -> Candidate:
     names = ("cosine", "sine", "cosine2", "sine2", "cosine6", "sine6")
     shares = (1.0, 1.0, 0.4, 0.4, 0.4, 0.4)
-    # from a direct drive with many poles to a linear motor's magnets, where the stroke has two; one is no ripple
+    # from a direct drive with many poles to a linear motor's magnets, two of them in the stroke; less than one is none
     stroke = at.high - at.low
     periods = np.array([SHORTEST_COGGING, np.clip(0.5 * stroke, 2.0 * SHORTEST_COGGING, LONGEST_COGGING)])
     return Candidate(

@@ -7,21 +7,23 @@ the blows come to count.
 
 import numpy as np
 
+from diffdrive.friction import coulomb
 from tuning.diagnosis.fitting import DAMPING, ENOUGH, Fitted, Fitter
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.model import Model, Vector
 
-WARM, COOLER = 1e3, 3.0  # times the least process force, at first; by how much less each time
+WARM, COOLER = 0.015, 3.0  # of the friction, that the process force is at first; by how much less it is each time
 SUDDEN = 0.1  # of the lasting force
 STEPS = 4  # under each
 
 
 def cooled(fitter: Fitter, model: Model, u: Vector, course: Course) -> Fitted:
     """From `u`, under ever smaller process forces."""
-    stages = 1 + int(np.ceil(np.log(WARM) / np.log(COOLER)))
+    warm = max(WARM * float(coulomb(fitter.logged.drive.friction, 1.0, 0.0)), fitter.least)
+    stages = 1 + int(np.ceil(np.log(warm / fitter.least) / np.log(COOLER)))
     free = np.ones(model.size)
-    for lasting in np.maximum(WARM / COOLER ** np.arange(stages), 1.0):
-        process = fitter.least * np.maximum(lasting * np.array([1.0, SUDDEN]), 1.0)
+    for lasting in warm / COOLER ** np.arange(stages):
+        process = np.maximum(lasting * np.array([1.0, SUDDEN]), fitter.least)
         point, damping = fitter.at(model, u, process, course), DAMPING
         for _ in range(STEPS):
             ahead, damping = fitter.step(model, point, damping, free, fitter.jacobian(model, point))

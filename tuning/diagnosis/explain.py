@@ -10,7 +10,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.leading import to_its_end
+from tuning.diagnosis.leading import searched_again, to_its_end
 from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, blind, complete, strain, unexplained
 from tuning.diagnosis.model import Vector
 from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, Progress, Round, apart_from, look
@@ -133,14 +133,25 @@ def explain(
     found = onward(base, [], base, catalogue)
     first = _other_first(found)
     if first is None or over(found.base, found.best):
-        return found
+        return _finished(fitter, found)
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
     few = [one for one in catalogue if one.name in found.named]
     other = onward(found.base, [first], first.fits[0], few)
     if not _better(other.best, found.best):
-        return found._replace(other=other)
+        return _finished(fitter, found)._replace(other=other)
     widely = onward(found.base, [first], first.fits[0], catalogue)  # what else may stand beside it
-    return (other if _better(other.best, widely.best) else widely)._replace(other=found)
+    return _finished(fitter, other if _better(other.best, widely.best) else widely)._replace(other=found)
+
+
+def _finished(fitter: Fitter, found: Explanation) -> Explanation:
+    """With what was searched for before another effect was known searched for again beside it."""
+    best, last = found.best, found.best.model.added - 1
+    if last < 1 or best.model.members[-1].candidate.searched:
+        return found
+    best = searched_again(fitter, found.base, best)
+    rounds = [*found.rounds]
+    rounds[last] = rounds[last]._replace(fits=[best, *rounds[last].fits[1:]])
+    return found._replace(rounds=rounds, best=best)
 
 
 def _better(one: Fitted, other: Fitted) -> bool:

@@ -10,10 +10,11 @@ from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
 from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.leftover import STRAINED, WORTH, strain
+from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import begin
 
 LONGER = 4  # times the most steps, for the best
-SEARCHES = 3  # more at most, around a fit of what has to be searched for, as long as not two in a row gain nothing
+SEARCHES, IDLE = 3, 2  # more at most around a fit of what has to be searched for, and in a row that may gain nothing
 
 
 def possible(fits: Iterable[Fitted]) -> list[Fitted]:
@@ -50,20 +51,25 @@ def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
     return one
 
 
+def _searched(model: Model) -> int | None:
+    """Which member has to be searched for; None where there is none."""
+    members = enumerate(model.members)
+    return next((k for k, one in members if one.candidate.searched and one.candidate.parameters), None)
+
+
 def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
     """The fit, what of it has to be searched for searched again where the fit has all else, if that ends better.
 
-    At first all else was as it was without that effect: where it had made up for it, a wrong gap times the blows.
+    At first all else was as the drive file has it, or as it was without that effect: a wrong gap times the blows then.
     """
-    members = enumerate(one.model.members)
-    index = next((k for k, member in members if member.candidate.searched and member.candidate.parameters), None)
+    index = _searched(one.model)
     if index is None:
         return one
     its = one.model.of_member(index)
     found, idle = [one, likelier(one, cooled(fitter, one.model, one.u, one.track.course))], 0
     for seed in range(1, 1 + SEARCHES):
         idle = 0 if found[-2].evidence - found[-1].evidence > WORTH else idle + 1
-        if idle == 2:
+        if idle == IDLE:
             break
         u = found[-1].u.copy()
         values, _ = evolved(before, one.model, index, u, seed)
@@ -85,8 +91,9 @@ def begun_anew(fitter: Fitter, one: Fitted) -> Fitted:
     if not one.model.coupled or strain(one) < STRAINED:
         return one
     u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
-    again = to_its_end(fitter, fitter.fit(one.model, u, one.process, one.track.course))
-    return likelier(one, again)
+    if _searched(one.model) is not None:
+        return likelier(one, cooled(fitter, one.model, u, one.track.course))
+    return likelier(one, to_its_end(fitter, fitter.fit(one.model, u, one.process, one.track.course)))
 
 
 def led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:

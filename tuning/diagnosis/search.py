@@ -1,6 +1,6 @@
 """The effect of the catalogue that explains most of what a hypothesis leaves, and its rivals.
 
-    screen the catalogue -> fit the most promising, a few steps -> the best to their end
+    screen the catalogue -> fit the most promising, a few steps -> the best to their end, what is searched for again
 
 The candidates of one round do not depend on one another.
 """
@@ -25,6 +25,7 @@ from tuning.diagnosis.threads import in_parallel
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect
 BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those that can bring its parameters back
+CLOSE = 0.7  # of the best gain, that an effect must bring to be searched for again
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
@@ -147,9 +148,6 @@ def look(
         also, further = _race(fitter, before, searched, progress)
         screened, fits = screened + also, led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
-    if fits:
-        best = searched_again(fitter, before, fits[0]) if any(one.searched for one in there) else fits[0]
-        fits = possible([begun_anew(fitter, best), *fits[1:]])
     return _ranked(before, believed, screened, fits)
 
 
@@ -249,10 +247,12 @@ def _ended(
     fitter: Fitter, before: Fitted, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
+    near = CLOSE * max((before.evidence - one.evidence for one in ahead), default=0.0)
 
     def to_the_end(one: Fitted) -> Fitted:
-        one = renamed(fitter, on(fitter, one))
-        return searched_again(fitter, before, one) if one.model.members[-1].candidate.searched else one
+        one = begun_anew(fitter, renamed(fitter, on(fitter, one)))
+        searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
+        return searched_again(fitter, before, one) if searched else one
 
     ended = in_parallel(to_the_end, ahead, lambda k: progress("fitting", count + k, count + len(ahead)))
     return [*ended, *apart_from(begun, ahead)]
