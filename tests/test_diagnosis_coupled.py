@@ -135,6 +135,7 @@ def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     assert there.cost - fitter.with_process(there, model, more).cost < LACKING
 
 
+@pytest.mark.slow
 def test_where_blows_are_mistimed_a_filter_that_forgives_at_first_leads_nearer():
     fitter = fitter_of(Backlash(**PLAY))
     base = recalibrated(fitter, TOLERANCE)
