@@ -77,7 +77,14 @@ def displaced(drive: Drive, tilt: Scalar, period: float) -> Scalar:
 def upon(
     effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
 ) -> tuple[tuple[Any, ...], Acts]:
-    """What acts on the table and its friction over the coming period.
+    """What acts on the table and its friction over the coming period."""
+    return upon_in_turn(effects, states, seen, drive, period)[:2]
+
+
+def upon_in_turn(
+    effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
+) -> tuple[tuple[Any, ...], Acts, tuple[Seen, Drive]]:
+    """`upon`, and the table and the drive as an effect that comes after all of these sees them.
 
     What an effect is to know of the others, those of an earlier `Place` tell it: what they push, and how they bend
     the friction.
@@ -87,21 +94,12 @@ def upon(
         mine = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.place == place]
         for k in mine:
             ahead[k], acts = effects[k].step(states[k], *before, period)
-            total = Acts(*(a + b for a, b in zip(total, acts, strict=True)))
+            total = total.plus(acts)
         if mine:
             machine = bent(drive, total)
             friction = resistance(machine, seen.velocity, seen.bristle, seen.load)
             before = (seen._replace(push=seen.push + total.force, friction=friction), machine)
-    return tuple(ahead), total
-
-
-def nudged(effects: Effects, states: tuple[Any, ...], lacking: Scalar, drive: Drive, period: float) -> tuple[Any, ...]:
-    """The states corrected by the force (N) that an observer of the table finds lacking."""
-    pairs = zip(effects, states, strict=True)
-    return tuple(
-        effect.nudged(state, lacking, drive, period) if isinstance(effect, TableEffect) else state
-        for effect, state in pairs
-    )
+    return tuple(ahead), total, before
 
 
 def scale_error(effects: Effects, position: Scalar) -> Scalar:

@@ -55,6 +55,10 @@ class Acts(NamedTuple):
     viscous: Scalar = 0.0  # N s/m, to the viscous friction
     shift: Scalar = 0.0  # m, by which the force's course within the period carries the table further than its mean
 
+    def plus(self, other: "Acts") -> "Acts":
+        """Both."""
+        return Acts(*(a + b for a, b in zip(self, other, strict=True)))
+
 
 class Effect(eqx.Module):
     """One unmodelled effect; `name` is that of the catalogue."""
@@ -118,10 +122,6 @@ class TableEffect(Effect):
     @abc.abstractmethod
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """State after the coming period (s), and what acts over it."""
-
-    def nudged(self, state: Any, lacking: Scalar, drive: Drive, period: float) -> Any:
-        """The state moved towards one that would explain a `lacking` force (N) on the table; for observers."""
-        return state
 
 
 class ScaleEffect(Effect):

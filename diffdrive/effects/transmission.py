@@ -15,8 +15,11 @@ where the motor's friction F_m is LuGre friction of its own, at the motor's velo
 are followed in short steps, the table from where the drive has it.
 """
 
+import abc
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -26,7 +29,6 @@ from diffdrive.friction import coulomb, resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
 
 LONGEST_SUBSTEP = 50e-6  # s
-REGAINED = 0.01  # s, in which an observer brings the motor to the side of the gap from which it pushes
 
 
 class Screw(NamedTuple):
@@ -37,6 +39,12 @@ class Screw(NamedTuple):
     damping: Scalar  # of it
     motor_share: Scalar
     table_friction: Scalar
+
+    def looseness(self, drive: Drive) -> Scalar:
+        """How far (m) the motor may be off where only friction holds it."""
+        reduced = self.motor_share * (1.0 - self.motor_share) * drive.plant.mass
+        stiffness = reduced * (2.0 * jnp.pi * self.frequency) ** 2
+        return 0.5 * self.gap + coulomb(drive.friction, 1.0, 0.0) / stiffness
 
 
 class Motor(NamedTuple):
@@ -56,8 +64,45 @@ class Motor(NamedTuple):
         return cls(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
 
 
-def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
-    """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
+class Answer(NamedTuple):
+    """How motor and table answer, over a period, a change of one number at its beginning, per unit of it."""
+
+    deflection: Scalar  # m, of the motor against the table, at the period's end
+    rate: Scalar  # m/s, of that
+    force: Scalar  # N, on the table
+    shift: Scalar  # m, as in `Acts`
+
+
+class _Pair(NamedTuple):
+    """Motor and table on their way through a period."""
+
+    motor: Motor
+    velocity: Scalar  # m/s, of the table
+    bristle: Scalar  # m, of its friction
+    impulse: Scalar  # N s, that the rigid drive needs beside the motor's force
+    travel: Scalar  # N s^2, what that carries the table
+
+    def acts(self, mass: Scalar, period: float) -> tuple[Scalar, Scalar]:
+        """Mean force (N) and shift (m) over the period."""
+        return self.impulse / period, (self.travel - 0.5 * period * self.impulse) / mass
+
+
+class _Period(NamedTuple):
+    """One control period in substeps."""
+
+    begin: _Pair
+    substep: Callable[[_Pair, Any], _Pair]
+    count: int
+    ripple: Any
+    constant: Scalar  # N, that pushes the table throughout
+
+    def end(self, pair: _Pair, drive: Drive, period: float) -> tuple[Motor, Acts]:
+        """The motor, and what the rigid drive needs."""
+        force, shift = pair.acts(drive.plant.mass, period)
+        return pair.motor, Acts(force=force + self.constant, shift=shift)
+
+
+def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> _Period:
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
     angular, half, reduced = 2.0 * jnp.pi * screw.frequency, 0.5 * screw.gap, s * (1.0 - s) * mass
     parts = 1 if seen.ripple is None else len(seen.ripple)
@@ -69,8 +114,8 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     per_table = per_share / mass
     contact = swinging(angular, screw.damping, h)
 
-    def substep(carry: Any, ripple: Any) -> tuple[Any, None]:
-        (q, bristle, swing, rising), velocity, deflection, impulse, travel = carry
+    def substep(pair: _Pair, ripple: Any) -> _Pair:
+        (q, bristle, swing, rising), velocity, deflection, impulse, travel = pair
         middle = velocity + 0.5 * h * rising
         table, deflection = resisting_midway(friction, damping, middle, deflection, h)
         own, bristle = resisting_midway(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
@@ -92,22 +137,79 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
         velocity = velocity + h * rising
         more = (pull - r * table) * per_share + table
         impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
-        carry = (Motor(ahead, bristle, swing, rising), velocity, deflection, impulse, travel)
-        return lax.optimization_barrier(carry), None
+        return _Pair(Motor(ahead, bristle, swing, rising), velocity, deflection, impulse, travel)
 
     zero = jnp.zeros_like(seen.velocity)
-    begin = (motor, seen.velocity, seen.bristle, zero, zero)
+    begin = _Pair(motor, seen.velocity, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
-    (motor, *_, impulse, travel), _ = lax.scan(substep, begin, ripple, length=count)
-    force = impulse / period + pushed * per_share - seen.force - pushed
-    return motor, Acts(force=force, shift=(travel - 0.5 * period * impulse) / mass)
+    return _Period(begin, substep, count, ripple, pushed * per_share - seen.force - pushed)
 
 
-class Compliance(TableEffect):
+def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
+    """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
+    way = _period(screw, motor, seen, drive, period)
+
+    def body(pair: _Pair, ripple: Any) -> tuple[_Pair, None]:
+        return lax.optimization_barrier(way.substep(pair, ripple)), None
+
+    return way.end(lax.scan(body, way.begin, way.ripple, length=way.count)[0], drive, period)
+
+
+def driven_along(
+    screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float
+) -> tuple[Motor, Acts, tuple[Answer, ...]]:
+    """`driven`, and its answers to the table's velocity and bristle and to the motor's deflection and its rate.
+
+    All are carried through one loop; the derivative of the loop would run it anew for each.
+    """
+    way = _period(screw, motor, seen, drive, period)
+
+    def body(carry: Any, ripple: Any) -> tuple[Any, None]:
+        pair, tangents = carry
+        pair, slope = jax.linearize(lambda one: way.substep(one, ripple), pair)
+        return lax.optimization_barrier((pair, tuple(slope(one) for one in tangents))), None
+
+    nothing = jax.tree.map(jnp.zeros_like, way.begin)
+    one = jnp.ones_like(seen.velocity)
+    still, rest = nothing.motor, nothing.motor.against
+    tangents = (
+        nothing._replace(velocity=one),
+        nothing._replace(bristle=one),
+        nothing._replace(motor=still._replace(against=rest._replace(deflection=one))),
+        nothing._replace(motor=still._replace(against=rest._replace(rate=one))),
+    )
+    (pair, tangents), _ = lax.scan(body, (way.begin, tangents), way.ripple, length=way.count)
+    answers = tuple(Answer(*one.motor.against, *one.acts(drive.plant.mass, period)) for one in tangents)
+    return (*way.end(pair, drive, period), answers)
+
+
+class Transmission(TableEffect):
+    """Between motor and table: the motor's force reaches the table through it."""
+
+    place: ClassVar[Place] = Place.BETWEEN
+
+    @property
+    @abc.abstractmethod
+    def screw(self) -> Screw:
+        """What connects them."""
+
+    def init(self) -> Any:
+        """The screw relaxed, in the middle of any dead zone."""
+        return Motor.at_rest()
+
+    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+        """Free within a dead zone, an oscillator in contact, which lasts as long as it pushes."""
+        return driven(self.screw, state, seen, drive, period)
+
+    def step_along(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts, tuple[Answer, ...]]:
+        """`step`, and its answers to the table's velocity and bristle, and to the motor's deflection and its rate."""
+        return driven_along(self.screw, state, seen, drive, period)
+
+
+class Compliance(Transmission):
     """An elastic screw: motor and table swing against one another. Neutral: an infinite frequency."""
 
     name: ClassVar[str] = "compliance"
-    place: ClassVar[Place] = Place.BETWEEN
     frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio", at_least=0.0, default=0.03)
     motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)
@@ -115,21 +217,16 @@ class Compliance(TableEffect):
         "1", "share of the friction on the table's side", at_least=0.0, at_most=1.0, default=0.5
     )
 
-    def init(self) -> Any:
-        """The screw relaxed."""
-        return Motor.at_rest()
-
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    @property
+    def screw(self) -> Screw:
         """No dead zone."""
-        screw = Screw(0.0 * self.frequency, self.frequency, self.damping, self.motor_share, self.table_friction)
-        return driven(screw, state, seen, drive, period)
+        return Screw(0.0 * self.frequency, self.frequency, self.damping, self.motor_share, self.table_friction)
 
 
-class Backlash(TableEffect):
+class Backlash(Transmission):
     """A dead zone between motor and table, behind an elastic screw."""
 
     name: ClassVar[str] = "backlash"
-    place: ClassVar[Place] = Place.BETWEEN
     gap: Scalar = quantity("m", "full width of the dead zone", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)
@@ -138,21 +235,7 @@ class Backlash(TableEffect):
         "1", "share of the friction on the table's side", at_least=0.0, at_most=1.0, default=0.5
     )
 
-    def init(self) -> Any:
-        """In the middle of the dead zone."""
-        return Motor.at_rest()
-
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
-        """Free within the dead zone, an oscillator in contact, which lasts as long as it pushes."""
-        screw = Screw(self.gap, self.frequency, self.damping, self.motor_share, self.table_friction)
-        return driven(screw, state, seen, drive, period)
-
-    def nudged(self, state: Any, lacking: Scalar, drive: Drive, period: float) -> Any:
-        """The motor moved towards the side from which it would push so."""
-        level = coulomb(drive.friction, 1.0, 0.0)
-        stiffness = (
-            self.motor_share * (1.0 - self.motor_share) * drive.plant.mass * (2.0 * jnp.pi * self.frequency) ** 2
-        )
-        moved = period / REGAINED * lacking / level * (self.gap + level / stiffness)
-        q = state.against
-        return state._replace(against=q._replace(deflection=q.deflection + moved))
+    @property
+    def screw(self) -> Screw:
+        """With one."""
+        return Screw(self.gap, self.frequency, self.damping, self.motor_share, self.table_friction)

@@ -104,14 +104,15 @@ def explain(
     def done(base: Fitted, one: Fitted) -> bool:
         return over(base, one) and strain(one) < STRAINED
 
-    def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate]) -> Round:
+    def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         if over(base, before):
             catalogue = [one for one in catalogue if one.relieves or (one.twists and fitter.twist is not None)]
-        return look(fitter, before, catalogue, progress, partial(whole, base))
+        alone = rounds[0].fits if rounds else ()
+        return look(fitter, before, catalogue, progress, partial(whole, base), alone)
 
     def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
         while len(rounds) < most and not (rounds and done(base, best)):
-            found = looked(base, best, catalogue)
+            found = looked(base, best, catalogue, rounds)
             further = _further(fitter, best, found.fits)
             if further is not None:
                 from_there = base if rounds else further
@@ -122,7 +123,7 @@ def explain(
                     rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
                     if done(base, best):
                         break
-                found = looked(base, best, catalogue) if again else found._replace(before=best)
+                found = looked(base, best, catalogue, rounds) if again else found._replace(before=best)
             enough = _enough(fitter, base, best, over(base, best), found.fits)
             rounds = [*rounds, found._replace(enough=enough)]
             if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:

@@ -23,10 +23,12 @@ from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.effects import acting
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
-from diffdrive.effects.base import Effect, Place, Seen, TableEffect
+from diffdrive.effects.base import Effect, Seen, TableEffect
+from diffdrive.effects.transmission import Answer
 from diffdrive.friction import coulomb
-from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
+from diffdrive.kalman import Matrix, diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
+from tuning.diagnosis import hidden
 from tuning.diagnosis.segments import segments
 from tuning.prediction import Lanes, begin_velocity, moving
 
@@ -248,17 +250,14 @@ def follow(
     fresh = process.lasting**2 * (1.0 - fade**2)
     jolt = (process.white * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
-
     level = coulomb(drive.friction, 1.0, 0.0)
     loose = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
-    spread = (measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)
-    again = diagonal((jnp.asarray(FOUND) ** 2, *spread[1:]))
-
-    shielded = any(isinstance(effect, TableEffect) and effect.place == Place.BETWEEN for effect in coupled)
+    beside = (jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)  # of all but the position
+    shielded = hidden.screw_of(coupled) is not None
 
     def body(carry: Any, at: Any) -> Any:
-        state, covariance, effects = carry
-        measured, load, acts, time, coupled = at
+        (state, covariance, effects), (measured, load, acts, time, coupled, again) = carry, at
+        state = (*state, *hidden.read(coupled, effects))
         innovation = measured - acts.scale - state[0]
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
         lost = jnp.abs(innovation) > LOST * scatter
@@ -270,27 +269,27 @@ def follow(
         state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
         covariance = update_covariance(covariance, pull, measured_variance)
         state, covariance = lax.optimization_barrier((state, covariance))
-        position, velocity, deflection, lacking = state
+        position, velocity, deflection, lacking, *motor = state
+        effects = hidden.written(coupled, effects, tuple(motor))
         machine = acting.bent(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
-        now = Course(position, velocity, deflection, resisting, lacking)
+        now, answers = Course(position, velocity, deflection, resisting, lacking), ()
         if coupled:
-            effects, more = acting.upon(coupled, effects, acts.seen(time, now, load), machine, sampling.period)
-            effects = acting.nudged(coupled, effects, lacking, machine, sampling.period)
+            seen = acts.seen(time, now, load)
+            effects, more, answers = hidden.stepped(coupled, effects, seen, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
             acts = Exposure(*both, acts.scale, acts.beside, None if shielded else acts.ripple)
             machine = acting.bent(drive, acts)
 
-        one, nil = jnp.ones_like(velocity), jnp.zeros_like(velocity)
-        ways = [(plant.PlantState(nil, one, nil), nil), (plant.PlantState(nil, nil, one), nil)]
-        ways.append((plant.PlantState(nil, nil, nil), one))
+        nil = jnp.zeros_like(velocity)
+        ways = _ways(nil, answers)
         table, force = plant.PlantState(nil, velocity, deflection), acts.force + lacking
         step = (sampling.period, sampling.plant_steps)
         moved, columns = plant.advance_along(machine, table, force, load, *step, ways, acts.ripple)
-        rows = (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
+        rows = _rows(columns, answers, fade)
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
-        covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh))
-        return (ahead, covariance, effects), (now, innovation, scatter, pull)
+        covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh, *hidden.jolted(coupled, jolt)))
+        return (ahead, covariance, effects), (now, innovation, scatter, pull[: len(ahead)])
 
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
@@ -298,12 +297,14 @@ def follow(
     def segment(lane: Lanes, acts: Exposure, time: Any, effects: Any, coupled: tuple[Effect, ...]) -> Any:
         table = moving(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
+        spread = (*beside, *hidden.unknown(coupled, drive))
+        again = diagonal((jnp.asarray(FOUND) ** 2, *spread))
 
         def step(carry: Any, at: Any) -> Any:
-            return body(carry, (*at, coupled))
+            return body(carry, (*at, coupled, again))
 
         along = (lane.position, lane.load, acts._replace(ripple=_in_substeps(acts, sampling)), time)
-        return lax.scan(step, (begin, diagonal(spread), effects), along)[1]
+        return lax.scan(step, (begin, diagonal((measured_variance, *spread)), effects), along)[1]
 
     def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
         begins = pieces.samples[:, 0]
@@ -322,6 +323,30 @@ def follow(
     course, innovation, scatter, pull = found
     deviance, size = deviance_of(innovation, scatter, lanes.counts)
     return Track(course, innovation, scatter, pull, deviance, size)
+
+
+def _ways(nil: Scalar, answers: tuple[Answer, ...]) -> list[tuple[plant.PlantState, Scalar]]:
+    """Along what the table's period is differentiated: velocity, bristle, force and, where one is hidden, the motor."""
+    one = jnp.ones_like(nil)
+    still = plant.PlantState(nil, nil, nil)
+    by_velocity, by_bristle, *by_motor = [answer.force for answer in answers] or [nil, nil]
+    ways = [(still._replace(velocity=one), by_velocity), (still._replace(bristle=one), by_bristle), (still, one)]
+    return ways + [(still, force) for force in by_motor]
+
+
+def _rows(columns: list[plant.PlantState], answers: tuple[Answer, ...], fade: float) -> Matrix:
+    """The transition of position, velocity, bristle, lacking force and, where one is hidden, the motor."""
+    if not answers:
+        return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
+    shifts = [answer.shift for answer in answers]
+    shifts.insert(2, 0.0)  # of the lacking force, which the motor does not see
+    columns = [one._replace(position=one.position + more) for one, more in zip(columns, shifts, strict=True)]
+    velocity, bristle, deflection, rate = answers
+    motor = [
+        (0.0, getattr(velocity, name), getattr(bristle, name), 0.0, getattr(deflection, name), getattr(rate, name))
+        for name in ("deflection", "rate")
+    ]
+    return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade, 0.0, 0.0), *motor)
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:

@@ -4,17 +4,15 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.cooling import cooled
 from tuning.diagnosis.evolving import evolved
-from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
+from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter
 from tuning.diagnosis.harmonics import at_its_root
-from tuning.diagnosis.leftover import STRAINED, WORTH, strain
+from tuning.diagnosis.leftover import WORTH
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import begin
 
 LONGER = 4  # times the most steps, for the best
-SEARCHES, IDLE = 3, 2  # more at most around a fit of what has to be searched for, and in a row that may gain nothing
+SEARCHES = 3  # more at most around a fit of what has to be searched for
 
 
 def possible(fits: Iterable[Fitted]) -> list[Fitted]:
@@ -58,7 +56,7 @@ def _searched(model: Model) -> int | None:
 
 
 def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
-    """The fit, what of it has to be searched for searched again where the fit has all else, if that ends better.
+    """The fit, what of it has to be searched for searched again where the fit has all else, as long as that gains.
 
     At first all else was as the drive file has it, or as it was without that effect: a wrong gap times the blows then.
     """
@@ -66,34 +64,25 @@ def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
     if index is None:
         return one
     its = one.model.of_member(index)
-    found, idle = [one, likelier(one, cooled(fitter, one.model, one.u, one.track.course))], 0
     for seed in range(1, 1 + SEARCHES):
-        idle = 0 if found[-2].evidence - found[-1].evidence > WORTH else idle + 1
-        if idle == IDLE:
-            break
-        u = found[-1].u.copy()
-        values, _ = evolved(before, one.model, index, u, seed)
+        u = one.u.copy()
+        values, processes = evolved(before, one.model, index, u, seed)
         u[its] = begin(one.model, values, index)
-        found.append(likelier(found[-1], cooled(fitter, one.model, u, found[-1].track.course)))
-    return found[-1]
+        there = fitter.with_process(
+            fitter.at(one.model, u, one.process, one.track.course),
+            one.model,
+            np.vstack([one.process * NEAR, processes * NEAR]),
+        )
+        other = likelier(one, fitter.fit(one.model, there.u, there.process, there.track.course))
+        if one.evidence - other.evidence < WORTH:
+            return other
+        one = other
+    return one
 
 
 def likelier(one: Fitted, other: Fitted) -> Fitted:
     """The other where it is a machine that can be, and the likelier one."""
     return min(possible([one, other]), key=lambda fit: fit.evidence, default=one)
-
-
-def begun_anew(fitter: Fitter, one: Fitted) -> Fitted:
-    """A coupled fit that moved nominal parameters far, begun again from the drive file's, if that ends better.
-
-    Its Jacobian is carried from step to step, which ends early in a long valley.
-    """
-    if not one.model.coupled or strain(one) < STRAINED:
-        return one
-    u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
-    if _searched(one.model) is not None:
-        return likelier(one, cooled(fitter, one.model, u, one.track.course))
-    return likelier(one, to_its_end(fitter, fitter.fit(one.model, u, one.process, one.track.course)))
 
 
 def led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:

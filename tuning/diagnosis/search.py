@@ -14,9 +14,9 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import Candidate
-from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter
+from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
 from tuning.diagnosis.following import Course
-from tuning.diagnosis.leading import begun_anew, led_on, on, possible, renamed, searched_again
+from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
 from tuning.diagnosis.leftover import STRAINED, WORTH, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
@@ -75,38 +75,52 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
     return tried(fitter, before, candidate)
 
 
-def fit_from(fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS) -> Fitted:
+def fit_from(
+    fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS, alone: Fitted | None = None
+) -> Fitted:
     """From where screening points: the parameters of before moved along, or to make way and no further, where a coupled
-    effect has the cost rough; as they were, or as the drive file has them; and from where nothing is added yet, should
-    it have pointed too far.
+    effect has the cost rough; as they were, or as the drive file has them; from what the effect was found to be
+    `alone`, before another was known; and from where nothing is added yet, should it have pointed too far.
 
     A coupled effect is no small change: alone first, everything else held, which costs little.
     """
-    model = joined(before.model, found.candidate, found.values)
-    own = begin(model, found.values)
-    nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
-
-    def beginning(u: Vector) -> tuple[Vector, np.ndarray, Course, float]:
-        there = fitter.at(model, u, before.process, before.track.course)
-        there = fitter.with_process(there, model, found.processes)
-        if found.candidate.coupled:
-            alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
-            there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
-        return there.u, there.process, there.track.course, there.cost
-
     aside = [found.aside] if before.model.coupled else []
-    rests = {tuple(one): one for one in (found.rest, *aside, before.u, nominal)}.values()
-    *begun, cost = min((beginning(np.r_[rest, own]) for rest in rests), key=lambda one: one[-1])
-    ended = fitter.fit(model, *begun, most)
+    nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
+    begun = [_begun(fitter, before, found, rest) for rest in _different(found.rest, *aside, before.u, nominal)]
+    if alone is not None:
+        values = alone.model.values(alone.u)[-1]
+        rest = np.r_[alone.u[: len(NAMES)], before.u[len(NAMES) :]]
+        found_alone = found._replace(values=values, processes=np.vstack([found.processes, alone.process]))
+        begun += [_begun(fitter, before, found_alone, rest) for rest in _different(rest, before.u)]
+    model, there = min(begun, key=lambda one: one[1].cost)
+    ended = fitter.fit(model, there.u, there.process, there.track.course, most)
     amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
-    if cost <= before.cost or not amplitudes:
+    if there.cost <= before.cost or not amplitudes:
         return ended
-    none = begin(model, {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()})
-    other = fitter.fit(model, np.r_[before.u, none], before.process, before.track.course, most)
+    none = {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()}
+    model = joined(before.model, found.candidate, found.values)
+    u = np.r_[before.u, begin(model, none)]
+    other = fitter.fit(model, u, before.process, before.track.course, most)
     lost = min(ended.evidence, other.evidence) > before.evidence - PROMISING  # neither way has led anywhere yet
     if lost and ended.steps == most and not found.candidate.coupled:
-        ended = fitter.fit(model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
+        ended = fitter.fit(ended.model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
     return min(ended, other, key=lambda one: one.evidence)
+
+
+def _different(*points: Vector) -> list[Vector]:
+    return list({tuple(one): one for one in points}.values())
+
+
+def _begun(fitter: Fitter, before: Fitted, found: Screened, rest: Vector) -> tuple[Model, Point]:
+    """Where a fit of what was found begins with all else at `rest`."""
+    model = joined(before.model, found.candidate, found.values)
+    own = begin(model, found.values)
+    there = fitter.at(model, np.r_[rest, own], before.process, before.track.course)
+    there = fitter.with_process(there, model, found.processes)
+    if found.candidate.coupled:
+        alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
+        there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
+    return model, there
 
 
 def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) -> Fitted:
@@ -127,8 +141,9 @@ def look(
     catalogue: Sequence[Candidate],
     progress: Progress,
     whole: Callable[[Fitted], bool],
+    alone: Sequence[Fitted] = (),
 ) -> Round:
-    """One more effect.
+    """One more effect; `alone` are fits of those that were looked for before another was known.
 
     Where the nominal parameters were moved too far to be believed, it is looked for about the drive file's own numbers
     too. Effects that have to be searched for are, where no other makes the model `whole`.
@@ -136,7 +151,7 @@ def look(
     there = [member.candidate for member in before.model.members]
     left = [one for one in catalogue if not any(one.excludes(other) for other in there)]
     few, searched = [one for one in left if not one.searched], [one for one in left if one.searched]
-    screened, fits = _race(fitter, before, few, progress)
+    screened, fits = _race(fitter, before, few, progress, alone)
     fits = led_on(fitter, fits)
     believed = None
     if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
@@ -145,7 +160,7 @@ def look(
         fits = led_on(fitter, [*fits, *more])
     settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
-        also, further = _race(fitter, before, searched, progress)
+        also, further = _race(fitter, before, searched, progress, alone)
         screened, fits = screened + also, led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
     return _ranked(before, believed, screened, fits)
@@ -198,16 +213,16 @@ def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
 
 
 def _race(
-    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress
+    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, alone: Sequence[Fitted]
 ) -> tuple[list[Screened], list[Fitted]]:
     """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
     screened = in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
-    promising = _promising(screened)
+    promising, known = _promising(screened), {_name(one): one for one in alone}
     begun = in_parallel(
-        lambda one: fit_from(fitter, before, one, RACE),
+        lambda one: fit_from(fitter, before, one, RACE, known.get(one.candidate.name)),
         sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
@@ -219,8 +234,11 @@ def _race(
 
 
 def _promising(screened: Sequence[Screened]) -> list[Screened]:
-    """What is worth a fit of what was screened, best first."""
-    return [one for one in _likeliest(screened) if one.evidence > PROMISING][:FITTED]
+    """What is worth a fit of what was screened, best first.
+
+    What was searched for is: where it would end is more than where the search did tells.
+    """
+    return [one for one in _likeliest(screened) if one.candidate.searched or one.evidence > PROMISING][:FITTED]
 
 
 def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
@@ -250,7 +268,7 @@ def _ended(
     near = CLOSE * max((before.evidence - one.evidence for one in ahead), default=0.0)
 
     def to_the_end(one: Fitted) -> Fitted:
-        one = begun_anew(fitter, renamed(fitter, on(fitter, one)))
+        one = renamed(fitter, on(fitter, one))
         searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
         return searched_again(fitter, before, one) if searched else one
 

@@ -1,0 +1,67 @@
+"""What the filter has to know beside the table: the motor behind a screw.
+
+What strikes the table tells where the motor was. A filter that only runs it along, at whatever the model says, mistimes
+every blow after the first that it mistimed, and finds fault with the true gap as with any other.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from diffdrive.effects import acting
+from diffdrive.effects.acting import Effects
+from diffdrive.effects.base import Acts, Seen
+from diffdrive.effects.transmission import Answer, Transmission
+from diffdrive.parameters import Drive, Scalar
+
+UNKNOWN_RATE = 1e-3  # m/s, standard deviation of the motor's against the table
+States = tuple[Any, ...]
+
+
+def screw_of(effects: Effects) -> int | None:
+    """Which of the effects hides the motor; None where none does."""
+    return next((k for k, effect in enumerate(effects) if isinstance(effect, Transmission)), None)
+
+
+def unknown(effects: Effects, drive: Drive) -> tuple[Scalar, ...]:
+    """Variances of deflection and rate of a motor of which nothing is known; nothing where none is hidden."""
+    which = screw_of(effects)
+    if which is None:
+        return ()
+    return (effects[which].screw.looseness(drive) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
+
+
+def jolted(effects: Effects, jolt: Scalar) -> tuple[Scalar, ...]:
+    """What a force that shakes the table by a variance `jolt` of its velocity adds, acting on the motor, to those."""
+    which = screw_of(effects)
+    return () if which is None else (0.0, jolt / effects[which].screw.motor_share ** 2)
+
+
+def read(effects: Effects, states: States) -> tuple[Scalar, ...]:
+    """Deflection (m) and rate (m/s) of the motor against the table."""
+    which = screw_of(effects)
+    return () if which is None else tuple(states[which].against)
+
+
+def written(effects: Effects, states: States, found: tuple[Scalar, ...]) -> States:
+    """The states with the motor where it was found."""
+    which = screw_of(effects)
+    if which is None:
+        return states
+    motor = states[which]
+    motor = motor._replace(against=type(motor.against)(*found))
+    return (*states[:which], motor, *states[which + 1 :])
+
+
+def stepped(
+    effects: Effects, states: States, seen: Seen, drive: Drive, period: float
+) -> tuple[States, Acts, tuple[Answer, ...]]:
+    """What acts on the table, and how that answers its velocity and bristle and, where one is hidden, the motor."""
+    which = screw_of(effects)
+    if which is None:
+        states, acts = acting.upon(effects, states, seen, drive, period)
+        return states, acts, ()
+    others, theirs = ((*some[:which], *some[which + 1 :]) for some in (effects, states))
+    theirs, acts, before = acting.upon_in_turn(others, theirs, seen, drive, period)
+    motor, own, answers = effects[which].step_along(states[which], *before, period)
+    return (*theirs[:which], motor, *theirs[which:]), acts.plus(own), answers
