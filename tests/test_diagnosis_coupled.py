@@ -5,14 +5,12 @@ import pytest
 from off_its_file import OFF, catalogue, fitter_of
 from sound_log import DRIVE, RATE
 
-from diffdrive.effects.forces import Cogging, FrameVibration
+from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash
 from tuning.diagnosis import evolving, leading
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.cooling import cooled
-from tuning.diagnosis.leading import begun_anew, to_its_end
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, power_left, strain
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import _directions, begin, joined, screen
@@ -59,17 +57,6 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
         )
         slope = ((ahead - behind) / (2.0 * h) / np.asarray(point.track.scatter) * fitter.counts).ravel() * unit
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
-
-
-def test_a_coupled_fit_that_stopped_in_a_valley_is_begun_again_from_the_drive_file(vibrating):
-    fitter, _, fit = vibrating
-    astray = fit.u + 6.0 * (np.arange(fit.u.size) == NAMES.index("load_coefficient.negative"))
-    stopped = fitter.fit(fit.model, astray, fit.process, fit.track.course, 0)
-    assert strain(stopped) > STRAINED
-    again = begun_anew(fitter, stopped)
-    assert strain(again) < STRAINED
-    assert again.evidence == pytest.approx(fit.evidence, abs=5.0)
-    assert begun_anew(fitter, fit) is fit
 
 
 @pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
@@ -135,23 +122,6 @@ def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     assert there.cost - fitter.with_process(there, model, more).cost < LACKING
 
 
-@pytest.mark.slow
-def test_where_blows_are_mistimed_a_filter_that_forgives_at_first_leads_nearer():
-    fitter = fitter_of(Backlash(**PLAY))
-    base = recalibrated(fitter, TOLERANCE)
-    screw = next(one for one in catalogue(fitter, base) if one.name == "backlash")
-    model = joined(base.model, screw)
-    truth = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in PLAY.items()})]
-    there = fitter.fit(model, truth, None, base.track.course)
-    spread = np.r_[np.full(len(NAMES), 2.0), np.full(len(PLAY), 0.05)]
-    rng, alone, led = np.random.default_rng(0), [], []
-    for _ in range(2):
-        u = truth + spread * rng.standard_normal(model.size)
-        alone.append(to_its_end(fitter, fitter.fit(model, u, None, base.track.course)).cost - there.cost)
-        led.append(cooled(fitter, model, u, base.track.course).cost - there.cost)
-    assert sum(led) < 0.5 * sum(alone)
-
-
 def both(fitter, base):
     """A play and a tilt, in that order, of values that differ from all middles."""
     known = {one.name: one for one in catalogue(fitter, base)}
@@ -171,27 +141,43 @@ def test_numbers_of_a_member_are_those_that_its_values_are_made_of(sound):
     assert not np.any(model.of_member(0)[: len(NAMES)])
 
 
-@pytest.mark.parametrize(("gains", "searches"), [((0.0, 0.0), 1), ((50.0, 0.0, 0.0), 2), ((0.0, 50.0, 50.0, 50.0), 3)])
+@pytest.mark.parametrize(("gains", "searches"), [((0.0,), 1), ((50.0, 0.0), 2), ((50.0, 50.0, 50.0), 3)])
 def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, monkeypatch, gains, searches):
     fitter, base = sound
     model, u = both(fitter, base)
     one = base._replace(model=model, u=u, hessian=np.eye(u.size))
     asked, costs = [], one.cost - np.cumsum(gains)
+    ahead = iter(costs)
 
     def evolved(before, model, index, u, seed):
         asked.append((index, seed))
-        return {name: 1.1 * value for name, value in model.values(u)[index].items()}, None
+        return {name: 1.1 * value for name, value in model.values(u)[index].items()}, np.array([1.0, 1.0])
 
-    cold = iter(costs)
+    class Fits(type(fitter)):
+        def fit(self, model, u, process, course):
+            return one._replace(u=u, cost=next(ahead))
+
     monkeypatch.setattr(leading, "evolved", evolved)
-    monkeypatch.setattr(leading, "cooled", lambda fitter, model, u, course: one._replace(u=u, cost=next(cold)))
-    again = leading.searched_again(fitter, base, one)
+    again = leading.searched_again(Fits(fitter.logged), base, one)
     assert asked == [(0, seed) for seed in range(1, 1 + searches)]
     assert again.cost == min(costs)
     others = ~model.of_member(0)
     np.testing.assert_array_equal(again.u[others], u[others])
-    helped = sum(gain > 0.0 for gain in gains[1:])
+    helped = sum(gain > 0.0 for gain in gains)
     assert model.values(again.u)[0]["gap"][0] == pytest.approx(1.1**helped * PLAY["gap"])
+
+
+def test_a_second_effect_is_begun_from_what_it_was_found_to_be_alone(sound):
+    fitter, base = sound
+    known = {one.name: one for one in catalogue(fitter, base)}
+    pushed = fitter_of(ConstantForce(force=3.0))
+    base = recalibrated(pushed, TOLERANCE)
+    tilt = screen(base, known["constant_force"])
+    alone = fit_from(pushed, base, tilt)
+    astray = tilt._replace(values={"force": np.array([-40.0])}, rest=base.u + 20.0, aside=base.u + 20.0)
+    fit = fit_from(pushed, base, astray, 0, alone)
+    assert fit.model.values(fit.u)[0]["force"][0] == pytest.approx(3.0, abs=0.3)
+    assert fit.evidence == pytest.approx(alone.evidence, abs=5.0)
 
 
 @pytest.mark.slow

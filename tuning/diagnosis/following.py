@@ -257,10 +257,10 @@ def follow(
 
     def body(carry: Any, at: Any) -> Any:
         (state, covariance, effects), (measured, load, acts, time, coupled, again) = carry, at
-        state = (*state, *hidden.read(coupled, effects))
         innovation = measured - acts.scale - state[0]
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
         lost = jnp.abs(innovation) > LOST * scatter
+        state = (*state, *hidden.regained(coupled, hidden.read(coupled, effects), lost, drive))
         covariance = tuple(
             tuple(jnp.where(lost, new, old) for new, old in zip(*rows, strict=True))
             for rows in zip(again, covariance, strict=True)

@@ -43,6 +43,15 @@ def read(effects: Effects, states: States) -> tuple[Scalar, ...]:
     return () if which is None else tuple(states[which].against)
 
 
+def regained(effects: Effects, motor: tuple[Scalar, ...], lost: Scalar, drive: Drive) -> tuple[Scalar, ...]:
+    """The motor at rest on the side where it was, if all was `lost`: bouncing as it did, it would be lost for good."""
+    which = screw_of(effects)
+    if which is None:
+        return ()
+    side, (deflection, rate) = effects[which].screw.looseness(drive), motor
+    return jnp.where(lost, jnp.clip(deflection, -side, side), deflection), jnp.where(lost, 0.0, rate)
+
+
 def written(effects: Effects, states: States, found: tuple[Scalar, ...]) -> States:
     """The states with the motor where it was found."""
     which = screw_of(effects)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect
+from diffdrive.effects.transmission import Transmission
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import Candidate
@@ -123,6 +124,11 @@ class Model:
     def coupled(self) -> bool:
         """Whether an effect is stepped within the filter."""
         return any(member.candidate.coupled for member in self.members)
+
+    @property
+    def screw(self) -> bool:
+        """Whether a motor is hidden behind one."""
+        return any(issubclass(member.candidate.effect, Transmission) for member in self.members)
 
     @property
     def coarse(self) -> bool:

@@ -45,9 +45,13 @@ def least_trusted(fitter: Fitter) -> Forces:
 
 
 def least_following(fitter: Fitter, fitted: Fitted) -> Forces | None:
-    """The least process forces (N) with which the filter follows a model; None where none helps (blows)."""
-    least = least_trusted(fitter)
-    tried = [np.array([more * least[0], least[1]]) for more in MORE]
+    """The least process forces (N) with which the filter follows a model; None where none helps (blows).
+
+    Sudden ones too behind a screw: a blow that is a little early or late is made up for at once.
+    """
+    lasting, sudden = least_trusted(fitter)
+    tried = [np.array([more * lasting, own]) for more in MORE for own in (sudden, more * lasting)]
+    tried = tried if fitted.model.screw else tried[::2]
     return next((one for one in tried if lost_share(fitter, fitted, one) <= SELDOM), None)
 
 
