@@ -151,16 +151,16 @@ def look(
     there = [member.candidate for member in before.model.members]
     left = [one for one in catalogue if not any(one.excludes(other) for other in there)]
     few, searched = [one for one in left if not one.searched], [one for one in left if one.searched]
-    screened, fits = _race(fitter, before, few, progress, alone)
+    screened, fits = _race(fitter, before, few, progress, alone, whole)
     fits = led_on(fitter, fits)
     believed = None
     if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
         believed = _believed(fitter, before)
-        more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
+        more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress, whole)
         fits = led_on(fitter, [*fits, *more])
     settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
     if not settled:
-        also, further = _race(fitter, before, searched, progress, alone)
+        also, further = _race(fitter, before, searched, progress, alone, whole)
         screened, fits = screened + also, led_on(fitter, fits + further)
     screened.sort(key=lambda one: -one.evidence)
     return _ranked(before, believed, screened, fits)
@@ -213,14 +213,22 @@ def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
 
 
 def _race(
-    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, alone: Sequence[Fitted]
+    fitter: Fitter,
+    before: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    alone: Sequence[Fitted],
+    whole: Callable[[Fitted], bool],
 ) -> tuple[list[Screened], list[Fitted]]:
     """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
     screened = in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
-    promising, known = _promising(screened), {_name(one): one for one in alone}
+    known = {_name(one): one for one in alone}
+    promising = _promising(screened)
+    named = {one.candidate.name for one in promising}
+    promising += [one for one in _bringing_back(before, alone, screened) if one.candidate.name not in named]
     begun = in_parallel(
         lambda one: fit_from(fitter, before, one, RACE, known.get(one.candidate.name)),
         sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
@@ -230,7 +238,7 @@ def _race(
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
-    return screened, _ended(fitter, before, begun, ahead, len(promising), progress)
+    return screened, _ended(fitter, before, begun, ahead, len(promising), progress, whole)
 
 
 def _promising(screened: Sequence[Screened]) -> list[Screened]:
@@ -241,6 +249,15 @@ def _promising(screened: Sequence[Screened]) -> list[Screened]:
     return [one for one in _likeliest(screened) if one.candidate.searched or one.evidence > PROMISING][:FITTED]
 
 
+def _bringing_back(before: Fitted, alone: Sequence[Fitted], screened: Sequence[Screened]) -> list[Screened]:
+    """What needed no nominal parameter moved far, before an effect was known that has one moved.
+
+    That may stand in for it; screening then sees nothing left to explain.
+    """
+    named = {_name(one) for one in alone if strain(one) < STRAINED} if strain(before) >= STRAINED else set()
+    return [one for one in _likeliest(screened) if one.candidate.name in named][:BESIDE]
+
+
 def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
     """Of each kind the first; what is screened is given best first."""
     kinds = {one.candidate.kind: one for one in reversed(screened)}
@@ -248,7 +265,12 @@ def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
 
 
 def _race_to_nominal(
-    fitter: Fitter, before: Fitted, believed: Fitted, catalogue: Sequence[Candidate], progress: Progress
+    fitter: Fitter,
+    before: Fitted,
+    believed: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    whole: Callable[[Fitted], bool],
 ) -> list[Fitted]:
     """The promising about the drive file's own numbers fitted: those that bring the parameters back to the end."""
     promising = _about_nominal(believed, catalogue)
@@ -258,11 +280,17 @@ def _race_to_nominal(
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
     begun = _best_of_each(begun, _name)
-    return _ended(fitter, before, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
+    return _ended(fitter, before, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress, whole)
 
 
 def _ended(
-    fitter: Fitter, before: Fitted, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
+    fitter: Fitter,
+    before: Fitted,
+    begun: Sequence[Fitted],
+    ahead: Sequence[Fitted],
+    count: int,
+    progress: Progress,
+    whole: Callable[[Fitted], bool],
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
     near = CLOSE * max((before.evidence - one.evidence for one in ahead), default=0.0)
@@ -270,7 +298,7 @@ def _ended(
     def to_the_end(one: Fitted) -> Fitted:
         one = renamed(fitter, on(fitter, one))
         searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
-        return searched_again(fitter, before, one) if searched else one
+        return searched_again(fitter, before, one) if searched and not whole(one) else one
 
     ended = in_parallel(to_the_end, ahead, lambda k: progress("fitting", count + k, count + len(ahead)))
     return [*ended, *apart_from(begun, ahead)]
