@@ -30,7 +30,7 @@ REACH = 1.6  # standard deviations of the prior, to either side
 SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 6  # at first, in all; members per number searched
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
-WHITE, FINE = 10.0, 1.0  # times that in a period: blows that are mistimed are forgiven at first
+WHITE = 3.0  # times that in a period: a blow that is a little early or late is forgiven
 
 
 class Stretches(NamedTuple):
@@ -99,7 +99,7 @@ def evolved(
 ) -> tuple[dict[str, Vector], np.ndarray]:
     """The likeliest parameters of a coupled member of `model`, and process forces; all else is at `u`.
 
-    `fitted` says where most is missing. With a `seed` the search begins at `u`, and forgives less.
+    `fitted` says where most is missing. With a `seed` the search begins at `u`, and in the middle without.
     """
     logged, candidate = model.logged, model.members[index].candidate
     others = dataclasses.replace(model, members=(*model.members[:index], *model.members[index + 1 :]))
@@ -107,14 +107,13 @@ def evolved(
     loose, within = others.apart(effects)
     own, drive = machine(logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
     free, level = candidate.parameters, float(coulomb(drive.friction, 1.0, 0.0))
-    white = WHITE if seed is None else FINE
 
     def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:
         found = {one.name: one.value(2 * REACH * (at - 0.5)) for one, at in zip(free, share, strict=False)}
         return {name: np.full(logged.logs, value) for name, value in found.items()}
 
     def forces(shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s 2"]:
-        return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, white])
+        return (PROCESS[0] * (PROCESS[1] / PROCESS[0]) ** shares[..., -1:]) * np.array([1.0, WHITE])
 
     first = np.full(len(free) + 2, 0.5)
     if seed is not None:
