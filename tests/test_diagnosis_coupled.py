@@ -14,7 +14,7 @@ from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, power_left, strain
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import _directions, begin, joined, screen
-from tuning.diagnosis.search import fit_from, look, recalibrated, standing
+from tuning.diagnosis.search import _bringing_back, fit_from, look, recalibrated, standing
 from tuning.diagnosis.setting import setting
 
 PLAY = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
@@ -178,6 +178,18 @@ def test_a_second_effect_is_begun_from_what_it_was_found_to_be_alone(sound):
     fit = fit_from(pushed, base, astray, 0, alone)
     assert fit.model.values(fit.u)[0]["force"][0] == pytest.approx(3.0, abs=0.3)
     assert fit.evidence == pytest.approx(alone.evidence, abs=5.0)
+
+
+def test_what_moves_no_number_far_alone_is_fitted_beside_what_moves_one(sound):
+    fitter, base = sound
+    known = {one.name: one for one in catalogue(fitter, base)}
+    screened = [screen(base, known[name]) for name in ("friction_shape", "constant_force", "viscous_drift")]
+    far = base._replace(u=base.u + (STRAINED + 1.0) * np.sign(base.u[0]) * (np.arange(len(NAMES)) == 0))
+    assert strain(base) < STRAINED < strain(far)
+    fits = {"friction_shape": far, "constant_force": base}
+    alone = [one._replace(model=joined(base.model, known[name])) for name, one in fits.items()]
+    assert [one.candidate.name for one in _bringing_back(far, alone, screened)] == ["constant_force"]
+    assert _bringing_back(base, alone, screened) == _bringing_back(far, (), screened) == []
 
 
 @pytest.mark.slow
