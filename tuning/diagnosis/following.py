@@ -24,9 +24,8 @@ from diffdrive.actuator import limited
 from diffdrive.effects import acting
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.base import Effect, Seen, TableEffect
-from diffdrive.effects.transmission import Answer
 from diffdrive.friction import coulomb
-from diffdrive.kalman import Matrix, diagonal, gain, predict_covariance, update_covariance
+from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis import hidden
 from tuning.diagnosis.segments import segments
@@ -282,11 +281,11 @@ def follow(
             machine = acting.bent(drive, acts)
 
         nil = jnp.zeros_like(velocity)
-        ways = _ways(nil, answers)
+        ways = hidden.ways(nil, answers)
         table, force = plant.PlantState(nil, velocity, deflection), acts.force + lacking
         step = (sampling.period, sampling.plant_steps)
         moved, columns = plant.advance_along(machine, table, force, load, *step, ways, acts.ripple)
-        rows = _rows(columns, answers, fade)
+        rows = hidden.transition(columns, answers, fade)
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh, *hidden.jolted(coupled, jolt)))
         return (ahead, covariance, effects), (now, innovation, scatter, pull[: len(ahead)])
@@ -323,30 +322,6 @@ def follow(
     course, innovation, scatter, pull = found
     deviance, size = deviance_of(innovation, scatter, lanes.counts)
     return Track(course, innovation, scatter, pull, deviance, size)
-
-
-def _ways(nil: Scalar, answers: tuple[Answer, ...]) -> list[tuple[plant.PlantState, Scalar]]:
-    """Along what the table's period is differentiated: velocity, bristle, force and, where one is hidden, the motor."""
-    one = jnp.ones_like(nil)
-    still = plant.PlantState(nil, nil, nil)
-    by_velocity, by_bristle, *by_motor = [answer.force for answer in answers] or [nil, nil]
-    ways = [(still._replace(velocity=one), by_velocity), (still._replace(bristle=one), by_bristle), (still, one)]
-    return ways + [(still, force) for force in by_motor]
-
-
-def _rows(columns: list[plant.PlantState], answers: tuple[Answer, ...], fade: float) -> Matrix:
-    """The transition of position, velocity, bristle, lacking force and, where one is hidden, the motor."""
-    if not answers:
-        return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
-    shifts = [answer.shift for answer in answers]
-    shifts.insert(2, 0.0)  # of the lacking force, which the motor does not see
-    columns = [one._replace(position=one.position + more) for one, more in zip(columns, shifts, strict=True)]
-    velocity, bristle, deflection, rate = answers
-    motor = [
-        (0.0, getattr(velocity, name), getattr(bristle, name), 0.0, getattr(deflection, name), getattr(rate, name))
-        for name in ("deflection", "rate")
-    ]
-    return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade, 0.0, 0.0), *motor)
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:

@@ -8,10 +8,12 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from diffdrive import plant
 from diffdrive.effects import acting
 from diffdrive.effects.acting import Effects
 from diffdrive.effects.base import Acts, Seen
 from diffdrive.effects.transmission import Answer, Transmission
+from diffdrive.kalman import Matrix
 from diffdrive.parameters import Drive, Scalar
 
 UNKNOWN_RATE = 1e-3  # m/s, standard deviation of the motor's against the table
@@ -74,3 +76,27 @@ def stepped(
     theirs, acts, before = acting.upon_in_turn(others, theirs, seen, drive, period)
     motor, own, answers = effects[which].step_along(states[which], *before, period)
     return (*theirs[:which], motor, *theirs[which:]), acts.plus(own), answers
+
+
+def ways(nil: Scalar, answers: tuple[Answer, ...]) -> list[tuple[plant.PlantState, Scalar]]:
+    """Along what the table's period is differentiated: velocity, bristle, force and, where one is hidden, the motor."""
+    one = jnp.ones_like(nil)
+    still = plant.PlantState(nil, nil, nil)
+    by_velocity, by_bristle, *by_motor = [answer.force for answer in answers] or [nil, nil]
+    table = [(still._replace(velocity=one), by_velocity), (still._replace(bristle=one), by_bristle), (still, one)]
+    return table + [(still, force) for force in by_motor]
+
+
+def transition(columns: list[plant.PlantState], answers: tuple[Answer, ...], fade: float) -> Matrix:
+    """The transition of position, velocity, bristle, lacking force and, where one is hidden, the motor."""
+    if not answers:
+        return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
+    shifts = [answer.shift for answer in answers]
+    shifts.insert(2, 0.0)  # of the lacking force, which the motor does not see
+    columns = [one._replace(position=one.position + more) for one, more in zip(columns, shifts, strict=True)]
+    velocity, bristle, deflection, rate = answers
+    motor = [
+        (0.0, getattr(velocity, name), getattr(bristle, name), 0.0, getattr(deflection, name), getattr(rate, name))
+        for name in ("deflection", "rate")
+    ]
+    return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade, 0.0, 0.0), *motor)
