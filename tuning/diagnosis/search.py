@@ -295,12 +295,17 @@ def _ended(
     """All that was begun, those `ahead` led to their end."""
     near = CLOSE * max((before.evidence - one.evidence for one in ahead), default=0.0)
 
-    def to_the_end(one: Fitted) -> Fitted:
-        one = renamed(fitter, on(fitter, one))
+    def again(one: Fitted) -> Fitted:
         searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
-        return searched_again(fitter, before, one) if searched and not whole(one) else one
+        return searched_again(fitter, before, one) if searched else one
 
-    ended = in_parallel(to_the_end, ahead, lambda k: progress("fitting", count + k, count + len(ahead)))
+    ended = in_parallel(
+        lambda one: renamed(fitter, on(fitter, one)),
+        ahead,
+        lambda k: progress("fitting", count + k, count + len(ahead)),
+    )
+    if not any(whole(one) and strain(one) < STRAINED for one in ended):  # no rival can do better than explain it all
+        ended = in_parallel(again, ended)
     return [*ended, *apart_from(begun, ahead)]
 
 
