@@ -1,0 +1,20 @@
+"""What every part of the benchmark runs."""
+
+from diffdrive.controllers import Controller
+from diffdrive.parameters import Drive
+from diffdrive.presets import paper_drive
+from experiments import paper
+from experiments.bench import clock
+
+RATE = 10_000.0
+
+
+def nominal() -> tuple[Drive, Controller]:
+    """The paper's drive and its own controller."""
+    drive = paper_drive()
+    return drive, paper.controllers(drive)["PD+FC+LE"]
+
+
+def nanoseconds(timing: clock.Timing, steps: int, lanes: int = 1) -> float:
+    """Of a step of a lane, at best."""
+    return 1e9 * timing.best / (steps * lanes)
