@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diffdrive.effects.forces import EDGE, ConstantForce, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell
 from diffdrive.effects.transmission import Backlash
 from tuning.diagnosis.calibration import NAMES
@@ -16,8 +17,11 @@ RATE, LANES, SAMPLES = 1000.0, 2, 4000
 COUNT = len(NAMES) + 2
 
 
-def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None):
-    """A fit of random columns to noise; `colour` makes neighbours alike over some 50 samples, in both."""
+def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None, beside=()):
+    """A fit of random columns to noise; `colour` makes neighbours alike over some 50 samples, in both.
+
+    Of several effects, those `beside` the candidate have nothing free.
+    """
     room = np.random.default_rng(seed)
     white = room.standard_normal((COUNT + 1, LANES * SAMPLES))
     if colour:
@@ -32,8 +36,8 @@ def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None):
     named = candidate.parameters if candidate else ()
     slots = [(0, one.name, log) for one in named for log in (range(2) if one.session else [None])]
     model = SimpleNamespace(
-        logged=logged, slots=slots, members=[SimpleNamespace(candidate=candidate)],
-        values=lambda u: [{"edge": np.array([0.05, 0.05])}],
+        logged=logged, slots=slots, members=[SimpleNamespace(candidate=one) for one in (candidate, *beside)],
+        values=lambda u: [{"edge": np.array([0.05, 0.05])} if candidate and candidate.effect is AppliedLoad else {}],
     )  # fmt: skip
     velocity = np.ones((LANES, SAMPLES)) if velocity is None else velocity
     return SimpleNamespace(
@@ -65,6 +69,29 @@ def test_the_numbers_of_an_effect_whose_details_differ_are_trusted_to_some_per_c
     value, (low, high) = parameters(fitted(candidate=Candidate(effect, (size,))), 0)["size"]
     assert value == pytest.approx(1e-5)
     assert (np.log(high / value), np.log(value / low)) == pytest.approx((1.96 * spread,) * 2, rel=0.01)
+
+
+def test_an_amount_beside_such_an_effect_is_trusted_no_more_than_that_and_its_period_is():
+    """A tilt that was fitted beside a play which is not quite the machine's makes up for some of that."""
+    named = (Parameter("force", 0.0, 10.0, amplitude=True), Parameter("period", 1e-3, 0.1, LOGARITHM))
+    tilt, play = Candidate(ConstantForce, named), Candidate(Backlash, ())
+    alone, beside = (parameters(fitted(candidate=tilt, u=0.7, beside=more), 0) for more in ((), (play,)))
+    value, (low, high) = beside["force"]
+    assert value == pytest.approx(7.0)
+    assert 0.5 * (high - low) == pytest.approx(1.96 * 0.1 * 7.0, rel=0.02)
+    assert np.ptp(alone["force"][1]) < 0.2 * (high - low)
+    assert beside["period"] == alone["period"]
+
+
+def test_a_process_sets_in_over_a_while_and_unseen_while_the_table_sticks():
+    velocity = np.ones((LANES, SAMPLES))
+    velocity[1, 1000:1509] = 0.0
+    start, cosine = (Parameter(name, 1.51, 1e-4, session=True) for name in ("start", "cosine"))
+    lows, highs = parameters(fitted(candidate=Candidate(ProcessForce, (start,)), velocity=velocity), 0)["start"][1]
+    assert (lows[0], highs[0]) == pytest.approx((1.51 - 0.5 * EDGE, 1.51 + 0.5 * EDGE), abs=1e-4)
+    assert (lows[1], highs[1]) == pytest.approx((1.0, 1.51 + 0.5 * EDGE), abs=2e-3)
+    amplitudes = parameters(fitted(candidate=Candidate(ProcessForce, (cosine,)), velocity=velocity), 0)["cosine"]
+    assert np.ptp(amplitudes[1]) < 1e-3  # it is no time
 
 
 def test_a_load_put_on_at_rest_is_not_seen_before_the_table_slides():

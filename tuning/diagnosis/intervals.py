@@ -3,8 +3,9 @@
 The curvature of the cost is the inverse covariance where the residuals are white and the model is right. Neither is
 quite so: the scores of pieces of the logs scatter by more than it says, and give the covariance anew (Huber 1967, White
 1982); of the two the wider is told. The details of some effects differ from machine to machine: their numbers are those
-of the nearest machine of the kind, and are trusted to some per cent, however sharp the fit. So are the times of a load,
-to the time that it takes to come and go; one that comes while the table rests is not seen before it slides.
+of the nearest machine of the kind, and are trusted to some per cent, however sharp the fit; so are the amounts of what
+acts beside them. The times of a load or of a process are trusted to the time that these take to come and go; one that
+comes while the table rests is not seen before it slides.
 """
 
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.forces import FrameVibration
+from diffdrive.effects.forces import EDGE, FrameVibration, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
 from tuning.diagnosis.calibration import NAMES
@@ -51,16 +52,18 @@ def deviations(fitted: Fitted) -> Float[np.ndarray, " k"]:
 def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]]:
     """Value and 95 % interval of each parameter of an effect; lists where they differ from log to log."""
     candidate = fitted.model.members[member].candidate
+    details = [DETAILS.get(one.candidate.effect, 0.0) for one in fitted.model.members]
     known, spread = {one.name: one for one in candidate.parameters}, deviations(fitted)
-    told: dict[str, Any] = {}
+    values_of, told = fitted.model.values(fitted.u)[member], dict[str, Any]()
     for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
         if index != member:
             continue
         one, u = known[name], float(fitted.u[k])
-        wide = NORMAL * np.hypot(spread[k], DETAILS.get(candidate.effect, 0.0) * _whole(one, u))
+        trusted = max(details) if one.amplitude else details[member]
+        wide = NORMAL * np.hypot(spread[k], trusted * _whole(one, u))
         value, low, high = one.value(u), one.value(u - wide), one.value(u + wide)
-        if candidate.effect is AppliedLoad and log is not None:
-            edge = float(fitted.model.values(fitted.u)[member]["edge"][log])
+        if candidate.effect in (AppliedLoad, ProcessForce) and name in ("start", "end") and log is not None:
+            edge = float(values_of.get("edge", np.full(log + 1, EDGE))[log])
             low, high = _through_rests(fitted, log, low - 0.5 * edge, high + 0.5 * edge)
         if candidate.effect is LoopDelay:
             value, low, high = (fitted.model.logged.thinning * number for number in (value, low, high))
