@@ -15,7 +15,8 @@ from diffdrive.effects.forces import Cogging
 from diffdrive.motion import from_array
 from experiments import laas
 from experiments.runtime import configure
-from tuning.diagnosis.candidates import Candidate, _cogging, _strong_cogging
+from tuning.diagnosis.candidate import Candidate
+from tuning.diagnosis.candidates import _cogging, _strong_cogging
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.priors import Parameter
 from tuning.diagnosis.screening import Screened

@@ -9,7 +9,7 @@ from diffdrive.effects.forces import EDGE, ConstantForce, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell
 from diffdrive.effects.transmission import Backlash
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.priors import LOGARITHM, Parameter
 

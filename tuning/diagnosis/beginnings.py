@@ -9,7 +9,7 @@ from jaxtyping import Float
 from diffdrive.effects.forces import Cogging, ProcessForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.scale import InterpolationError, LeadError
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.lines import lines_in_position, lines_in_time, missing_force
 

@@ -1,78 +1,21 @@
 """The catalogue as hypotheses: for each effect, which of its parameters a log may tell, and what they may be."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
 from diffdrive.effects.base import Effect
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.priors import LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.setting import SLIPPERY, Setting
 
-SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
-LARGE = 0.3  # of its largest in any log
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
 DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: what is shorter is the counts themselves
 FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
-
-
-class Candidate(NamedTuple):
-    """One effect of the catalogue as a hypothesis; `grid` are values of the other parameters to begin from."""
-
-    effect: type[Effect]
-    parameters: tuple[Parameter, ...]
-    grid: tuple[dict[str, float], ...] = ({},)
-    coupled: bool = False  # it acts by the table's velocity and friction, and these by it
-    searched: bool = False  # its cost is steep near the truth and flat elsewhere: no slope leads there
-    bounds: tuple[tuple[str, float, float], ...] = ()  # between which an engineer would call it that
-
-    @property
-    def name(self) -> str:
-        """That of the catalogue."""
-        return self.effect.name
-
-    def excludes(self, other: "Candidate") -> bool:
-        """Whether a machine cannot have both: it has one screw."""
-        screws = (transmission.Compliance, transmission.Backlash)
-        return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
-
-    def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
-        """Whether an engineer would call it that: within its bounds; and a process swings several times while it is on
-        in a log of that many seconds in which it is large.
-        """
-        if any(np.min(values[name]) < low or np.max(values[name]) > high for name, low, high in self.bounds):
-            return False
-        if self.effect is not forces.ProcessForce:
-            return True
-        large = np.sqrt(sum(values[name] ** 2 for name in ("cosine", "sine", "cosine2", "sine2")))
-        on = np.minimum(values["end"], lasts) - np.maximum(values["start"], 0.0)
-        return bool(np.max((on * values["frequency"])[large >= LARGE * np.max(large)]) >= SWINGS)
-
-    @property
-    def kind(self) -> tuple[str, ...]:
-        """The effect and what of it is free: two of one kind differ in how large they are expected to be."""
-        return (self.name, *(one.name for one in self.parameters))
-
-    @property
-    def coarse(self) -> bool:
-        """Whether its details differ from machine to machine, so that the right kind of effect leaves some of it."""
-        return self.coupled or self.effect is friction.FrictionDwell
-
-    @property
-    def twists(self) -> bool:
-        """Whether a second encoder would see it, `second_encoder.foreseen`."""
-        return issubclass(self.effect, transmission.Compliance | transmission.Backlash | scale.ScaleEffect)
-
-    @property
-    def relieves(self) -> bool:
-        """Whether nominal parameters, moved far, could do the same."""
-        alike = (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)
-        return issubclass(self.effect, alike)
 
 
 def _grid(**values: np.ndarray) -> tuple[dict[str, float], ...]:

@@ -7,7 +7,7 @@ from typing import NamedTuple, Optional
 import numpy as np
 
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.leading import searched_again, to_its_end

@@ -3,7 +3,7 @@
 import numpy as np
 
 from diffdrive.effects.forces import Cogging, ProcessForce
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.model import Vector
 
 ROOTS = {Cogging: ("period", 0.5), ProcessForce: ("frequency", 2.0)}  # what is to be halved, or doubled

@@ -19,7 +19,7 @@ from diffdrive.effects.base import Effect
 from diffdrive.effects.transmission import Transmission
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.following import Course, Exposure, altered, exposure, numbers
 from tuning.prediction import Lanes
 

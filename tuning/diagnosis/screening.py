@@ -16,7 +16,7 @@ from jaxtyping import Float
 from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_acts
 from tuning.diagnosis.evolving import evolved

@@ -13,7 +13,7 @@ import numpy as np
 
 from diffdrive.errors import ParameterError
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import Candidate
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
