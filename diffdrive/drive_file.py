@@ -22,6 +22,7 @@ from diffdrive.controller_file import build_controller, controller_table
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
 from diffdrive.motion import Limits
@@ -169,6 +170,9 @@ def _effects(section: Section) -> tuple[Effect, ...]:
             found.append(own.build(effect))
             own.done()
     section.done()
+    screws = [one.name for one in found if isinstance(one, Transmission)]
+    if len(screws) > 1:
+        raise section.fail(screws[0], f"a machine has one screw: [effects.{screws[1]}] is one, too; keep either")
     return tuple(found)
 
 

@@ -56,6 +56,11 @@ FILES = {
         {"coulomb_screw": 0, "load_coefficient": 0},
         "give at least a small coulomb_screw",
     ),
+    "two screws": (
+        "effects",
+        {"compliance": {"frequency": 200}, "backlash": {"gap": "5 um", "frequency": 400}},
+        r"\[effects\] compliance: a machine has one screw: \[effects\.backlash\] is one, too",
+    ),
     "negative delay": ("actuator.delay_samples", -1, r"\[actuator\] delay_samples: must be a whole number of samples"),
     "fractional delay": ("actuator.delay_samples", 0.5, r"\[actuator\] delay_samples: must be a whole number"),
     "bool delay": ("actuator.delay_samples", True, r"\[actuator\] delay_samples: must be a whole number"),

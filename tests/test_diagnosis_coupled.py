@@ -181,14 +181,20 @@ def test_a_second_effect_is_begun_from_what_it_was_found_to_be_alone(sound):
 
 
 def test_what_moves_no_number_far_alone_is_fitted_beside_what_moves_one(sound):
+    """What explained most then first, whatever screening sees of it now."""
     fitter, base = sound
     known = {one.name: one for one in catalogue(fitter, base)}
-    screened = [screen(base, known[name]) for name in ("friction_shape", "constant_force", "viscous_drift")]
+    names = ("friction_shape", "constant_force", "viscous_drift", "loop_delay", "force_gain")
+    screened = [screen(base, known["force_gain"])._replace(candidate=known[name]) for name in names]
     far = base._replace(u=base.u + (STRAINED + 1.0) * np.sign(base.u[0]) * (np.arange(len(NAMES)) == 0))
     assert strain(base) < STRAINED < strain(far)
-    fits = {"friction_shape": far, "constant_force": base}
-    alone = [one._replace(model=joined(base.model, known[name])) for name, one in fits.items()]
-    assert [one.candidate.name for one in _bringing_back(far, alone, screened)] == ["constant_force"]
+    fits = {"friction_shape": (far, 500.0), "force_gain": (base, 20.0), "loop_delay": (base, 90.0)}
+    fits["constant_force"] = (base, 60.0)
+    alone = [
+        one._replace(model=joined(base.model, known[name]), cost=one.cost - gain) for name, (one, gain) in fits.items()
+    ]
+    found = _bringing_back(far, alone, screened)
+    assert [one.candidate.name for one in found] == ["loop_delay", "constant_force"]
     assert _bringing_back(base, alone, screened) == _bringing_back(far, (), screened) == []
 
 
@@ -197,7 +203,7 @@ def test_a_backlash_is_found_where_no_gradient_leads():
     fitter = fitter_of(Backlash(**PLAY))
     base = recalibrated(fitter, TOLERANCE)
     few = [one for one in catalogue(fitter, base) if one.name in ("backlash", "compliance", "frame_vibration")]
-    found = look(fitter, base, few, lambda what, done, most: None, lambda one: complete(fitter, one))
+    found = look(fitter, base, few, lambda what, done, most: None, lambda one: 0.0 if complete(fitter, one) else 1.0)
     first = found.fits[0]
     assert [member.candidate.name for member in first.model.members] == ["backlash"]
     values = first.model.values(first.u)[0]

@@ -12,7 +12,7 @@ from diffdrive.effects.transmission import Compliance
 from diffdrive.friction import coulomb
 from diffdrive.parameters import as_arrays
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.following import Course, Exposure
+from tuning.diagnosis.following import Exposure, Process, follow
 from tuning.diagnosis.second_encoder import Twist, foreseen, twist_of, unlikelihood
 from tuning.prediction import Lanes
 
@@ -20,21 +20,25 @@ PERIOD = 1.0 / RATE
 
 
 def sliding(speed=0.02, seconds=1.0, beside=0.0):
-    """Lanes, course and exposure of a table that slides steadily, pushed by just its friction.
+    """A table that slides steadily, pushed by just its friction: the drive, what acts and was logged.
 
     A force `beside` (N) the motor's takes part in that.
     """
     drive, n = as_arrays(DRIVE.drive), round(seconds * RATE)
-    position = speed * PERIOD * np.arange(n)
+    position = jnp.asarray(speed * PERIOD * np.arange(n))[None]
     at = logged_of(DRIVE.drive, [logged(DRIVE, two_sines())])
     one = jnp.ones((1, n))
     level = float(coulomb(drive.friction, 1.0, 0.0))
     friction = level + speed * float(drive.friction.viscous.positive + drive.plant.damping.positive)
-    bristle = level / float(drive.friction.bristle_stiffness.positive)
-    course = Course(jnp.asarray(position)[None], speed * one, bristle * one, friction * one, 0.0 * one)
-    lanes = Lanes(course.position, friction * one, 0 * one, 0 * one, one, speed * jnp.ones(1))
+    lanes = Lanes(position, friction * one, 0 * one, 0 * one, one, speed * jnp.ones(1))
     acts = Exposure(friction * one, *(0 * one for _ in range(5)), beside * one)
-    return drive, acts, lanes, course, at.sampling, friction
+    return drive, acts, lanes, at.sampling, friction
+
+
+def track_with(screw, drive, acts, lanes, sampling):
+    """Where a filter that trusts the model takes the motor to be."""
+    coupled = () if screw is None else (in_lane(screw),)
+    return follow(drive, acts, coupled, Process(1e-3, 1e-3), jnp.asarray(1e-8), lanes, sampling)
 
 
 def in_lane(effect):
@@ -43,28 +47,31 @@ def in_lane(effect):
 
 def test_a_screw_winds_up_by_what_it_carries_over_its_stiffness():
     """In steady sliding it carries the table's share of the friction."""
-    drive, acts, lanes, course, sampling, friction = sliding()
+    *given, friction = sliding()
     screw = Compliance(frequency=200.0, damping=0.3, motor_share=0.4, table_friction=0.6)
-    found = foreseen([in_lane(screw)], drive, acts, lanes, course, sampling)[0, -1]
-    stiffness = 0.4 * 0.6 * float(drive.plant.mass) * (2.0 * np.pi * 200.0) ** 2
+    found = foreseen([in_lane(screw)], track_with(screw, *given))[0, -1]
+    stiffness = 0.4 * 0.6 * float(given[0].plant.mass) * (2.0 * np.pi * 200.0) ** 2
     assert found == pytest.approx(0.6 * friction / stiffness, rel=0.02)
 
 
 @pytest.mark.parametrize("beside", [-40.0, 40.0, 120.0])
 def test_a_screw_does_not_carry_what_something_else_pushes(beside):
     """On an inclined axis: beyond the table's share of the friction, the screw holds it back."""
-    drive, acts, lanes, course, sampling, friction = sliding(beside=beside)
+    *given, friction = sliding(beside=beside)
     screw = Compliance(frequency=200.0, damping=0.3, motor_share=0.4, table_friction=0.6)
-    found = foreseen([in_lane(screw)], drive, acts, lanes, course, sampling)[0, -1]
-    stiffness = 0.4 * 0.6 * float(drive.plant.mass) * (2.0 * np.pi * 200.0) ** 2
+    found = foreseen([in_lane(screw)], track_with(screw, *given))[0, -1]
+    stiffness = 0.4 * 0.6 * float(given[0].plant.mass) * (2.0 * np.pi * 200.0) ** 2
     assert found == pytest.approx((0.6 * friction - beside) / stiffness, rel=0.03)
 
 
 def test_an_error_of_the_scale_is_seen_the_other_way_round():
-    drive, acts, lanes, course, sampling, _ = sliding()
+    *given, _ = sliding()
     effect = LeadError(lead=5e-3, cosine=2e-6)
-    found = foreseen([in_lane(effect)], drive, acts, lanes, course, sampling)
-    np.testing.assert_allclose(found, -2e-6 * np.cos(2.0 * np.pi * np.asarray(course.position) / 5e-3), atol=1e-12)
+    track = track_with(None, *given)
+    found = foreseen([in_lane(effect)], track)
+    np.testing.assert_allclose(
+        found, -2e-6 * np.cos(2.0 * np.pi * np.asarray(track.course.position) / 5e-3), atol=1e-12
+    )
 
 
 def test_a_twist_speaks_for_what_foresees_it_and_against_what_does_not():

@@ -67,7 +67,7 @@ def test_a_model_that_is_lost_in_the_others_filter_is_told_by_one_of_its_own(mon
     monkeypatch.setattr(ladder, "force_gap", gap_of)
     monkeypatch.setattr(ladder, "least_following", lambda *_: None if own is None else np.array([own, LEAST]))
     gap, process = ladder._told_by(
-        None, SimpleNamespace(model=SimpleNamespace(screw=screw), u=None), np.array([200.0, LEAST])
+        None, SimpleNamespace(model=SimpleNamespace(screw_found=screw), u=None), np.array([200.0, LEAST])
     )
     assert process[0] == told_with
     assert gap.told == (own is not None or not lost)

@@ -40,11 +40,11 @@ class Screw(NamedTuple):
     motor_share: Scalar
     table_friction: Scalar
 
-    def looseness(self, drive: Drive) -> Scalar:
-        """How far (m) the motor may be off where only friction holds it."""
+    def looseness(self, drive: Drive, force: Scalar) -> Scalar:
+        """How far (m) the motor may be off under a force (N) of its own, or held by friction."""
         reduced = self.motor_share * (1.0 - self.motor_share) * drive.plant.mass
         stiffness = reduced * (2.0 * jnp.pi * self.frequency) ** 2
-        return 0.5 * self.gap + coulomb(drive.friction, 1.0, 0.0) / stiffness
+        return 0.5 * self.gap + jnp.maximum(jnp.abs(force), coulomb(drive.friction, 1.0, 0.0)) / stiffness
 
 
 class Motor(NamedTuple):

@@ -31,8 +31,8 @@ class Candidate(NamedTuple):
 
     def excludes(self, other: "Candidate") -> bool:
         """Whether a machine cannot have both: it has one screw."""
-        screws = (transmission.Compliance, transmission.Backlash)
-        return self.name == other.name or (issubclass(self.effect, screws) and issubclass(other.effect, screws))
+        screws = all(issubclass(one.effect, transmission.Transmission) for one in (self, other))
+        return self.name == other.name or screws
 
     def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
         """Whether an engineer would call it that: within its bounds; and a process swings several times while it is on
@@ -59,7 +59,7 @@ class Candidate(NamedTuple):
     @property
     def twists(self) -> bool:
         """Whether a second encoder would see it, `second_encoder.foreseen`."""
-        return issubclass(self.effect, transmission.Compliance | transmission.Backlash | scale.ScaleEffect)
+        return issubclass(self.effect, transmission.Transmission | scale.ScaleEffect)
 
     @property
     def relieves(self) -> bool:

@@ -11,9 +11,9 @@ from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.leading import searched_again, to_its_end
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, blind, complete, strain, unexplained
+from tuning.diagnosis.leftover import STRAINED, WORTH, blind, complete, strain, unexplained
 from tuning.diagnosis.model import Vector
-from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, Progress, Round, apart_from, look
+from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, Progress, Round, apart_from, look, whole
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -92,11 +92,11 @@ def explain(
     as a rival.
     """
 
-    def whole(base: Fitted, one: Fitted) -> bool:
-        return complete(fitter, one) or unexplained(fitter, base, one) < (COARSE if one.model.coarse else LEFT)
+    def left(base: Fitted, one: Fitted) -> float:
+        return 0.0 if complete(fitter, one) else unexplained(fitter, base, one)
 
     def over(base: Fitted, one: Fitted) -> bool:
-        return whole(base, one) if one.model.coarse else complete(fitter, one)
+        return whole(one, partial(left, base)) if one.model.coarse else complete(fitter, one)
 
     def standing(base: Fitted, one: Fitted) -> tuple[bool, ...]:
         return over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
@@ -107,8 +107,8 @@ def explain(
     def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         if over(base, before):
             catalogue = [one for one in catalogue if one.relieves or (one.twists and fitter.twist is not None)]
-        alone = rounds[0].fits if rounds else ()
-        return look(fitter, before, catalogue, progress, partial(whole, base), alone)
+        known = rounds[0].fits if rounds else ()
+        return look(fitter, before, catalogue, progress, partial(left, base), known)
 
     def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
         while len(rounds) < most and not (rounds and done(base, best)):
@@ -131,27 +131,37 @@ def explain(
             best = found.fits[0]
         return Explanation(base, rounds, best)
 
-    found = onward(base, [], base, catalogue)
+    def to_its_best(found: Explanation) -> Explanation:
+        return found if over(found.base, found.best) else _searched_beside(fitter, found)
+
+    found = to_its_best(onward(base, [], base, catalogue))
     first = _other_first(found)
     if first is None or over(found.base, found.best):
-        return _finished(fitter, found)
+        return found
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
     few = [one for one in catalogue if one.name in found.named]
-    other = onward(found.base, [first], first.fits[0], few)
+    other = to_its_best(onward(found.base, [first], first.fits[0], few))
     if not _better(other.best, found.best):
-        return _finished(fitter, found)._replace(other=other)
-    widely = onward(found.base, [first], first.fits[0], catalogue)  # what else may stand beside it
-    return _finished(fitter, other if _better(other.best, widely.best) else widely)._replace(other=found)
+        return found._replace(other=other)
+    widely = to_its_best(onward(found.base, [first], first.fits[0], catalogue))  # what else may stand beside it
+    return (other if _better(other.best, widely.best) else widely)._replace(other=found)
 
 
-def _finished(fitter: Fitter, found: Explanation) -> Explanation:
-    """With what was searched for before another effect was known searched for again beside it."""
+def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
+    """With what was searched for before another effect was known searched for again beside it, and what there was
+    before that other one fitted from there: else that would have the credit.
+    """
     best, last = found.best, found.best.model.added - 1
     if last < 1 or best.model.members[-1].candidate.searched:
         return found
     best = searched_again(fitter, found.base, best)
+    if best is found.best:
+        return found
+    one = found.rounds[last]
+    before = _further(fitter, one.before, [best]) or one.before
     rounds = [*found.rounds]
-    rounds[last] = rounds[last]._replace(fits=[best, *rounds[last].fits[1:]])
+    rounds[last] = one._replace(before=before, fits=[best, *one.fits[1:]])
+    rounds[last - 1] = rounds[last - 1]._replace(fits=[before, *rounds[last - 1].fits[1:]])
     return found._replace(rounds=rounds, best=best)
 
 

@@ -252,9 +252,8 @@ class Fitter:
         """What the second encoder says of a point."""
         if self.twist is None:
             return 0.0
-        lanes, sampling = self.logged.lanes, self.logged.sampling
-        expected = foreseen(model.effects(point.u), point.drive, point.acting, lanes, point.track.course, sampling)
-        return unlikelihood(self.twist, expected, sampling.period)
+        expected = foreseen(model.effects(point.u), point.track)
+        return unlikelihood(self.twist, expected, self.logged.sampling.period)
 
     def sought(
         self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None

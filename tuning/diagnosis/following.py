@@ -85,6 +85,7 @@ class Track(NamedTuple):
     pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
     deviance: Scalar  # -2 log likelihood up to a constant, the scale of all noises free
     size: Scalar  # that scale, squared
+    motor: Float[Array, "lanes n"] | None = None  # m, its deflection against the table, where a screw hides it
 
     @property
     def lacking(self) -> Float[Array, "lanes n"]:
@@ -259,7 +260,8 @@ def follow(
         innovation = measured - acts.scale - state[0]
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
         lost = jnp.abs(innovation) > LOST * scatter
-        state = (*state, *hidden.regained(coupled, hidden.read(coupled, effects), lost, drive))
+        motor = hidden.regained(coupled, hidden.read(coupled, effects), lost, drive, acts.force - acts.beside)
+        state = (*state, *motor)
         covariance = tuple(
             tuple(jnp.where(lost, new, old) for new, old in zip(*rows, strict=True))
             for rows in zip(again, covariance, strict=True)
@@ -288,7 +290,7 @@ def follow(
         rows = hidden.transition(columns, answers, fade)
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh, *hidden.jolted(coupled, jolt)))
-        return (ahead, covariance, effects), (now, innovation, scatter, pull[: len(ahead)])
+        return (ahead, covariance, effects), (now, innovation, scatter, pull[: len(ahead)], motor[0] if motor else None)
 
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
@@ -296,7 +298,8 @@ def follow(
     def segment(lane: Lanes, acts: Exposure, time: Any, effects: Any, coupled: tuple[Effect, ...]) -> Any:
         table = moving(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
-        spread = (*beside, *hidden.unknown(coupled, drive))
+        usual = jnp.sqrt(jnp.mean((acts.force - acts.beside) ** 2))
+        spread = (*beside, *hidden.unknown(coupled, drive, usual))
         again = diagonal((jnp.asarray(FOUND) ** 2, *spread))
 
         def step(carry: Any, at: Any) -> Any:
@@ -319,9 +322,8 @@ def follow(
         return jax.tree.map(pieces.joined, found)
 
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, course))
-    course, innovation, scatter, pull = found
-    deviance, size = deviance_of(innovation, scatter, lanes.counts)
-    return Track(course, innovation, scatter, pull, deviance, size)
+    course, innovation, scatter, pull, motor = found
+    return Track(course, innovation, scatter, pull, *deviance_of(innovation, scatter, lanes.counts), motor)
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:

@@ -94,7 +94,7 @@ def _counting(every: Float[np.ndarray, "lanes n"], track: Track, rate: float) ->
 
 def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: Float[np.ndarray, " 2"]) -> ForceGap:
     """The force that a model lacks for a filter with these process forces (`comparing`), its effects stepped along
-    the track of `fitted`.
+    the track of `fitted`; the sudden one too, where it may invent more of that than it has to.
     """
     track = fitter.at(model, u, process, fitted.track.course).track
     rate = fitter.logged.sampling.rate
@@ -103,7 +103,15 @@ def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: 
     trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, fitter.least), fitted.track.course).track
     surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.scatter)) ** 2, LOST**2)
     surprise = every * np.maximum(surprise - float(fitted.track.size), 0.0)
-    return ForceGap(np.asarray(track.lacking) * counts, track.course, surprise, counts, share_lost(track, every))
+    force = np.asarray(track.lacking) + _per_sudden(fitter, fitted, track, process) * np.asarray(track.innovation)
+    return ForceGap(force * counts, track.course, surprise, counts, share_lost(track, every))
+
+
+def _per_sudden(fitter: Fitter, fitted: Fitted, track: Track, process: Any) -> Float[np.ndarray, "lanes n"] | float:
+    """The sudden force (N) that the filter invents per metre of its innovations; none where it may have the least."""
+    if process[1] <= fitter.least:
+        return 0.0
+    return float(fitted.drive.plant.mass) * fitter.logged.sampling.rate * np.asarray(track.pull[1])
 
 
 class LoopGap(NamedTuple):
@@ -184,8 +192,8 @@ def loop_gap(
 
 
 @eqx.filter_jit
-def _told(track: Track, linear: Slopes, off: Any, period: float) -> Float[Array, "lanes n m"]:
-    """The lacking force that errors of the measurement, [lanes, n, m] (m), make a filter see."""
+def _told(track: Track, linear: Slopes, off: Any, sudden: Any, period: float) -> Float[Array, "lanes n m"]:
+    """The force that errors of the measurement, [lanes, n, m] (m), make a filter see, with `sudden` per innovation."""
     forcing = jnp.zeros((*off.shape[:2], 3, off.shape[2]))
     error = answers(track, linear, forcing, -off, period) * track.scatter[..., None]
     fade = float(np.exp(-period / LASTING))
@@ -198,7 +206,7 @@ def _told(track: Track, linear: Slopes, off: Any, period: float) -> Float[Array,
 
         return lax.scan(body, jnp.zeros(error.shape[-1]), (pull, error))[1]
 
-    return jax.vmap(one)(track.pull[3], error)
+    return jax.vmap(one)(track.pull[3], error) + sudden * error
 
 
 def force_noise(fitter: Fitter, fitted: Fitted, process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "lanes n draws"]:
@@ -208,7 +216,8 @@ def force_noise(fitter: Fitter, fitted: Fitted, process: Float[np.ndarray, " 2"]
     linear = slopes_of(point.drive, point.acting, point.track, logged.lanes, logged.sampling)
     noise = float(logged.noise) * np.sqrt(float(fitted.track.size))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
-    return np.asarray(_told(point.track, linear, jnp.asarray(off), logged.sampling.period))
+    sudden = jnp.asarray(_per_sudden(fitter, fitted, point.track, process))[..., None]
+    return np.asarray(_told(point.track, linear, jnp.asarray(off), sudden, logged.sampling.period))
 
 
 def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:

@@ -25,12 +25,14 @@ def screw_of(effects: Effects) -> int | None:
     return next((k for k, effect in enumerate(effects) if isinstance(effect, Transmission)), None)
 
 
-def unknown(effects: Effects, drive: Drive) -> tuple[Scalar, ...]:
-    """Variances of deflection and rate of a motor of which nothing is known; nothing where none is hidden."""
+def unknown(effects: Effects, drive: Drive, force: Scalar) -> tuple[Scalar, ...]:
+    """Variances of deflection and rate of a motor of which nothing is known but its usual `force` (N); nothing where
+    none is hidden.
+    """
     which = screw_of(effects)
     if which is None:
         return ()
-    return (effects[which].screw.looseness(drive) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
+    return (effects[which].screw.looseness(drive, force) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
 
 
 def jolted(effects: Effects, jolt: Scalar) -> tuple[Scalar, ...]:
@@ -45,12 +47,16 @@ def read(effects: Effects, states: States) -> tuple[Scalar, ...]:
     return () if which is None else tuple(states[which].against)
 
 
-def regained(effects: Effects, motor: tuple[Scalar, ...], lost: Scalar, drive: Drive) -> tuple[Scalar, ...]:
-    """The motor at rest on the side where it was, if all was `lost`: bouncing as it did, it would be lost for good."""
+def regained(
+    effects: Effects, motor: tuple[Scalar, ...], lost: Scalar, drive: Drive, force: Scalar
+) -> tuple[Scalar, ...]:
+    """The motor at rest, no further off than its `force` (N) bends the screw, if all was `lost`: bouncing as it did, it
+    would be lost for good.
+    """
     which = screw_of(effects)
     if which is None:
         return ()
-    side, (deflection, rate) = effects[which].screw.looseness(drive), motor
+    side, (deflection, rate) = effects[which].screw.looseness(drive, force), motor
     return jnp.where(lost, jnp.clip(deflection, -side, side), deflection), jnp.where(lost, 0.0, rate)
 
 

@@ -67,13 +67,13 @@ def _unlikely(track: Track, counts: Float[np.ndarray, "lanes n"], rate: float) -
 
 def _told_by(fitter: Fitter, one: Fitted, process: Forces) -> tuple[ForceGap, Forces]:
     """The force that a model lacks, and the filter that tells it: the one that follows the recalibrated drive, or where
-    it is lost with this model or has to follow a screw, one of its own that may invent less.
+    it is lost with this model or has to follow a screw that was found, one of its own that may invent less that lasts.
 
     A worn screw needs a force of hundreds of newtons invented where no gap is known; in a filter that may invent so
     much, nothing keeps the motor in its gap, and what the screw explains drowns in the noise.
     """
     gap = force_gap(fitter, one, one.model, one.u, process)
-    own = least_following(fitter, one) if one.model.screw or not gap.told else None
+    own = least_following(fitter, one) if one.model.screw_found or not gap.told else None
     if own is None or (gap.told and own[0] >= process[0]):
         return gap, process
     return force_gap(fitter, one, one.model, one.u, own), own

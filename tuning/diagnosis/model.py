@@ -131,6 +131,12 @@ class Model:
         return any(issubclass(member.candidate.effect, Transmission) for member in self.members)
 
     @property
+    def screw_found(self) -> bool:
+        """Whether that one is no effect of the drive file's."""
+        added = [member.candidate for member in self.members if member.candidate.parameters]
+        return any(issubclass(one.effect, Transmission) for one in added)
+
+    @property
     def coarse(self) -> bool:
         """Whether the details of an effect that is looked for differ from machine to machine."""
         return any(member.candidate.coarse and member.candidate.parameters for member in self.members)

@@ -17,7 +17,7 @@ from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
 from tuning.diagnosis.following import Course
 from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
-from tuning.diagnosis.leftover import STRAINED, WORTH, strain
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 from tuning.diagnosis.threads import in_parallel
@@ -25,6 +25,7 @@ from tuning.diagnosis.threads import in_parallel
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect
 BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those that can bring its parameters back
+BACK = 2  # of those fitted that were believed before another was known, beside what is promising now
 CLOSE = 0.7  # of the best gain, that an effect must bring to be searched for again
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
@@ -140,30 +141,53 @@ def look(
     before: Fitted,
     catalogue: Sequence[Candidate],
     progress: Progress,
-    whole: Callable[[Fitted], bool],
-    alone: Sequence[Fitted] = (),
+    left: Callable[[Fitted], float],
+    known: Sequence[Fitted] = (),
 ) -> Round:
-    """One more effect; `alone` are fits of those that were looked for before another was known.
+    """One more effect; `left` is the share of the gap that a fit leaves, and `known` are fits of effects that were
+    looked for before another was known.
 
     Where the nominal parameters were moved too far to be believed, it is looked for about the drive file's own numbers
-    too. Effects that have to be searched for are, where no other makes the model `whole`.
+    too. Effects that have to be searched for are, where no other explains it all.
     """
     there = [member.candidate for member in before.model.members]
-    left = [one for one in catalogue if not any(one.excludes(other) for other in there)]
-    few, searched = [one for one in left if not one.searched], [one for one in left if one.searched]
-    screened, fits = _race(fitter, before, few, progress, alone, whole)
+    apart = [one for one in catalogue if not any(one.excludes(other) for other in there)]
+    few, searched = [one for one in apart if not one.searched], [one for one in apart if one.searched]
+    screened, fits = _race(fitter, before, few, progress, known)
     fits = led_on(fitter, fits)
     believed = None
-    if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0]) and strain(fits[0]) < STRAINED):
+    if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0], left) and strain(fits[0]) < STRAINED):
         believed = _believed(fitter, before)
-        more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress, whole)
+        more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
         fits = led_on(fitter, [*fits, *more])
-    settled = fits and before.evidence - fits[0].evidence > SETTLED and whole(fits[0]) and strain(fits[0]) < IMPOSSIBLE
-    if not settled:
-        also, further = _race(fitter, before, searched, progress, alone, whole)
-        screened, fits = screened + also, led_on(fitter, fits + further)
+    gains = fits and before.evidence - fits[0].evidence > SETTLED
+    if not (gains and whole(fits[0], left) and strain(fits[0]) < IMPOSSIBLE):
+        also, further = _race(fitter, before, searched, progress, known)
+        screened, fits = screened + also, led_on(fitter, _again(fitter, before, fits + further, left))
     screened.sort(key=lambda one: -one.evidence)
     return _ranked(before, believed, screened, fits)
+
+
+def whole(fitted: Fitted, left: Callable[[Fitted], float]) -> bool:
+    """Whether a fit leaves no more than the details of its effects may."""
+    return left(fitted) < (COARSE if fitted.model.coarse else LEFT)
+
+
+def _again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted], left: Callable[[Fitted], float]) -> Sequence[Fitted]:
+    """The fits, those that bring nearly as much as the best and have to be searched for searched for again.
+
+    Not where the best leaves next to nothing: no rival will do better.
+    """
+    fits = possible(fits)
+    if not fits or (strain(fits[0]) < STRAINED and left(fits[0]) < LEFT):
+        return fits
+    near = CLOSE * (before.evidence - fits[0].evidence)
+
+    def again(one: Fitted) -> Fitted:
+        searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
+        return searched_again(fitter, before, one) if searched else one
+
+    return in_parallel(again, fits)
 
 
 def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], fits: Sequence[Fitted]) -> Round:
@@ -213,24 +237,18 @@ def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
 
 
 def _race(
-    fitter: Fitter,
-    before: Fitted,
-    catalogue: Sequence[Candidate],
-    progress: Progress,
-    alone: Sequence[Fitted],
-    whole: Callable[[Fitted], bool],
+    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, known: Sequence[Fitted]
 ) -> tuple[list[Screened], list[Fitted]]:
     """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
     screened = in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
     screened.sort(key=lambda one: -one.evidence)
-    known = {_name(one): one for one in alone}
     promising = _promising(screened)
-    named = {one.candidate.name for one in promising}
-    promising += [one for one in _bringing_back(before, alone, screened) if one.candidate.name not in named]
+    promising += _bringing_back(before, known, apart_from(_likeliest(screened), promising))
+    alone = {_name(one): one for one in known}
     begun = in_parallel(
-        lambda one: fit_from(fitter, before, one, RACE, known.get(one.candidate.name)),
+        lambda one: fit_from(fitter, before, one, RACE, alone.get(one.candidate.name)),
         sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
@@ -238,24 +256,27 @@ def _race(
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
-    return screened, _ended(fitter, before, begun, ahead, len(promising), progress, whole)
+    return screened, _ended(fitter, begun, ahead, len(promising), progress)
 
 
 def _promising(screened: Sequence[Screened]) -> list[Screened]:
     """What is worth a fit of what was screened, best first.
 
-    What was searched for is: where it would end is more than where the search did tells.
+    So is all that was searched for: screening sees only where it begins.
     """
     return [one for one in _likeliest(screened) if one.candidate.searched or one.evidence > PROMISING][:FITTED]
 
 
-def _bringing_back(before: Fitted, alone: Sequence[Fitted], screened: Sequence[Screened]) -> list[Screened]:
-    """What needed no nominal parameter moved far, before an effect was known that has one moved.
+def _bringing_back(before: Fitted, known: Sequence[Fitted], others: Sequence[Screened]) -> list[Screened]:
+    """Those of the others that needed no nominal parameter moved far, before an effect was known that has one moved.
 
-    That may stand in for it; screening then sees nothing left to explain.
+    Best first, as they were then. That parameter may stand in for one of them, and screening sees nothing left for it.
     """
-    named = {_name(one) for one in alone if strain(one) < STRAINED} if strain(before) >= STRAINED else set()
-    return [one for one in _likeliest(screened) if one.candidate.name in named][:BESIDE]
+    if strain(before) < STRAINED:
+        return []
+    evidence = {_name(one): one.evidence for one in known if strain(one) < STRAINED}
+    found = [one for one in others if one.candidate.name in evidence]
+    return sorted(found, key=lambda one: evidence[one.candidate.name])[:BACK]
 
 
 def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
@@ -265,12 +286,7 @@ def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
 
 
 def _race_to_nominal(
-    fitter: Fitter,
-    before: Fitted,
-    believed: Fitted,
-    catalogue: Sequence[Candidate],
-    progress: Progress,
-    whole: Callable[[Fitted], bool],
+    fitter: Fitter, before: Fitted, believed: Fitted, catalogue: Sequence[Candidate], progress: Progress
 ) -> list[Fitted]:
     """The promising about the drive file's own numbers fitted: those that bring the parameters back to the end."""
     promising = _about_nominal(believed, catalogue)
@@ -280,32 +296,18 @@ def _race_to_nominal(
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
     begun = _best_of_each(begun, _name)
-    return _ended(fitter, before, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress, whole)
+    return _ended(fitter, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
 
 
 def _ended(
-    fitter: Fitter,
-    before: Fitted,
-    begun: Sequence[Fitted],
-    ahead: Sequence[Fitted],
-    count: int,
-    progress: Progress,
-    whole: Callable[[Fitted], bool],
+    fitter: Fitter, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
-    near = CLOSE * max((before.evidence - one.evidence for one in ahead), default=0.0)
-
-    def again(one: Fitted) -> Fitted:
-        searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
-        return searched_again(fitter, before, one) if searched else one
-
     ended = in_parallel(
         lambda one: renamed(fitter, on(fitter, one)),
         ahead,
         lambda k: progress("fitting", count + k, count + len(ahead)),
     )
-    if not any(whole(one) and strain(one) < STRAINED for one in ended):  # no rival can do better than explain it all
-        ended = in_parallel(again, ended)
     return [*ended, *apart_from(begun, ahead)]
 
 

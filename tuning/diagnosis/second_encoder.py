@@ -1,26 +1,20 @@
 """A second encoder before the screw: it sees how far the motor is from the table, which the first cannot.
 
-A fitted hypothesis foresees that twist: a compliant or loose screw by its motor's deflection along the course, an error
-of the scale by what the scale is off. The others foresee none. How much likelier the measured twist is for it counts as
-evidence; the offset between the encoders is free.
+A fitted hypothesis foresees that twist: a compliant or loose screw by the motor's deflection that its filter takes the
+table to tell, an error of the scale by what the scale is off. The others foresee none. How much likelier the measured
+twist is for it counts as evidence; the offset between the encoders is free.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from diffdrive.effects import acting
 from diffdrive.effects.base import Effect, ScaleEffect
-from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, Sampling
-from tuning.diagnosis.following import Course, Exposure
+from tuning.diagnosis.following import Track
 from tuning.prediction import Lanes
 from tuning.replay import long_pieces
 
@@ -55,34 +49,12 @@ def twist_of(logs: Sequence[Log], lanes: Lanes, noise: float, thinning: int = 1)
     return Twist(value, counts, float(np.sqrt(2.0) * noise))
 
 
-@eqx.filter_jit
-def _deflection(
-    effect: Effect, drive: Drive, under: Exposure, lanes: Lanes, course: Course, sampling: Sampling
-) -> Float[Array, "lanes n"]:
-    """The motor's deflection (m) against the table at each sample, of an effect whose parameters are given by lane."""
-
-    def one(effect: Any, under: Exposure, lane: Lanes, course: Course) -> Float[Array, " n"]:
-        def step(state: Any, at: Any) -> tuple[Any, Array]:
-            count, acts, load, table = at
-            seen = acts.seen(count * sampling.period, table, load)
-            return effect.step(state, seen, acting.bent(drive, acts), sampling.period)[0], state.against.deflection
-
-        count = jnp.arange(len(lane.load), dtype=lane.load.dtype)
-        return lax.scan(step, effect.init(), (count, under, lane.load, course))[1]
-
-    return lax.map(lambda each: one(*each), (effect, under, lanes, course))
-
-
-def foreseen(
-    effects: Sequence[Effect], drive: Drive, under: Exposure, lanes: Lanes, course: Course, sampling: Sampling
-) -> Float[np.ndarray, "lanes n"]:
-    """The twist (m) that effects, whose parameters are given by lane, make along a course."""
-    total = np.zeros(lanes.position.shape)
+def foreseen(effects: Sequence[Effect], track: Track) -> Float[np.ndarray, "lanes n"]:
+    """The twist (m) that effects, whose parameters are given by lane, make along a track."""
+    total = np.zeros(track.innovation.shape) if track.motor is None else np.array(track.motor)
     for effect in effects:
-        if isinstance(effect, Compliance | Backlash):
-            total += np.asarray(_deflection(effect, drive, under, lanes, course, sampling))
-        elif isinstance(effect, ScaleEffect):
-            total -= np.asarray(jax.vmap(type(effect).error)(effect, course.position))
+        if isinstance(effect, ScaleEffect):
+            total -= np.asarray(jax.vmap(type(effect).error)(effect, track.course.position))
     return total
 
 
