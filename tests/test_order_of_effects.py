@@ -8,14 +8,19 @@ from imagined import hypothesis
 from sound_log import DRIVE
 
 from diffdrive.parameters import Sampling
-from tuning.diagnosis import explain, leftover, verdict
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis import explain, leftover, search
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, Explanation, _better, _enough, _other_first
+from tuning.diagnosis.explain import (
+    AGAIN,
+    RELIEF,
+    RESOLVING,
+    SLIGHTER,
+    _enough,
+)
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leading import led_on, to_its_end
-from tuning.diagnosis.leftover import WORTH, lacking, unexplained
-from tuning.diagnosis.search import IMPOSSIBLE, SETTLED, SLIGHT, Round, _ranked
+from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, unexplained
+from tuning.diagnosis.search import CLOSE, IMPOSSIBLE, SETTLED, SLIGHT, Round, _again, _ranked
 from tuning.diagnosis.setting import Setting
 
 AXIS = Setting(
@@ -33,35 +38,6 @@ def seeing(monkeypatch):
 
 def names(looked):
     return [one.model.members[-1].candidate.name for one in looked.fits]
-
-
-def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not():
-    base = hypothesis(evidence=0.0, strain=6.0)
-    backlash = hypothesis("backlash", evidence=-900.0, strain=5.5)
-    tilt = hypothesis("constant_force", evidence=-100.0, strain=1.0)
-    cogging = hypothesis("cogging", evidence=-300.0, strain=5.0)
-    looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
-    first = _other_first(Explanation(base, [looked], backlash))
-    assert names(first) == ["constant_force", "backlash", "cogging"]
-    assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
-    calm = hypothesis("backlash", evidence=-900.0, strain=3.0)
-    assert _other_first(Explanation(base, [looked], calm)) is None
-    weak = looked._replace(fits=[backlash, hypothesis("constant_force", evidence=-WORTH, strain=1.0)])
-    assert _other_first(Explanation(base, [weak], backlash)) is None
-    assert _other_first(Explanation(base, [looked], base)) is None
-
-
-def test_what_explains_nearly_as_much_is_tried_first_as_well():
-    base = hypothesis(evidence=0.0)
-    backlash, spring = (hypothesis(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
-    looked = Round(base, [], [backlash, spring], 2, 0.0)
-    first = _other_first(Explanation(base, [looked], backlash))
-    assert names(first) == ["position_spring", "backlash"]
-    strained = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-1200.0, strain=9.0)])
-    assert _other_first(Explanation(base, [strained], backlash)) is None  # it stands behind since it cannot be
-    far = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-700.0)])
-    assert _other_first(Explanation(base, [far], backlash)) is None
-    assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
 
 
 @pytest.mark.parametrize(
@@ -247,136 +223,32 @@ def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypat
     assert unexplained(None, before, after) == pytest.approx(0.01)
 
 
-def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
-    impossible, possible = hypothesis(evidence=-900.0, strain=9.0), hypothesis(evidence=-100.0, strain=5.0)
-    assert not _better(impossible, possible)
-    assert _better(possible, hypothesis(evidence=-50.0, strain=9.0))
-    assert _better(impossible, hypothesis(evidence=-100.0, strain=8.0))
+@pytest.mark.parametrize(
+    ("left", "strain", "asked"),
+    [
+        (1.5 * LEFT, 1.0, ["backlash", "compliance"]),
+        (0.5 * LEFT, 1.0, []),  # no rival will do better
+        (0.5 * LEFT, STRAINED + 1.0, ["backlash", "compliance"]),
+    ],
+)
+def test_screws_that_bring_nearly_as_much_as_the_best_are_searched_for_again(monkeypatch, left, strain, asked):
+    """Not one that brings half, nor what a slope leads to."""
+    known = []
 
+    def searched_again(fitter, before, one):
+        known.append(one.model.members[-1].candidate.name)
+        return hypothesis(known[-1], evidence=one.evidence - 1.0)
 
-FIRST = {"backlash": (-900.0, 5.5), "constant_force": (-850.0, 1.0)}
-
-
-def both_ways(monkeypatch, joint):
-    """The search for a loose screw on a tilted axis; `joint` is the evidence of both together."""
-    asked = []
-
-    def look(fitter, before, catalogue, *_):
-        there = [one.candidate.name for one in before.model.members]
-        asked.append((there, [one.name for one in catalogue]))
-        ends = {
-            (): [((name,), *how) for name, how in FIRST.items()],
-            ("backlash",): [(("backlash", "cogging"), -1000.0, 5.0)],
-            ("constant_force",): [
-                (("constant_force", "backlash"), joint, 1.0),
-                (("constant_force", "cogging"), joint + 10.0, 1.0),
-            ],
-        }[tuple(there)]
-        fits = [hypothesis(*one, evidence=by, strain=far) for one, by, far in ends]
-        known = {one.name for one in catalogue}
-        fits = [one for one in fits if one.model.members[-1].candidate.name in known]
-        return Round(before, [], fits, len(fits), 0.0)
-
-    monkeypatch.setattr(explain, "look", look)
-    monkeypatch.setattr(explain, "to_its_end", lambda fitter, one: one)
-    monkeypatch.setattr(explain, "_further", lambda *_: None)
-    for module in (explain, verdict):
-        monkeypatch.setattr(module, "complete", lambda *_: False)
-        monkeypatch.setattr(module, "unexplained", lambda *_: 0.001)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
-    catalogue = [SimpleNamespace(name=one, relieves=False) for one in ("backlash", "constant_force", "cogging")]
-    return explain.explain(None, hypothesis(evidence=0.0, strain=8.0), catalogue, lambda *_: None), asked
-
-
-def test_a_second_way_that_ends_better_has_everything_looked_for_beside_it(monkeypatch):
-    found, asked = both_ways(monkeypatch, -2000.0)
-    assert found.named == {"constant_force", "backlash"}
-    assert found.other.named == {"backlash", "cogging"}
-    everything = ["backlash", "constant_force", "cogging"]
-    few = ["backlash", "cogging"]
-    assert asked == [
-        ([], everything),
-        (["backlash"], everything),
-        (["constant_force"], few),
-        (["constant_force"], everything),
+    monkeypatch.setattr(search, "searched_again", searched_again)
+    base, far = hypothesis(evidence=0.0), hypothesis("friction_dwell", "compliance", evidence=-CLOSE * 1000.0 + 1.0)
+    fits = [
+        hypothesis("cogging", evidence=-1000.0, strain=strain), hypothesis("backlash", evidence=-800.0),
+        hypothesis("compliance", evidence=-900.0), far,
+    ]  # fmt: skip
+    found = _again(None, base, fits, lambda one: left)
+    assert sorted(known) == asked
+    assert sorted(one.evidence for one in found) == [
+        -1000.0,
+        *([-901.0, -801.0] if asked else [-900.0, -800.0]),
+        -699.0,
     ]
-    assert names(found.rounds[1]) == ["backlash", "cogging"]
-    told = verdict.judge(None, found)
-    believed = {one.effect: one for one in told.beliefs if one.found}
-    assert believed["constant_force"].confidence > 0.9
-    assert believed["backlash"].alternatives == ["cogging"]  # ten in evidence do not exclude it
-
-
-@pytest.mark.parametrize("joint", [-1001.0, -999.0])
-def test_two_ways_that_end_alike_are_rivals(monkeypatch, joint):
-    found, _ = both_ways(monkeypatch, joint)
-    first, second = ("constant_force", "backlash") if joint < -1000.0 else ("backlash", "cogging")
-    told = {one.effect: one for one in verdict.judge(None, found).beliefs if one.found}
-    theirs = sorted(found.other.named - found.named)
-    assert list(told) == [first, second]
-    for name in found.named - found.other.named:
-        assert told[name].confidence < 0.6
-        assert set(theirs) <= set(told[name].alternatives)
-    rival = next(one for one in verdict.judge(None, found).beliefs if one.effect in theirs and one.confidence > 0.3)
-    assert set(rival.alternatives) == found.named - found.other.named
-
-
-def test_a_way_refused_for_numbers_that_cannot_be_is_no_rival(monkeypatch):
-    found, _ = both_ways(monkeypatch, -999.0)
-    found.other.best.u[0] = IMPOSSIBLE + 1.0
-    assert verdict.judge(None, found).beliefs == verdict.judge(None, found._replace(other=None)).beliefs
-
-
-def test_a_rival_of_a_round_that_ends_the_other_way_is_not_counted_twice(monkeypatch):
-    monkeypatch.setattr(verdict, "complete", lambda *_: False)
-    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
-    base = hypothesis(evidence=0.0)
-    fits = [hypothesis(name, evidence=by) for name, by in (("cogging", -1000.0), ("lead_error", -995.0))]
-    first = Round(base, [], fits, 2, 0.0)
-    other = Explanation(base, [first._replace(fits=fits[::-1])], fits[1])
-    told = {one.effect: one for one in verdict.judge(None, Explanation(base, [first], fits[0], other)).beliefs}
-    assert told["cogging"].confidence > told["lead_error"].confidence
-    assert told["cogging"].confidence + told["lead_error"].confidence <= 1.0
-
-
-def test_what_was_found_is_not_said_to_be_open(monkeypatch):
-    """Of two effects found together, either may have been a near rival of the other in the first round."""
-    monkeypatch.setattr(verdict, "complete", lambda *_: False)
-    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
-    base, one = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1000.0)
-    both = hypothesis("cogging", "lead_error", evidence=-3000.0)
-    rounds = [Round(base, [], [one, hypothesis("lead_error", evidence=-999.0)], 2, 0.0), Round(one, [], [both], 1, 0.0)]
-    assert verdict.judge(None, Explanation(base, rounds, both)).says == "cogging and lead_error explain the gap"
-
-
-@pytest.mark.parametrize(("left", "says"), [(3.0, "effect"), (IMPOSSIBLE + 1.0, "unknown")])
-def test_an_effect_that_leaves_a_number_where_it_cannot_be_does_not_explain_how_it_came_there(monkeypatch, left, says):
-    """Nothing is missing: how far the drive file's numbers were moved is all that speaks for an effect."""
-    monkeypatch.setattr(verdict, "complete", lambda *_: True)
-    base = hypothesis(evidence=0.0, strain=17.0)
-    gain = hypothesis("force_gain", evidence=-100.0, strain=left)
-    for one in (base, gain):
-        one.model.tolerance = 0.02
-    told = verdict.judge(None, Explanation(base, [Round(base, [], [gain], 1, 0.0)], gain))
-    assert told.verdict == says
-    assert told.beliefs[0].confidence == (verdict.UNSURE if says == "unknown" else verdict.SUREST)
-    assert (f"still {NAMES[0]} had to be moved" in told.says) == (says == "unknown")
-
-
-def test_no_cause_is_sure_where_the_logs_say_unknown(monkeypatch):
-    """Also where what is left is but a little more than what the details of a model may leave."""
-    monkeypatch.setattr(verdict, "complete", lambda *_: False)
-    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.021)
-    base, one = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1e5)
-    told = verdict.judge(None, Explanation(base, [Round(base, [], [one], 1, 0.0)], one))
-    assert told.verdict == "unknown"
-    assert told.beliefs[0].confidence == verdict.UNSURE
-
-
-def test_a_way_that_ends_worse_is_no_rival(monkeypatch):
-    found, asked = both_ways(monkeypatch, -860.0)
-    assert found.named == {"backlash", "cogging"}
-    assert len(asked) == 3
-    cogging = next(one for one in verdict.judge(None, found).beliefs if one.effect == "cogging" and one.found)
-    assert cogging.confidence > 0.9
-    assert cogging.alternatives == []
