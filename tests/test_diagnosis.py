@@ -23,7 +23,7 @@ from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
-from tuning.diagnosis.following import Course
+from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import next_experiment

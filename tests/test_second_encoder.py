@@ -12,7 +12,8 @@ from diffdrive.effects.transmission import Compliance
 from diffdrive.friction import coulomb
 from diffdrive.parameters import as_arrays
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.following import Exposure, Process, follow
+from tuning.diagnosis.exposure import Exposure
+from tuning.diagnosis.following import Process, follow
 from tuning.diagnosis.second_encoder import Twist, foreseen, twist_of, unlikelihood
 from tuning.prediction import Lanes
 

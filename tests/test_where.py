@@ -14,7 +14,8 @@ from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.following import LASTING, Course
+from tuning.diagnosis.exposure import Course
+from tuning.diagnosis.following import LASTING
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import lines_in_position, lines_in_time, told_apart
 from tuning.diagnosis.setting import Setting, setting

@@ -16,7 +16,8 @@ from jaxtyping import Array, Float, Int
 from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.following import Course, Exposure, Process, Track, follow, numbers, with_numbers
+from tuning.diagnosis.exposure import Course, Exposure
+from tuning.diagnosis.following import Process, Track, follow, numbers, with_numbers
 from tuning.diagnosis.model import Logged, Model, Vector, exposed, machine, stacked
 
 DIFFERENCE = 0.02  # in units of the prior

@@ -18,8 +18,9 @@ from diffdrive.effects.acting import Effects
 from diffdrive.friction import coulomb
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted
-from tuning.diagnosis.following import Exposure, Process, deviance_of, follow
+from tuning.diagnosis.following import Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
 from tuning.evolution import Budget, evolve

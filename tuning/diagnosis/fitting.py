@@ -18,17 +18,8 @@ from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_numbers
-from tuning.diagnosis.following import (
-    LOST,
-    Course,
-    Exposure,
-    Process,
-    Slopes,
-    Track,
-    answers,
-    follow,
-    slopes,
-)
+from tuning.diagnosis.exposure import Course, Exposure
+from tuning.diagnosis.following import LOST, Process, Slopes, Track, answers, follow, slopes
 from tuning.diagnosis.model import (
     Logged,
     Model,

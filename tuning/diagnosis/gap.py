@@ -21,8 +21,9 @@ from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
+from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import Fitted, Fitter, slopes_of
-from tuning.diagnosis.following import LASTING, LOST, Course, Slopes, Track, answers
+from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers
 from tuning.diagnosis.leftover import BLIND
 from tuning.diagnosis.model import Model, Vector, counted_in
 from tuning.diagnosis.trust import share_lost

@@ -17,7 +17,7 @@ from diffdrive.effects import acting
 from diffdrive.effects.base import Acts
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, as_arrays
-from tuning.diagnosis.following import Course, exposure
+from tuning.diagnosis.exposure import Course, exposure
 from tuning.fit import sampling_of
 from tuning.friction_along import friction_along
 from tuning.inverse_dynamics import DYNAMICS

@@ -20,7 +20,8 @@ from diffdrive.effects.transmission import Transmission
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidate import Candidate
-from tuning.diagnosis.following import Course, Exposure, altered, exposure, numbers
+from tuning.diagnosis.exposure import Course, Exposure, altered, exposure
+from tuning.diagnosis.following import numbers
 from tuning.prediction import Lanes
 
 A = TypeVar("A")

@@ -14,8 +14,8 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
+from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
-from tuning.diagnosis.following import Course
 from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
 from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector

@@ -1,0 +1,136 @@
+"""What acts on the table along a course: most effects, and the command that they make of another force.
+
+Stepped along where the table went in the last pass, what an effect does is a signal like any other, whatever it is: one
+compiled filter (`following`) serves them all. Those that act by the table's own velocity and friction, and these by
+them, are stepped within it.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.actuator import limited
+from diffdrive.effects import acting
+from diffdrive.effects.actuator import ActuatorLag, LoopDelay
+from diffdrive.effects.base import Effect, Seen
+from diffdrive.parameters import Drive, Sampling, Scalar
+from tuning.prediction import Lanes
+
+
+class Exposure(NamedTuple):
+    """What acts on the table over each period, and how far the scale is off; [lanes, n] each."""
+
+    force: Float[Array, "lanes n"]  # N
+    coulomb: Float[Array, "lanes n"]  # N
+    gap: Float[Array, "lanes n"]  # N
+    viscous: Float[Array, "lanes n"]  # N s/m
+    shift: Float[Array, "lanes n"]  # m, that the force's course within the period adds to the motion
+    scale: Float[Array, "lanes n"]  # m
+    beside: Float[Array, "lanes n"]  # N, share of `force` that does not come from the motor
+    # N, in each control period of a sample, of the force about its mean
+    ripple: Float[Array, "lanes n k"] | None = None
+
+    def seen(self, time: Any, course: "Course", load: Scalar) -> Seen:
+        """One sample of it, at one of a course, as coupled effects see it."""
+        position, velocity, bristle, friction, lacking = course
+        force = self.force - self.beside
+        return Seen(time, position, velocity, bristle, force, friction, load, self.beside, self.ripple, lacking)
+
+
+class Course(NamedTuple):
+    """Where the table went, as effects are to see it; [lanes, n] each."""
+
+    position: Float[Array, "lanes n"]  # m
+    velocity: Float[Array, "lanes n"]  # m/s
+    bristle: Float[Array, "lanes n"]  # m
+    friction: Float[Array, "lanes n"]  # N, all that resists
+    lacking: Float[Array, "lanes n"]  # N, force that the model lacks
+
+
+def altered(drive: Drive, effects: tuple[Effect, ...]) -> Drive:
+    """The drive with the effects that are other parameters; those are the same in every lane."""
+    return acting.altered(drive, jax.tree.map(lambda leaf: leaf[0], effects))
+
+
+def exposure(
+    drive: Drive,
+    effects: tuple[Effect, ...],
+    delay: Scalar,
+    lanes: Lanes,
+    course: Course,
+    sampling: Sampling,
+    starts: Float[Array, " lanes"],
+) -> Exposure:
+    """What the effects, whose parameters are given for each lane, do along a course that starts at `starts` (s)."""
+    machine = altered(drive, effects)
+    period = sampling.period
+
+    def one(lane: Lanes, course: Course, effects: tuple[Effect, ...], start: Scalar) -> Exposure:
+        effects, asked = _asked(drive, effects, delay, lane, sampling)
+        parts = asked.shape[1]
+
+        def step(states: Any, at: tuple[Any, ...]) -> tuple[Any, Exposure]:
+            count, table, forces, pushed, load = at
+            pushes = []
+            for k in range(parts):
+                states, push = acting.through(effects, states, forces[k], period / parts)
+                pushes.append(push)
+            force = sum(push.mean for push in pushes) / parts
+            ripple = jnp.stack([push.mean - force for push in pushes]) if parts > 1 else None
+            seen = Seen(
+                start + count * period,
+                table.position,
+                table.velocity,
+                table.bristle,
+                force,
+                table.friction,
+                load,
+                pushed,
+                lacking=table.lacking,
+            )
+            states, acts = acting.upon(effects, states, seen, machine, period)
+            scale = acting.scale_error(effects, table.position)
+            shift = acts.shift + sum(acting.displaced(machine, push.tilt, period / parts) for push in pushes)
+            beside = pushed + acts.force
+            one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
+            return states, Exposure(*(value + 0.0 * force for value in one), ripple)
+
+        count = jnp.arange(len(asked), dtype=asked.dtype)
+        signals = (count, course, asked, lane.disturbance, lane.load)
+        return lax.scan(step, acting.at_rest(effects, asked[0, 0]), signals)[1]
+
+    return lax.map(lambda each: one(*each), (lanes, course, effects, starts))
+
+
+def _asked(
+    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes, sampling: Sampling
+) -> tuple[tuple[Effect, ...], Float[Array, "n k"]]:
+    """The force asked of the actuator in each part of each sample, and the effects that it has yet to meet.
+
+    A part is a control period, or a substep of the plant where the force changes within one: late or lagging, it does.
+    Delays, which are counted in samples, hold the command back here.
+    """
+    asked = lane.asked
+    if asked is None:
+        late = any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects)
+        asked = in_parts(lane.command, sampling.plant_steps if late else 1)
+    count, parts = asked.shape
+    late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
+    force = _held_back(limited(drive.actuator, asked.reshape(-1)), jnp.maximum(late, 0.0) * parts)
+    return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
+
+
+def in_parts(command: Float[Array, "*lanes n"], parts: int) -> Float[Array, "*lanes n k"]:
+    """A command that is held over each sample, part by part."""
+    return jnp.repeat(command[..., None], parts, axis=-1)
+
+
+def _held_back(force: Float[Array, " n"], periods: Scalar) -> Float[Array, " n"]:
+    """The force that many periods later, linear between samples."""
+    whole = lax.stop_gradient(jnp.floor(periods))
+    before = jnp.arange(len(force)) - whole.astype(int)
+    later, sooner = (force[jnp.clip(one, 0, len(force) - 1)] for one in (before, before - 1))
+    return later + (periods - whole) * (sooner - later)
