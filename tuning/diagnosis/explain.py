@@ -132,7 +132,7 @@ def explain(
         return Explanation(base, rounds, best)
 
     def to_its_best(found: Explanation) -> Explanation:
-        return found if over(found.base, found.best) else _searched_beside(fitter, found)
+        return found if complete(fitter, found.best) else _searched_beside(fitter, found)
 
     found = to_its_best(onward(base, [], base, catalogue))
     first = _other_first(found)
