@@ -9,6 +9,7 @@ from sound_log import DRIVE
 
 from diffdrive.parameters import Sampling
 from tuning.diagnosis import explain, leftover, search
+from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.explain import (
     AGAIN,
@@ -19,7 +20,7 @@ from tuning.diagnosis.explain import (
 )
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leading import led_on, to_its_end
-from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, unexplained
+from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, strain, unexplained
 from tuning.diagnosis.search import CLOSE, IMPOSSIBLE, SETTLED, SLIGHT, Round, _again, _ranked
 from tuning.diagnosis.setting import Setting
 
@@ -93,6 +94,21 @@ def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(stra
     gain = hypothesis("force_gain", evidence=-100.0, strain=1.0)
     backlash = hypothesis("backlash", evidence=-100.0 - more, strain=strain)
     assert names(_ranked(before, believed, [], [gain, backlash]))[0] == first
+
+
+@pytest.mark.parametrize(
+    ("moved", "effect", "far"),
+    [
+        ("bristle_stiffness", "friction_dwell", 9.0),
+        ("bristle_stiffness", "presliding_hysteresis", 0.0),  # its elements are the bristles
+        ("coulomb_screw.negative", "presliding_hysteresis", 9.0),
+    ],
+)
+def test_what_elements_before_sliding_take_over_was_not_moved(moved, effect, far):
+    one = hypothesis(effect, evidence=0.0)
+    one.u[NAMES.index(moved)] = -9.0
+    assert strain(one) == far
+    assert strain(one, NAMES) == 9.0
 
 
 @pytest.mark.parametrize("share", [0.5 * AGAIN, 1.5 * AGAIN])

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.fitting import Fitted, Fitter
@@ -78,13 +79,22 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     return float(np.clip(share, 0.0, 1.0))
 
 
-def strain(fitted: Fitted, among: Sequence[str] = NAMES) -> float:
-    """By how many standard deviations of the prior the furthest nominal parameter was moved."""
-    return float(np.abs(_moved(fitted, among)).max())
+def meant(fitted: Fitted) -> Sequence[str]:
+    """The nominal parameters that still mean what the drive file says: elements before sliding take over the others."""
+    there = {member.candidate.name for member in fitted.model.members}
+    return SLIDING if PreslidingHysteresis.name in there else NAMES
 
 
-def furthest(fitted: Fitted, among: Sequence[str] = NAMES) -> str:
+def strain(fitted: Fitted, among: Sequence[str] | None = None) -> float:
+    """By how many standard deviations of the prior the furthest nominal parameter was moved, of those that are `meant`
+    or of others.
+    """
+    return float(np.abs(_moved(fitted, among or meant(fitted))).max())
+
+
+def furthest(fitted: Fitted, among: Sequence[str] | None = None) -> str:
     """In words: which nominal parameter was moved furthest."""
+    among = among or meant(fitted)
     moved = _moved(fitted, among)
     k = int(np.abs(moved).argmax())
     percent = 100.0 * np.expm1(fitted.model.tolerance * moved[k])
