@@ -25,7 +25,8 @@ class Closed(NamedTuple):
 
 
 def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
-    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed.
+    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
+    so little that the interval excludes nothing.
 
     Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
     first is, it cannot be told how much there was to close.
@@ -45,6 +46,8 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     beyond = [np.maximum(squares[0] - floors[0] ** 2, least), np.maximum(squares[1] - floors[1] ** 2, 0.0)]
     shares = 1.0 - beyond[1] / beyond[0]
     low, high = np.percentile(shares[1:], [2.5, 97.5])
+    if low <= 0.0 and high >= 1.0:  # all of it or nothing: as well there was nothing to be closed
+        return None
     return Closed(float(shares[0]), float(low), float(high))
 
 
