@@ -214,8 +214,9 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
     names = {one.name for one in looked}
     assert "constant_force" in names
     assert names.isdisjoint({"cogging", "loop_delay", "friction_dwell"})
-    seen = {"compliance", "backlash", "lead_error", "interpolation_error"}
-    assert (seen <= names) if twist else seen.isdisjoint(names)
+    assert {"lead_error", "interpolation_error"} <= names  # they pass for noise of the scale
+    screws = {"compliance", "backlash"}
+    assert (screws <= names) if twist else screws.isdisjoint(names)
 
 
 @pytest.mark.parametrize("base", [1e4, np.inf])

@@ -76,6 +76,23 @@ def test_a_ripple_that_part_of_the_log_sees_has_a_part_of_the_energy():
     assert line.share == pytest.approx(0.5, abs=0.05)
 
 
+def test_the_strongest_line_is_among_those_found_though_the_motion_widens_its_foot():
+    """A scale's signal period, met at speeds at which its samples alias: each of its shadows stands out more."""
+    speed = np.concatenate(
+        [
+            [0.0] * 300 + [one] * round(way / one * RATE)
+            for way, one in ((0.06, 0.047), (-0.03, -0.011), (-0.03, -0.061), (0.02, 0.023), (-0.02, -0.029))
+        ]
+    )
+    position = np.cumsum(np.convolve(speed, np.full(100, 0.01), mode="same")) / RATE
+    period = 8.826e-6
+    error = np.sin(2 * np.pi * position / period) + 0.3 * np.random.default_rng(4).standard_normal(len(position))
+    lines = lines_in_position(error[None], position[None], np.ones((1, len(position))), 1e-6, 5e-4)
+    best = max(lines, key=lambda one: one.share)
+    assert best.value == pytest.approx(period, rel=1e-4)
+    assert best.share > 0.7
+
+
 def test_a_ripple_at_two_speeds_is_locked_to_position_alone():
     time = np.arange(16_000) / RATE
     slow = time < 6.0

@@ -62,6 +62,11 @@ class Candidate(NamedTuple):
         return issubclass(self.effect, transmission.Transmission | scale.ScaleEffect)
 
     @property
+    def unseen(self) -> bool:
+        """Whether it may act though no force is missing: nominal parameters make up for it, or it passes for noise."""
+        return self.relieves or issubclass(self.effect, scale.ScaleEffect)
+
+    @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
         alike = (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)

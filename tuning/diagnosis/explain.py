@@ -106,7 +106,7 @@ def explain(
 
     def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         if over(base, before):
-            catalogue = [one for one in catalogue if one.relieves or (one.twists and fitter.twist is not None)]
+            catalogue = [one for one in catalogue if one.unseen or (one.twists and fitter.twist is not None)]
         known = rounds[0].fits if rounds else ()
         return look(fitter, before, catalogue, progress, partial(left, base), known)
 

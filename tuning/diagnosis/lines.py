@@ -13,7 +13,7 @@ from scipy import fft, ndimage
 from tuning.diagnosis.fitting import Fitted
 
 MOST_PLACES = 2**21  # of a travel, told apart
-PEAKS = 4
+PEAKS, STRONG = 4, 2  # that stand out most from their neighbourhood, and those of a wide one
 REFINED = 9  # values that are tried about a line
 LATEST = 0.01  # s, that the missing force is seen late at most
 SHADOW = 0.5  # of a line's energy: one that has less left beside another is the other's shadow
@@ -21,6 +21,8 @@ AS_GOOD = 0.9  # of a line's energy: a shadow that explains as much may as well 
 BLOCK = 0.25  # s, over which two explanations are compared
 SURE = 2.0  # standard deviations of that
 NEIGHBOURS = 40  # bins, whose median a line must stand out from
+WIDE = 2000  # bins, of a wide one
+FOOT = 8.0  # times its neighbourhood, that a line with a foot of its own is
 APART = 3  # bins between two lines
 
 
@@ -43,15 +45,22 @@ class Line(NamedTuple):
 
 
 def _stand_out(power: Float[np.ndarray, " n"]) -> list[tuple[int, float]]:
-    """Indices of the highest peaks over their neighbourhood, and how often noise would stand out so far."""
+    """Indices of the highest peaks over their neighbourhood, and how often noise would stand out so far.
+
+    A strong line that the motion meets unevenly stands on a foot of its own, which raises its neighbourhood: of those
+    that stand out from it at all, the strongest over a wide one follow.
+    """
     over = power / np.maximum(ndimage.median_filter(power, 2 * NEIGHBOURS + 1, mode="mirror"), 1e-300)
+    level = [np.median(some) for some in np.array_split(power, max(1, len(power) // WIDE))]
+    widely = power / np.maximum(np.repeat(level, [len(some) for some in np.array_split(power, len(level))]), 1e-300)
     found: list[tuple[int, float]] = []
-    for index in np.argsort(over)[::-1]:
-        if all(abs(index - other) > APART for other, _ in found):
-            # the power of noise is distributed exponentially, and its median is ln 2 of its mean
-            found.append((int(index), float(min(1.0, len(power) * 2.0 ** -min(over[index], 1e3)))))
-        if len(found) == PEAKS:
-            break
+    for ratio, most in ((over, PEAKS), (np.where(over > FOOT, widely, 0.0), PEAKS + STRONG)):
+        for index in np.argsort(ratio)[::-1]:
+            if len(found) == most or not ratio[index] > 0.0:
+                break
+            if all(abs(index - other) > APART for other, _ in found):
+                # the power of noise is distributed exponentially, and its median is ln 2 of its mean
+                found.append((int(index), float(min(1.0, len(power) * 2.0 ** -min(over[index], 1e3)))))
     return found
 
 
