@@ -11,13 +11,7 @@ from diffdrive.parameters import Sampling
 from tuning.diagnosis import explain, leftover, search
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.explain import (
-    AGAIN,
-    RELIEF,
-    RESOLVING,
-    SLIGHTER,
-    _enough,
-)
+from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _enough, _further
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leading import led_on, to_its_end
 from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, strain, unexplained
@@ -238,6 +232,27 @@ def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypat
     assert unexplained(None, before, after) == 1.0
     monkeypatch.setattr(leftover, "blind", lambda *_: True)
     assert unexplained(None, before, after) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("here", "gains"), [(-500.0, True), (-5.0, False)])
+def test_a_filter_that_was_trusted_too_little_is_no_evidence_for_an_effect(monkeypatch, here, gains):
+    """Where the richer fit ended differs from the simpler one's in nothing but how far its filter trusts the model."""
+    before, best = hypothesis(evidence=0.0, strain=1.0), hypothesis("force_gain", evidence=-500.0, strain=3.0)
+    for one, force in ((before, 1.0), (best, 0.1)):
+        one.process, one.track = np.array([force, force]), SimpleNamespace(course=None)
+    monkeypatch.setattr(explain, "_without", lambda *_: [best.u])  # far off: what makes up for an effect bends
+
+    def at(model, u, process, course):
+        cost = here if u is before.u else 9000.0
+        return SimpleNamespace(u=u, process=process, cost=cost, track=before.track)
+
+    fitter = SimpleNamespace(
+        at=at,
+        with_process=lambda one, *_: one,
+        fit=lambda model, u, *_: hypothesis(evidence=at(model, u, None, 0).cost),
+    )
+    found = _further(fitter, before, [best])
+    assert (found is not None and found.evidence == here) if gains else found is None
 
 
 @pytest.mark.parametrize(

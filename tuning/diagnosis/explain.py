@@ -47,7 +47,8 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
         return None
     best = fits[0]
     processes = np.vstack([best.process * NEAR, before.process * NEAR])
-    begun = [fitter.at(before.model, u, best.process, best.track.course) for u in _without(before, best)]
+    ends = [before.u, *_without(before, best)]  # the first for the filter's process force alone, which may be another
+    begun = [fitter.at(before.model, u, best.process, best.track.course) for u in ends]
     there = min((fitter.with_process(one, before.model, processes) for one in begun), key=lambda one: one.cost)
     if before.cost - there.cost < WORTH:
         return None
