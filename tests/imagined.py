@@ -3,7 +3,9 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from tuning.diagnosis import explain, leftover
 from tuning.diagnosis.calibration import NAMES
 
 SEARCHED = ("backlash", "compliance")
@@ -17,3 +19,15 @@ def hypothesis(*effects, evidence, strain=0.0, coarse=False):
     )
     model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, possible=lambda u: True)
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
+
+
+@pytest.fixture
+def seeing(monkeypatch):
+    """No filter is lost."""
+    for module in (explain, leftover):
+        monkeypatch.setattr(module, "blind", lambda *_: False)
+
+
+def names(looked):
+    """The effects that a round added, best first."""
+    return [one.model.members[-1].candidate.name for one in looked.fits]

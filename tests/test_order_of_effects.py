@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from imagined import hypothesis
+from imagined import hypothesis, names, seeing  # noqa: F401
 from sound_log import DRIVE
 
 from diffdrive.parameters import Sampling
@@ -24,15 +24,7 @@ AXIS = Setting(
 )  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def seeing(monkeypatch):
-    """No filter is lost."""
-    for module in (explain, leftover):
-        monkeypatch.setattr(module, "blind", lambda *_: False)
-
-
-def names(looked):
-    return [one.model.members[-1].candidate.name for one in looked.fits]
+pytestmark = pytest.mark.usefixtures("seeing")
 
 
 @pytest.mark.parametrize(

@@ -3,29 +3,15 @@
 from types import SimpleNamespace
 
 import pytest
-from imagined import hypothesis
+from imagined import hypothesis, names, seeing  # noqa: F401
 
-from tuning.diagnosis import explain, leftover, verdict
+from tuning.diagnosis import explain, verdict
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.explain import (
-    Explanation,
-    _better,
-    _other_first,
-    _searched_beside,
-)
+from tuning.diagnosis.explain import Explanation, _better, _other_first, _searched_beside
 from tuning.diagnosis.leftover import WORTH
 from tuning.diagnosis.search import IMPOSSIBLE, Round
 
-
-@pytest.fixture(autouse=True)
-def seeing(monkeypatch):
-    """No filter is lost."""
-    for module in (explain, leftover):
-        monkeypatch.setattr(module, "blind", lambda *_: False)
-
-
-def names(looked):
-    return [one.model.members[-1].candidate.name for one in looked.fits]
+pytestmark = pytest.mark.usefixtures("seeing")
 
 
 def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not():

@@ -61,6 +61,11 @@ class Track(NamedTuple):
         return self.course.lacking
 
 
+def per_innovation(track: Track, drive: Drive, rate: float) -> Float[np.ndarray, "lanes n"]:
+    """The sudden force (N) that the filter invents per metre of each innovation."""
+    return float(drive.plant.mass) * rate * np.asarray(track.pull[1])
+
+
 class Slopes(NamedTuple):
     """Derivatives of the table after one period: [lanes, n, 3, directions]."""
 

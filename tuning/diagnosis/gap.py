@@ -23,7 +23,7 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from diffdrive.simulate import Inputs, rollout
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import Fitted, Fitter, slopes_of
-from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers
+from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers, per_innovation
 from tuning.diagnosis.leftover import BLIND
 from tuning.diagnosis.model import Model, Vector, counted_in
 from tuning.diagnosis.trust import share_lost
@@ -112,7 +112,7 @@ def _per_sudden(fitter: Fitter, fitted: Fitted, track: Track, process: Any) -> F
     """The sudden force (N) that the filter invents per metre of its innovations; none where it may have the least."""
     if process[1] <= fitter.least:
         return 0.0
-    return float(fitted.drive.plant.mass) * fitter.logged.sampling.rate * np.asarray(track.pull[1])
+    return per_innovation(track, fitted.drive, fitter.logged.sampling.rate)
 
 
 class LoopGap(NamedTuple):

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy import fft, ndimage
 
 from tuning.diagnosis.fitting import Fitted
+from tuning.diagnosis.following import per_innovation
 
 MOST_PLACES = 2**21  # of a travel, told apart
 PEAKS, STRONG = 4, 2  # that stand out most from their neighbourhood, and those of a wide one
@@ -30,8 +31,7 @@ def missing_force(fitted: Fitted) -> Float[np.ndarray, "lanes n"]:
     """The force (N) that the filter had to invent, the lasting and the sudden; zero where nothing was measured."""
     sampling = fitted.model.logged.sampling
     counts = np.asarray(fitted.model.logged.lanes.counts)
-    mass = float(fitted.drive.plant.mass)
-    sudden = mass * sampling.rate * np.asarray(fitted.track.pull[1]) * np.asarray(fitted.track.innovation)
+    sudden = per_innovation(fitted.track, fitted.drive, sampling.rate) * np.asarray(fitted.track.innovation)
     return (np.asarray(fitted.track.lacking) + sudden) * counts
 
 
