@@ -14,7 +14,7 @@ from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.leftover import STRAINED, strain
+from tuning.diagnosis.leftover import STRAINED, meant, strain
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.verdict import Belief
 from tuning.estimates import NORMAL
@@ -186,10 +186,11 @@ def _closed(found: Diagnosis) -> dict[str, Any]:
         f"{floor:.3g} N{'' if alike else ' (by a filter that follows it and may invent less)'}"
     )
     if gone is None:
-        moved = strain(found.explanation.base)
+        among = meant(found.explanation.base, found.found)
+        moved = strain(found.explanation.base, among)
         hides = (
             f"Recalibration hides the gap, but with a nominal parameter moved by {moved:.0f} standard deviations, "
-            f"against {strain(found.found):.1f} with it"
+            f"against {strain(found.found, among):.1f} with it"
         )
         says = f"{on}. {hides if moved >= STRAINED else 'Recalibration alone leaves nothing there to close'}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}

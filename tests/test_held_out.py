@@ -87,6 +87,20 @@ def test_of_a_gap_that_may_as_well_be_none_there_is_no_share():
     assert closed(clear, clear, RATE) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("before", [1.0, 1.3, 2.0])
+def test_a_gap_that_is_opened_in_a_single_place_is_opened(before):
+    """A quarter of a second where the force is twenty times what it was: many a draw misses it."""
+    after = lacking(0.97)
+    loud = np.where(np.abs(np.arange(20_000) - 10_000) < 125, 20.0, 1.0)
+    after.force = after.force._replace(force=after.force.force * loud)
+    share = closed(lacking(before), after, RATE)
+    assert share.share < 0.0
+
+
+def test_what_closes_next_to_nothing_of_a_plain_gap_closes_nothing():
+    assert closed(lacking(2.0), lacking(1.95), RATE).share < 0.1
+
+
 def test_a_model_told_by_a_filter_of_its_own_is_held_against_the_floor_of_that():
     before = lacking(3.0, floor=np.sqrt(5.0), trusting=200.0)
     assert closed(before, lacking(1.0, floor=0.5), RATE).share == pytest.approx(1.0 - 0.75 / 4.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from off_its_file import OFF, fitter_of
 
-from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import force_floor, force_gap
 from tuning.diagnosis.model import Model
@@ -37,4 +37,3 @@ def test_noise_alone_makes_no_more_of_it_than_the_floor_says():
     for process in (np.array([2.0, fitter.least]), np.array([2.0, 2.0]), np.array([2.0, 50.0])):
         gap = force_gap(fitter, fit, fit.model, fit.u, process)
         assert gap.rms == pytest.approx(force_floor(fitter, fit, gap.counts, process), rel=0.25)
-    assert fit.u.size == len(NAMES)

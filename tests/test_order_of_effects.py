@@ -14,7 +14,7 @@ from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _enough, _further
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leading import led_on, to_its_end
-from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, strain, unexplained
+from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, relieves, strain, unexplained
 from tuning.diagnosis.search import CLOSE, IMPOSSIBLE, SETTLED, SLIGHT, Round, _again, _ranked
 from tuning.diagnosis.setting import Setting
 
@@ -95,6 +95,31 @@ def test_what_elements_before_sliding_take_over_was_not_moved(moved, effect, far
     one.u[NAMES.index(moved)] = -9.0
     assert strain(one) == far
     assert strain(one, NAMES) == 9.0
+
+
+def strained(*effects, evidence, by):
+    """A fit that moves the bristle by that many tolerances."""
+    one = hypothesis(*effects, evidence=evidence)
+    one.u[NAMES.index("bristle_stiffness")] = by
+    return one
+
+
+def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
+    """The bristle stays where it was; that it means nothing any more is no merit."""
+    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    base, dwell = hypothesis(evidence=0.0), strained("friction_dwell", evidence=-5000.0, by=4.5)
+    elements = strained("friction_dwell", "presliding_hysteresis", evidence=-5020.0, by=4.5)
+    assert _enough(None, base, dwell, False, [elements]) == pytest.approx(SLIGHT * 5000.0)
+    back = strained("friction_dwell", "cogging", evidence=-5020.0, by=1.0)
+    assert _enough(None, base, dwell, False, [back]) == WORTH
+    before, believed = strained(evidence=0.0, by=7.0), hypothesis(evidence=2000.0)
+    cogging = strained("cogging", evidence=-150.0, by=6.5)
+    worse = strained("presliding_hysteresis", evidence=60.0, by=7.0)
+    looked = _ranked(before, believed, [], [cogging, worse])
+    assert names(looked) == ["cogging", "presliding_hysteresis"]
+    assert looked.allowance == 0.0
+    assert not relieves(worse, before, IMPOSSIBLE)
+    assert relieves(hypothesis("cogging", evidence=0.0, strain=1.0), before, IMPOSSIBLE)
 
 
 @pytest.mark.parametrize("share", [0.5 * AGAIN, 1.5 * AGAIN])

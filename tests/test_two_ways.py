@@ -65,6 +65,35 @@ def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(m
     assert _searched_beside(None, Explanation(base, rounds, both)).rounds == rounds
 
 
+@pytest.mark.parametrize(("together", "found"), [(-960.0, {"backlash", "cogging"}), (-901.0, {"backlash"})])
+def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_is_not_found(
+    monkeypatch, together, found
+):
+    base, play = hypothesis(evidence=0.0), hypothesis("backlash", evidence=-500.0)
+    both, searched = (hypothesis("backlash", "cogging", evidence=one) for one in (-700.0, together))
+    nearer, asked = hypothesis("backlash", evidence=-900.0), []
+
+    def look(fitter, before, *_):
+        asked.append(before)
+        if before is base:
+            return Round(before, [], [play], 1, 0.0)
+        more = [both] if before is play else [hypothesis("backlash", "cogging", evidence=before.evidence - 1.0)]
+        return Round(before, [], more, 1, 0.0)
+
+    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "searched_again", lambda *_: searched)
+    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: nearer if fits == [searched] else None)
+    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    ended = explain.explain(None, base, [], lambda *_: None)
+    assert ended.named == found
+    assert ended.best is (searched if len(found) == 2 else nearer)
+    assert asked == ([base, play] if len(found) == 2 else [base, play, nearer])  # everything beside it as it is now
+    refused = ended.rounds[1]
+    gain = refused.before.evidence - refused.fits[0].evidence
+    assert (gain >= refused.enough) == (len(found) == 2)
+
+
 FIRST = {"backlash": (-900.0, 5.5), "constant_force": (-850.0, 1.0)}
 
 

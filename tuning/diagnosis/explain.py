@@ -11,7 +11,7 @@ from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.leading import searched_again, to_its_end
-from tuning.diagnosis.leftover import STRAINED, WORTH, blind, complete, strain, unexplained
+from tuning.diagnosis.leftover import STRAINED, WORTH, blind, complete, meant, relieves, strain, unexplained
 from tuning.diagnosis.model import Vector
 from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, Progress, Round, apart_from, look, whole
 
@@ -71,7 +71,7 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
 
 def _enough(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
     """The evidence that one more effect must bring beside the `best`."""
-    if fits and strain(best) >= STRAINED > strain(fits[0]):
+    if fits and relieves(fits[0], best):
         return WORTH
     if ended and not best.model.coarse:
         return RELIEF
@@ -108,7 +108,7 @@ def explain(
     def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         if over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and fitter.twist is not None)]
-        known = rounds[0].fits if rounds else ()
+        known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
         return look(fitter, before, catalogue, progress, partial(left, base), known)
 
     def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
@@ -132,25 +132,35 @@ def explain(
             best = found.fits[0]
         return Explanation(base, rounds, best)
 
-    def to_its_best(found: Explanation) -> Explanation:
-        return found if complete(fitter, found.best) else _searched_beside(fitter, found)
+    def to_its_best(found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+        if complete(fitter, found.best):
+            return found
+        beside = _searched_beside(fitter, found)
+        if beside is found:
+            return found
+        base, last = found.base, beside.rounds[-1]
+        enough = _enough(fitter, base, last.before, over(base, last.before), last.fits)
+        if last.before.evidence - beside.best.evidence + last.allowance < enough:  # the first explains it without
+            return onward(base, beside.rounds[:-1], last.before, catalogue)
+        return beside._replace(rounds=[*beside.rounds[:-1], last._replace(enough=enough)])
 
-    found = to_its_best(onward(base, [], base, catalogue))
+    found = to_its_best(onward(base, [], base, catalogue), catalogue)
     first = _other_first(found)
     if first is None or over(found.base, found.best):
         return found
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
     few = [one for one in catalogue if one.name in found.named]
-    other = to_its_best(onward(found.base, [first], first.fits[0], few))
+    other = to_its_best(onward(found.base, [first], first.fits[0], few), few)
     if not _better(other.best, found.best):
         return found._replace(other=other)
-    widely = to_its_best(onward(found.base, [first], first.fits[0], catalogue))  # what else may stand beside it
+    # what else may stand beside it
+    widely = to_its_best(onward(found.base, [first], first.fits[0], catalogue), catalogue)
     return (other if _better(other.best, widely.best) else widely)._replace(other=found)
 
 
 def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     """With what was searched for before another effect was known searched for again beside it, and what there was
-    before that other one fitted from there: else that would have the credit.
+    before that other one fitted from there: else that would have the credit. The same object where that leads nowhere.
     """
     best, last = found.best, found.best.model.added - 1
     if last < 1 or best.model.members[-1].candidate.searched:
@@ -160,7 +170,7 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
         return found
     one = found.rounds[last]
     before = _further(fitter, one.before, [best]) or one.before
-    rounds = [*found.rounds]
+    rounds = found.rounds[: last + 1]
     rounds[last] = one._replace(before=before, fits=[best, *one.fits[1:]])
     rounds[last - 1] = rounds[last - 1]._replace(fits=[before, *rounds[last - 1].fits[1:]])
     return found._replace(rounds=rounds, best=best)
@@ -168,9 +178,7 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
 
 def _better(one: Fitted, other: Fitted) -> bool:
     """Whether one end is likelier than another; never by numbers that cannot be where the other's can."""
-    if strain(one) > IMPOSSIBLE >= strain(other):
-        return False
-    return one.evidence < other.evidence
+    return one.evidence < other.evidence and not relieves(other, one, IMPOSSIBLE)
 
 
 def _other_first(found: Explanation) -> Round | None:
@@ -188,9 +196,12 @@ def _other_first(found: Explanation) -> Round | None:
     def gain(one: Fitted) -> float:
         return first.before.evidence - one.evidence
 
-    bringing_back = [one for one in others if strain(found.best) >= STRAINED > strain(one)]
-    possible = max(STRAINED, strain(best))
-    near = [one for one in others if gain(one) > NEARLY * gain(best) and strain(one) < possible]
+    def no_further(one: Fitted) -> bool:
+        among = meant(one, best)
+        return strain(one, among) < max(STRAINED, strain(best, among))
+
+    bringing_back = [one for one in others if relieves(one, found.best)]
+    near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]
     for one in [*bringing_back, *near]:
         if gain(one) > WORTH:
             return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)

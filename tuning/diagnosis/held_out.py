@@ -6,13 +6,14 @@ import numpy as np
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.leftover import WORTH, strain
+from tuning.diagnosis.leftover import WORTH, relieves
 from tuning.diagnosis.search import IMPOSSIBLE
 from tuning.diagnosis.verdict import Verdict
 
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
 SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
 HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
+PLAIN = 2.0  # times the floor's mean square: a gap opened in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
 
 
@@ -26,7 +27,7 @@ class Closed(NamedTuple):
 
 def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
-    so little that the interval excludes nothing.
+    as well may leave nothing, and the interval excludes nothing.
 
     Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
     first is, it cannot be told how much there was to close.
@@ -40,13 +41,15 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
         return None
     least = (HIDDEN**2 - 1.0) * floors[0] ** 2
     hidden = [one[0] < (HIDDEN * floor) ** 2 for one, floor in zip(squares, floors, strict=True)]
-    opened = np.percentile(squares[1][1:] - squares[0][1:], 2.5) > 0.0
+    surely = np.percentile(squares[1][1:] - squares[0][1:], 2.5) > 0.0
+    opened = surely or squares[1][0] > PLAIN * floors[1] ** 2
     if hidden[0] and (hidden[1] or not opened):
         return None
     beyond = [np.maximum(squares[0] - floors[0] ** 2, least), np.maximum(squares[1] - floors[1] ** 2, 0.0)]
     shares = 1.0 - beyond[1] / beyond[0]
     low, high = np.percentile(shares[1:], [2.5, 97.5])
-    if low <= 0.0 and high >= 1.0:  # all of it or nothing: as well there was nothing to be closed
+    perhaps = np.percentile(squares[0][1:], 2.5) < (HIDDEN * floors[0]) ** 2  # there was nothing to be closed
+    if perhaps and low <= 0.0 and high >= 1.0 and squares[1][0] <= squares[0][0]:
         return None
     return Closed(float(shares[0]), float(low), float(high))
 
@@ -74,7 +77,7 @@ def denied(more: Rung, fewer: Rung, gained: float) -> bool:
         return True
     if not np.all(np.isfinite(fewer.unlikely)):
         return False
-    if strain(fewer.fitted) > IMPOSSIBLE >= strain(more.fitted):
+    if relieves(more.fitted, fewer.fitted, IMPOSSIBLE):
         return False
     worse = more.unlikely - fewer.unlikely
     return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))

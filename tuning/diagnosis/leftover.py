@@ -79,10 +79,20 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     return float(np.clip(share, 0.0, 1.0))
 
 
-def meant(fitted: Fitted) -> Sequence[str]:
-    """The nominal parameters that still mean what the drive file says: elements before sliding take over the others."""
-    there = {member.candidate.name for member in fitted.model.members}
+def meant(*fits: Fitted) -> Sequence[str]:
+    """The nominal parameters that mean what the drive file says in all of the fits: elements before sliding take over
+    the others.
+    """
+    there = {member.candidate.name for one in fits for member in one.model.members}
     return SLIDING if PreslidingHysteresis.name in there else NAMES
+
+
+def relieves(one: Fitted, other: Fitted, most: float = STRAINED) -> bool:
+    """Whether one fit leaves no nominal parameter moved beyond `most` where another does, of those that mean the same
+    in both.
+    """
+    among = meant(one, other)
+    return strain(other, among) >= most > strain(one, among)
 
 
 def strain(fitted: Fitted, among: Sequence[str] | None = None) -> float:

@@ -100,7 +100,7 @@ def _pushed(fitted: Fitted) -> Logged:
 
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best point of the grid of a candidate with amplitudes."""
+    """The best point of the grid of a candidate with amplitudes; of no evidence where there is none."""
     logged = fitted.model.logged
     samples = fitted.residual.size
     left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
@@ -124,8 +124,7 @@ def screen(fitted: Fitted, candidate: Candidate) -> Screened:
                 row[slice(None) if log is None else log] = value * one.spread
             moved = [fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left)]
             best = Screened(candidate, gain, evidence, values, *moved, fitted.process * TRIED)
-    assert best is not None
-    return best
+    return best or Screened(candidate, 0.0, -np.inf, {}, fitted.u, fitted.u, fitted.process * TRIED)
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:

@@ -17,7 +17,7 @@ from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
 from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, strain
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, meant, relieves, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 from tuning.diagnosis.threads import in_parallel
@@ -227,7 +227,11 @@ def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) 
     if believed is None:
         return []
     most = before.evidence + _allowed(before, believed)
-    return sorted((one for one in fits if strain(one) < STRAINED and one.evidence < most), key=lambda one: one.evidence)
+
+    def relieving(one: Fitted) -> bool:
+        return strain(before, meant(one)) > IMPOSSIBLE and strain(one) < STRAINED
+
+    return sorted((one for one in fits if one.evidence < most and relieving(one)), key=lambda one: one.evidence)
 
 
 def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
@@ -246,9 +250,9 @@ def _race(
     screened.sort(key=lambda one: -one.evidence)
     promising = _promising(screened)
     promising += _bringing_back(before, known, apart_from(_likeliest(screened), promising))
-    alone = {_name(one): one for one in known}
+    alone = {one.model.members[-1].candidate.kind: one for one in known}
     begun = in_parallel(
-        lambda one: fit_from(fitter, before, one, RACE, alone.get(one.candidate.name)),
+        lambda one: fit_from(fitter, before, one, RACE, alone.get(one.candidate.kind)),
         sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
@@ -272,9 +276,7 @@ def _bringing_back(before: Fitted, known: Sequence[Fitted], others: Sequence[Scr
 
     Best first, as they were then. That parameter may stand in for one of them, and screening sees nothing left for it.
     """
-    if strain(before) < STRAINED:
-        return []
-    evidence = {_name(one): one.evidence for one in known if strain(one) < STRAINED}
+    evidence = {_name(one): one.evidence for one in known if relieves(one, before)}
     found = [one for one in others if one.candidate.name in evidence]
     return sorted(found, key=lambda one: evidence[one.candidate.name])[:BACK]
 

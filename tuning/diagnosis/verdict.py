@@ -13,7 +13,7 @@ from scipy.special import expit
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, furthest, strain, unexplained
+from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, furthest, relieves, strain, unexplained
 from tuning.diagnosis.search import IMPOSSIBLE, Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
@@ -95,7 +95,7 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
 
 def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float) -> list[Belief]:
     """The beliefs with what the search found on its other way as a rival of what differs from it."""
-    if found.other is None or strain(found.other.best) > IMPOSSIBLE >= strain(found.best):
+    if found.other is None or relieves(found.best, found.other.best, IMPOSSIBLE):
         return beliefs
     mine, theirs = found.named - found.other.named, found.other.named - found.named
     gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
