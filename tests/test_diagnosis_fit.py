@@ -21,11 +21,10 @@ from tuning.diagnosis.curvature import FARTHEST
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.explain import _further
 from tuning.diagnosis.fitting import LEAST, Fitter
-from tuning.diagnosis.leftover import LACKING, STRAINED, WORTH, lacking, strain
+from tuning.diagnosis.leftover import IMPOSSIBLE, LACKING, STRAINED, WORTH, lacking, strain
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import _directions, _pushed, begin, joined, screen, tried
 from tuning.diagnosis.search import (
-    IMPOSSIBLE,
     RACE,
     fit_from,
     look,

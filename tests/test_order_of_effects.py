@@ -14,8 +14,8 @@ from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _enough, _further
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leading import led_on, to_its_end
-from tuning.diagnosis.leftover import LEFT, STRAINED, WORTH, lacking, relieves, strain, unexplained
-from tuning.diagnosis.search import CLOSE, IMPOSSIBLE, SETTLED, SLIGHT, Round, _again, _ranked
+from tuning.diagnosis.leftover import IMPOSSIBLE, LEFT, SLIGHT, STRAINED, WORTH, lacking, relieves, strain, unexplained
+from tuning.diagnosis.search import CLOSE, SETTLED, Round, _again, _ranked
 from tuning.diagnosis.setting import Setting
 
 AXIS = Setting(

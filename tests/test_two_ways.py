@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 from imagined import hypothesis, names, seeing  # noqa: F401
 
-from tuning.diagnosis import explain, verdict
+from tuning.diagnosis import explain, leading, verdict
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.explain import Explanation, _better, _other_first, _searched_beside
-from tuning.diagnosis.leftover import WORTH
-from tuning.diagnosis.search import IMPOSSIBLE, Round
+from tuning.diagnosis.explain import Explanation, _better, _brought_back, _other_first, _searched_beside
+from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH
+from tuning.diagnosis.search import Round
 
 pytestmark = pytest.mark.usefixtures("seeing")
 
@@ -92,6 +92,28 @@ def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_i
     refused = ended.rounds[1]
     gain = refused.before.evidence - refused.fits[0].evidence
     assert (gain >= refused.enough) == (len(found) == 2)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "strain", "taken"), [(-8900.0, 5.0, True), (-8700.0, 5.0, False), (-8900.0, 6.5, False)]
+)
+def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_far(
+    monkeypatch, evidence, strain, taken
+):
+    """What they told is 5000 here, of which SLIGHT is 200."""
+    base, play = hypothesis(evidence=0.0), hypothesis("backlash", evidence=-8000.0)
+    far, near = (
+        hypothesis("backlash", "cogging", evidence=by, strain=moved)
+        for by, moved in ((-9000.0, 7.6), (evidence, strain))
+    )
+    nominal = hypothesis("backlash", "cogging", evidence=-4000.0)
+    nominal.process = nominal.track = far.process = far.track = SimpleNamespace(course=None)
+    monkeypatch.setattr(leading, "to_its_end", lambda fitter, one: near if one is nominal else one)
+    fitter = SimpleNamespace(fit=lambda *_, **__: nominal)
+    rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [far], 1, 0.0)]
+    found = _brought_back(fitter, Explanation(base, rounds, far))
+    assert found.best is found.rounds[1].fits[0] is (near if taken else far)
+    assert _brought_back(fitter, Explanation(base, rounds[:1], play)).best is play
 
 
 FIRST = {"backlash": (-900.0, 5.5), "constant_force": (-850.0, 1.0)}

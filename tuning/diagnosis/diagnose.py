@@ -29,9 +29,9 @@ from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, confirmed, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
-from tuning.diagnosis.leftover import SLIDING, furthest, strain
+from tuning.diagnosis.leftover import IMPOSSIBLE, SLIDING, furthest, strain
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
-from tuning.diagnosis.search import IMPOSSIBLE, Progress, Round, recalibrated
+from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.trust import comparing

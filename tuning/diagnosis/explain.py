@@ -10,10 +10,21 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.leading import searched_again, to_its_end
-from tuning.diagnosis.leftover import STRAINED, WORTH, blind, complete, meant, relieves, strain, unexplained
+from tuning.diagnosis.leading import brought_back, searched_again, to_its_end
+from tuning.diagnosis.leftover import (
+    IMPOSSIBLE,
+    SLIGHT,
+    STRAINED,
+    WORTH,
+    blind,
+    complete,
+    meant,
+    relieves,
+    strain,
+    unexplained,
+)
 from tuning.diagnosis.model import Vector
-from tuning.diagnosis.search import IMPOSSIBLE, SLIGHT, Progress, Round, apart_from, look, whole
+from tuning.diagnosis.search import Progress, Round, apart_from, look, whole
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -133,8 +144,9 @@ def explain(
         return Explanation(base, rounds, best)
 
     def to_its_best(found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        if complete(fitter, found.best):
-            return found
+        return _brought_back(fitter, found if complete(fitter, found.best) else beside_it(found, catalogue))
+
+    def beside_it(found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         beside = _searched_beside(fitter, found)
         if beside is found:
             return found
@@ -173,6 +185,16 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     rounds = found.rounds[: last + 1]
     rounds[last] = one._replace(before=before, fits=[best, *one.fits[1:]])
     rounds[last - 1] = rounds[last - 1]._replace(fits=[before, *rounds[last - 1].fits[1:]])
+    return found._replace(rounds=rounds, best=best)
+
+
+def _brought_back(fitter: Fitter, found: Explanation) -> Explanation:
+    """What was found with numbers that can be, where its fit left some that cannot and need not have."""
+    if not found.best.model.added or strain(found.best) <= IMPOSSIBLE:
+        return found
+    best, last = brought_back(fitter, found.best), found.best.model.added - 1
+    rounds = [*found.rounds]
+    rounds[last] = rounds[last]._replace(fits=[best, *rounds[last].fits[1:]])
     return found._replace(rounds=rounds, best=best)
 
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.leftover import WORTH, relieves
-from tuning.diagnosis.search import IMPOSSIBLE
+from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH, relieves
 from tuning.diagnosis.verdict import Verdict
 
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose

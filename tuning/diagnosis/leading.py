@@ -4,10 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter
 from tuning.diagnosis.harmonics import at_its_root
-from tuning.diagnosis.leftover import WORTH
+from tuning.diagnosis.leftover import IMPOSSIBLE, SLIGHT, WORTH, relieves
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import begin
 
@@ -47,6 +48,32 @@ def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
             return further
         one = further
     return one
+
+
+def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
+    """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
+    u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
+    found = fitter.fit(one.model, u, None, one.track.course, most=0)
+    return found if np.isfinite(found.evidence) else None
+
+
+def allowance(one: Fitted, nominal: Fitted) -> float:
+    """What a fit within the drive file's tolerances may lack against one far beyond them."""
+    return SLIGHT * max(nominal.cost - one.cost, 0.0)
+
+
+def brought_back(fitter: Fitter, one: Fitted) -> Fitted:
+    """The fit begun again from the drive file's own numbers, where that ends with numbers that can be and those that
+    cannot did not tell much more.
+
+    A valley that leads far off may begin beside the effects as they were found first, not as they are now.
+    """
+    nominal = at_nominal(fitter, one)
+    if nominal is None:
+        return one
+    ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
+    close = ended.evidence - one.evidence <= allowance(one, nominal)
+    return ended if close and possible([ended]) and relieves(ended, one, IMPOSSIBLE) else one
 
 
 def _searched(model: Model) -> int | None:

@@ -21,6 +21,8 @@ BLIND = 0.05  # of the samples: where the filter is lost at more of them, its co
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
 WORTH = 12.0  # in evidence, that an effect must bring
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
+IMPOSSIBLE = 6.0  # of these, of a nominal parameter that is explained before anything else
+SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 RELEVANT = 3e-4  # of the friction
 # what a table that slides tells: effects before sliding take over what the others mean
 _SLIDING = ("mass", "coulomb_screw", "load_coefficient", "viscous")

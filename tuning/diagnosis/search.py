@@ -16,8 +16,8 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
-from tuning.diagnosis.leading import led_on, on, possible, renamed, searched_again
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, WORTH, meant, relieves, strain
+from tuning.diagnosis.leading import allowance, at_nominal, led_on, on, possible, renamed, searched_again
+from tuning.diagnosis.leftover import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH, meant, relieves, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
 from tuning.diagnosis.threads import in_parallel
@@ -30,8 +30,6 @@ CLOSE = 0.7  # of the best gain, that an effect must bring to be searched for ag
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
 PROMISING = 4.0  # in evidence
 SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
-SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
-IMPOSSIBLE = 6.0  # standard deviations of its prior, of a nominal parameter that is explained before anything else
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")
@@ -157,7 +155,7 @@ def look(
     fits = led_on(fitter, fits)
     believed = None
     if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0], left) and strain(fits[0]) < STRAINED):
-        believed = _believed(fitter, before)
+        believed = at_nominal(fitter, before)
         more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
         fits = led_on(fitter, [*fits, *more])
     gains = fits and before.evidence - fits[0].evidence > SETTLED
@@ -202,7 +200,7 @@ def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], f
         return Round(before, screened, every, len(every), 0.0)
     named = {_name(one) for one in relieving}
     others = [one for one in every if _name(one) not in named]
-    return Round(before, screened, [*relieving, *others], len(relieving), _allowed(before, believed))
+    return Round(before, screened, [*relieving, *others], len(relieving), allowance(before, believed))
 
 
 def _clearly(best: Fitted, relieving: Fitted) -> bool:
@@ -210,23 +208,11 @@ def _clearly(best: Fitted, relieving: Fitted) -> bool:
     return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
 
 
-def _believed(fitter: Fitter, before: Fitted) -> Fitted | None:
-    """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
-    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
-    found = fitter.fit(before.model, u, None, before.track.course, most=0)
-    return found if np.isfinite(found.evidence) else None
-
-
-def _allowed(before: Fitted, believed: Fitted) -> float:
-    """What a fit within the drive file's tolerances may lack against one far beyond them."""
-    return SLIGHT * max(believed.cost - before.cost, 0.0)
-
-
 def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) -> list[Fitted]:
     """The fits, best first, that explain as much as `before` and move no nominal parameter far."""
     if believed is None:
         return []
-    most = before.evidence + _allowed(before, believed)
+    most = before.evidence + allowance(before, believed)
 
     def relieving(one: Fitted) -> bool:
         return strain(before, meant(one)) > IMPOSSIBLE and strain(one) < STRAINED

@@ -13,8 +13,18 @@ from scipy.special import expit
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leftover import COARSE, LEFT, STRAINED, complete, furthest, relieves, strain, unexplained
-from tuning.diagnosis.search import IMPOSSIBLE, Round
+from tuning.diagnosis.leftover import (
+    COARSE,
+    IMPOSSIBLE,
+    LEFT,
+    STRAINED,
+    complete,
+    furthest,
+    relieves,
+    strain,
+    unexplained,
+)
+from tuning.diagnosis.search import Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
