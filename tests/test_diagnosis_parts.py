@@ -372,6 +372,13 @@ def test_a_resonance_is_one_that_the_log_can_show():
     assert found == [True, False, False]
 
 
+def test_a_screw_with_next_to_no_play_is_an_elastic_one():
+    log = logged_of(DRIVE.drive, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    screw = next(one for one in candidates(at) if one.name == "backlash")
+    assert [screw.plausible({"gap": np.array([one])}, np.ones(1)) for one in (3e-9, 3e-7)] == [False, True]
+
+
 @pytest.mark.parametrize(
     ("frequency", "end", "beside", "swings"),
     [(1.0, 2.2, 3.0, False), (60.0, 2.2, 3.0, True), (4.0, 2.2, 0.1, False), (1.0, 9.0, 3.0, False)],

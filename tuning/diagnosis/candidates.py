@@ -14,6 +14,7 @@ from tuning.diagnosis.setting import SLIPPERY, Setting
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
 DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: what is shorter is the counts themselves
+TIGHT = 1e-7  # m: a screw with less play has none, and is but elastic
 FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
@@ -237,6 +238,7 @@ def _backlash(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
+        bounds=(("gap", TIGHT, np.inf),),
     )
 
 
