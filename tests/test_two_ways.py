@@ -109,6 +109,7 @@ def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_
     nominal = hypothesis("backlash", "cogging", evidence=-4000.0)
     nominal.process = nominal.track = far.process = far.track = SimpleNamespace(course=None)
     monkeypatch.setattr(leading, "to_its_end", lambda fitter, one: near if one is nominal else one)
+    monkeypatch.setattr(leading, "searched_again", lambda fitter, before, one: one)
     fitter = SimpleNamespace(fit=lambda *_, **__: nominal)
     rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [far], 1, 0.0)]
     found = _brought_back(fitter, Explanation(base, rounds, far))

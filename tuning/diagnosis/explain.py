@@ -192,7 +192,7 @@ def _brought_back(fitter: Fitter, found: Explanation) -> Explanation:
     """What was found with numbers that can be, where its fit left some that cannot and need not have."""
     if not found.best.model.added or strain(found.best) <= IMPOSSIBLE:
         return found
-    best, last = brought_back(fitter, found.best), found.best.model.added - 1
+    best, last = brought_back(fitter, found.base, found.best), found.best.model.added - 1
     rounds = [*found.rounds]
     rounds[last] = rounds[last]._replace(fits=[best, *rounds[last].fits[1:]])
     return found._replace(rounds=rounds, best=best)

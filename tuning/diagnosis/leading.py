@@ -62,16 +62,18 @@ def allowance(one: Fitted, nominal: Fitted) -> float:
     return SLIGHT * max(nominal.cost - one.cost, 0.0)
 
 
-def brought_back(fitter: Fitter, one: Fitted) -> Fitted:
+def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     """The fit begun again from the drive file's own numbers, where that ends with numbers that can be and those that
     cannot did not tell much more.
 
-    A valley that leads far off may begin beside the effects as they were found first, not as they are now.
+    A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
+    is a little off is made up for by friction of either direction.
     """
     nominal = at_nominal(fitter, one)
     if nominal is None:
         return one
     ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
+    ended = searched_again(fitter, base, ended)
     close = ended.evidence - one.evidence <= allowance(one, nominal)
     return ended if close and possible([ended]) and relieves(ended, one, IMPOSSIBLE) else one
 
