@@ -1,6 +1,7 @@
 """Which effects explain the logs: recalibrated, with one effect, and with two."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Optional
 
@@ -93,6 +94,77 @@ def _enough(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Seque
     return enough
 
 
+@dataclass(frozen=True)
+class _Search:
+    """The search for effects in logs: one after the other, until another is not worth it or there are `most`."""
+
+    fitter: Fitter
+    progress: Progress
+    most: int
+
+    def left(self, base: Fitted, one: Fitted) -> float:
+        """The share of the gap that a fit leaves."""
+        return 0.0 if complete(self.fitter, one) else unexplained(self.fitter, base, one)
+
+    def over(self, base: Fitted, one: Fitted) -> bool:
+        """Whether nothing is missing any more but details."""
+        return whole(one, partial(self.left, base)) if one.model.coarse else complete(self.fitter, one)
+
+    def done(self, base: Fitted, one: Fitted) -> bool:
+        """Whether there is nothing left to explain, neither a force nor a number moved far."""
+        return self.over(base, one) and strain(one) < STRAINED
+
+    def standing(self, base: Fitted, one: Fitted) -> tuple[bool, ...]:
+        """What decides how the search goes on."""
+        return self.over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
+
+    def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
+        """One more effect looked for."""
+        if self.over(base, before):
+            catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
+        known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
+        return look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
+
+    def onward(self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
+        """What was found before and, of this catalogue, what is found beside it."""
+        while len(rounds) < self.most and not (rounds and self.done(base, best)):
+            found = self.looked(base, best, catalogue, rounds)
+            further = _further(self.fitter, best, found.fits)
+            if further is not None:
+                from_there = base if rounds else further
+                gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
+                again = gained > AGAIN * explained or self.standing(base, best) != self.standing(from_there, further)
+                base, best = from_there, further
+                if rounds:
+                    rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
+                    if self.done(base, best):
+                        break
+                found = self.looked(base, best, catalogue, rounds) if again else found._replace(before=best)
+            found = self.priced(base, found)
+            rounds = [*rounds, found]
+            if not found.worth_it:
+                break
+            best = found.fits[0]
+        return Explanation(base, rounds, best)
+
+    def priced(self, base: Fitted, one: Round) -> Round:
+        """The round with the evidence that its first effect has to bring."""
+        return one._replace(enough=_enough(self.fitter, base, one.before, self.over(base, one.before), one.fits))
+
+    def to_its_best(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+        """The end of a search led on, without the last effect where the others explain it as well by then."""
+        if complete(self.fitter, found.best):
+            return _brought_back(self.fitter, found)
+        beside = _searched_beside(self.fitter, found)
+        if beside is not found:
+            last = self.priced(found.base, beside.rounds[-1])
+            if last.worth_it:
+                found = beside._replace(rounds=[*beside.rounds[:-1], last])
+            else:
+                found = self.onward(found.base, beside.rounds[:-1], last.before, catalogue)
+        return _brought_back(self.fitter, found)
+
+
 def explain(
     fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
 ) -> Explanation:
@@ -103,70 +175,20 @@ def explain(
     front, beside which only what was found is looked for. Where that ends better, everything is; the other end is kept
     as a rival.
     """
-
-    def left(base: Fitted, one: Fitted) -> float:
-        return 0.0 if complete(fitter, one) else unexplained(fitter, base, one)
-
-    def over(base: Fitted, one: Fitted) -> bool:
-        return whole(one, partial(left, base)) if one.model.coarse else complete(fitter, one)
-
-    def standing(base: Fitted, one: Fitted) -> tuple[bool, ...]:
-        return over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
-
-    def done(base: Fitted, one: Fitted) -> bool:
-        return over(base, one) and strain(one) < STRAINED
-
-    def looked(base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
-        if over(base, before):
-            catalogue = [one for one in catalogue if one.unseen or (one.twists and fitter.twist is not None)]
-        known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
-        return look(fitter, before, catalogue, progress, partial(left, base), known)
-
-    def onward(base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
-        while len(rounds) < most and not (rounds and done(base, best)):
-            found = looked(base, best, catalogue, rounds)
-            further = _further(fitter, best, found.fits)
-            if further is not None:
-                from_there = base if rounds else further
-                gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
-                again = gained > AGAIN * explained or standing(base, best) != standing(from_there, further)
-                base, best = from_there, further
-                if rounds:
-                    rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
-                    if done(base, best):
-                        break
-                found = looked(base, best, catalogue, rounds) if again else found._replace(before=best)
-            enough = _enough(fitter, base, best, over(base, best), found.fits)
-            rounds = [*rounds, found._replace(enough=enough)]
-            if not found.fits or best.evidence - found.fits[0].evidence + found.allowance < enough:
-                break
-            best = found.fits[0]
-        return Explanation(base, rounds, best)
-
-    def to_its_best(found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        return _brought_back(fitter, found if complete(fitter, found.best) else beside_it(found, catalogue))
-
-    def beside_it(found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        beside = _searched_beside(fitter, found)
-        if beside is found:
-            return found
-        base, last = found.base, beside.rounds[-1]
-        enough = _enough(fitter, base, last.before, over(base, last.before), last.fits)
-        if last.before.evidence - beside.best.evidence + last.allowance < enough:  # the first explains it without
-            return onward(base, beside.rounds[:-1], last.before, catalogue)
-        return beside._replace(rounds=[*beside.rounds[:-1], last._replace(enough=enough)])
-
-    found = to_its_best(onward(base, [], base, catalogue), catalogue)
+    search = _Search(fitter, progress, most)
+    found = search.to_its_best(search.onward(base, [], base, catalogue), catalogue)
     first = _other_first(found)
-    if first is None or over(found.base, found.best):
+    if first is None or search.over(found.base, found.best):
         return found
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
-    few = [one for one in catalogue if one.name in found.named]
-    other = to_its_best(onward(found.base, [first], first.fits[0], few), few)
+
+    def beside(catalogue: Sequence[Candidate]) -> Explanation:
+        return search.to_its_best(search.onward(found.base, [first], first.fits[0], catalogue), catalogue)
+
+    other = beside([one for one in catalogue if one.name in found.named])
     if not _better(other.best, found.best):
         return found._replace(other=other)
-    # what else may stand beside it
-    widely = to_its_best(onward(found.base, [first], first.fits[0], catalogue), catalogue)
+    widely = beside(catalogue)
     return (other if _better(other.best, widely.best) else widely)._replace(other=found)
 
 

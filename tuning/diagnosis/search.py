@@ -45,6 +45,16 @@ class Round(NamedTuple):
     allowance: float  # in evidence, that the first may lack since it resolves an impossibility
     enough: float = WORTH  # in evidence, that the first had to bring
 
+    @property
+    def gain(self) -> float:
+        """Evidence that the first brought, and what it may lack."""
+        return self.before.evidence - self.fits[0].evidence + self.allowance
+
+    @property
+    def worth_it(self) -> bool:
+        """Whether the first brought enough."""
+        return bool(self.fits) and self.gain >= self.enough
+
 
 def standing(logged: Logged) -> Course:
     """The course before any filter: where the table was measured, at rest."""

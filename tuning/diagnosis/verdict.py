@@ -173,8 +173,7 @@ def judge(fitter: Fitter, found: Explanation) -> Verdict:
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
             continue
-        gain = looked.before.evidence - looked.fits[0].evidence + looked.allowance
-        certain = (NEAREST + (1.0 - NEAREST) * known) * _worth(gain, looked.enough)
+        certain = (NEAREST + (1.0 - NEAREST) * known) * _worth(looked.gain, looked.enough)
         beliefs += _believed(looked, number, share, number < effects, certain)
     beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, known)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
