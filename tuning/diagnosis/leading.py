@@ -8,7 +8,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter
 from tuning.diagnosis.harmonics import at_its_root
-from tuning.diagnosis.leftover import IMPOSSIBLE, SLIGHT, WORTH, relieves
+from tuning.diagnosis.leftover import IMPOSSIBLE, SLIDING, SLIGHT, WORTH, relieves, strain
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import begin
 
@@ -67,7 +67,8 @@ def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     cannot did not tell much more.
 
     A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
-    is a little off is made up for by friction of either direction.
+    is a little off is made up for by friction of either direction. It is what a table that slides tells that no cause
+    is believed beside; how the bristle bends may stay far off.
     """
     nominal = at_nominal(fitter, one)
     if nominal is None:
@@ -75,7 +76,8 @@ def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
     ended = searched_again(fitter, base, ended)
     close = ended.evidence - one.evidence <= allowance(one, nominal)
-    return ended if close and possible([ended]) and relieves(ended, one, IMPOSSIBLE) else one
+    credible = relieves(ended, one, IMPOSSIBLE) or strain(ended, SLIDING) <= IMPOSSIBLE < strain(one, SLIDING)
+    return ended if close and credible and possible([ended]) else one
 
 
 def _searched(model: Model) -> int | None:
