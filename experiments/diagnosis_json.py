@@ -183,7 +183,7 @@ def _closed(found: Diagnosis) -> dict[str, Any]:
     alike = np.array_equal(found.rungs[1].trusting, found.rungs[-1].trusting)
     on = (
         f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor "
-        f"{floor:.3g} N{'' if alike else ' (by a filter that follows it and may invent less)'}"
+        f"{floor:.3g} N{'' if alike else ' (by a filter of its own that follows it)'}"
     )
     if gone is None:
         among = meant(found.explanation.base, found.found)
