@@ -1,65 +1,44 @@
-"""exp(-x), where it is a third of a control step.
+"""exp(-x) and 2^-y, where they are a third of a control step.
 
 XLA's own exponential takes care of every corner of a float; friction asks for x between 0 and some hundreds, eighteen
-times a step. This one is right to rounding there (4e-16), branchless, and vectorises: x = n ln 2 - r, |r| < ln 2 / 2,
-exp(r) by a polynomial in Estrin's order, and 2^-n written into the exponent's bits. Of a single-precision number it is
-the single-precision exponential (2e-7), by the same steps with fewer terms.
+times a step. These are right to rounding there (4e-16), branchless, and vectorise: x = n ln 2 - r, |r| < ln 2 / 2,
+exp(r) by a polynomial in Estrin's order, and 2^-n written into the exponent's bits. Of a single-precision number they
+are the single-precision exponential (2e-7), by the same steps with fewer terms.
 """
 
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Bool
 
 from diffdrive.parameters import Scalar
 
-FARTHEST = 700.0  # exp(-700) is 1e-304: as good as nothing, and 2^-n is still a normal number
-_LOG2_E = 1.4426950408889634
+FARTHEST = 670.0  # exp(-670) is 1e-291: as good as nothing, and what 2^-n multiplies is still a normal number
+FARTHEST_SINGLE = 70.0  # the same for a float: exp(-70) is 4e-31
+LOG2_E, LN2 = math.log2(math.e), math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first has 20 trailing zero bits
-_MAGIC = 1.5 * 2.0**52  # a number beside it is rounded to a whole one, which then stands in its last bits
-
+_LN2_HIGH_SINGLE, _LN2_LOW_SINGLE = 0.693359375, -2.12194440e-4  # the first has 14 trailing zero bits
+_MAGIC, _MAGIC_SINGLE = 1.5 * 2.0**52, 1.5 * 2.0**23  # beside it a number is rounded to a whole one, in its last bits
 
 # exp(r) = 1 + r + r^2 P(r); the first term left out is 3e-17 at |r| = ln 2 / 2
 _P = tuple(1.0 / math.factorial(k + 2) for k in range(12))
 
 
-FARTHEST_SINGLE = 87.0  # the same for a float: exp(-87) is 2e-38
-_LN2_HIGH_SINGLE, _LN2_LOW_SINGLE = 0.693359375, -2.12194440e-4  # the first has 14 trailing zero bits
-_MAGIC_SINGLE = 1.5 * 2.0**23
+class Faded(NamedTuple):
+    """exp(-x), and what it is made of where x is small."""
+
+    end: Scalar  # exp(-x)
+    whole: Bool[Array, ""]  # whether x < ln 2 / 2: there exp(-x) = 1 - x + x^2 series, to rounding
+    series: Scalar
 
 
 @jax.custom_jvp
 def fading(x: Scalar) -> Scalar:
     """exp(-x) in the precision of x >= 0, or not far below; NaN stays NaN. Any order of derivative."""
-    return _single(x) if jnp.result_type(x) == jnp.float32 else _double(x)
-
-
-def _double(x: Scalar) -> Scalar:
-    x = jnp.minimum(x, FARTHEST)
-    shifted = x * _LOG2_E + _MAGIC
-    n = shifted - _MAGIC
-    r = (n * _LN2_HIGH - x) + n * _LN2_LOW
-    r2 = r * r
-    r4 = r2 * r2
-    low = (_P[0] + _P[1] * r) + (_P[2] + _P[3] * r) * r2
-    middle = (_P[4] + _P[5] * r) + (_P[6] + _P[7] * r) * r2
-    high = (_P[8] + _P[9] * r) + (_P[10] + _P[11] * r) * r2
-    power = 1.0 + (r + r2 * (low + r4 * (middle + r4 * high)))
-    bits = lax.bitcast_convert_type(shifted, jnp.int64)
-    scale = lax.bitcast_convert_type((1023 - bits) << 52, jnp.float64)
-    return power * scale
-
-
-def _single(x: Scalar) -> Scalar:
-    x = jnp.minimum(x, FARTHEST_SINGLE)
-    shifted = x * _LOG2_E + _MAGIC_SINGLE
-    n = shifted - _MAGIC_SINGLE
-    r = (n * _LN2_HIGH_SINGLE - x) + n * _LN2_LOW_SINGLE
-    r2 = r * r
-    series = (_P[0] + _P[1] * r) + ((_P[2] + _P[3] * r) + _P[4] * r2) * r2
-    bits = lax.bitcast_convert_type(shifted, jnp.int32)
-    return (1.0 + (r + r2 * series)) * lax.bitcast_convert_type((127 - bits) << 23, jnp.float32)
+    return faded(x).end
 
 
 @fading.defjvp
@@ -67,3 +46,69 @@ def _fading_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scal
     (x,), (along,) = primals, tangents
     end = fading(x)
     return end, -end * along
+
+
+def faded(x: Scalar) -> Faded:
+    """exp(-x) with its parts; its derivatives are the caller's."""
+    single = _single(x)
+    high, low = (_LN2_HIGH_SINGLE, _LN2_LOW_SINGLE) if single else (_LN2_HIGH, _LN2_LOW)
+    x = jnp.minimum(x, FARTHEST_SINGLE if single else FARTHEST)
+    shifted, n = _whole(x * LOG2_E)
+    r = (n * high - x) + n * low
+    r2, near, far = _series(r)
+    series = near + r2 * (r2 * far)
+    return Faded((1.0 + (r + r2 * series)) * _halved(shifted), n == 0.0, series)
+
+
+@jax.custom_jvp
+def halving(y: Scalar) -> Scalar:
+    """2^-y in the precision of y >= 0, or not far below; NaN stays NaN. Any order of derivative.
+
+    A lane by itself waits for each result. So y is told from n by a subtraction, its bound is kept last, and 2^-n
+    multiplies the parts of the polynomial while the rest of it is under way.
+    """
+    most = (FARTHEST_SINGLE if _single(y) else FARTHEST) * LOG2_E
+    shifted, n = _whole(y)
+    scale, r = _halved(shifted), (n - y) * LN2
+    r2, near, far = _series(r)
+    end = scale * ((1.0 + r) + r2 * near) + (scale * (r2 * r2 * r2)) * far
+    return jnp.where(y > most, 2.0**-most, end)
+
+
+@halving.defjvp
+def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
+    (y,), (along,) = primals, tangents
+    end = halving(y)
+    return end, end * (-LN2 * along)
+
+
+def _single(x: Scalar) -> bool:
+    return bool(jnp.result_type(x) == jnp.float32)
+
+
+def _whole(y: Scalar) -> tuple[Scalar, Scalar]:
+    """The whole number n next to y: in the last bits of a large number, and as it is."""
+    magic = _MAGIC_SINGLE if _single(y) else _MAGIC
+    shifted = y + magic
+    return shifted, shifted - magic
+
+
+def _halved(shifted: Scalar) -> Scalar:
+    """2^-n, of n in the last bits of a large number."""
+    if _single(shifted):
+        bits = lax.bitcast_convert_type(shifted, jnp.int32)
+        return lax.bitcast_convert_type((127 - bits) << 23, jnp.float32)
+    bits = lax.bitcast_convert_type(shifted, jnp.int64)
+    return lax.bitcast_convert_type((1023 - bits) << 52, jnp.float64)
+
+
+def _series(r: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """r^2, and P(r) as its first four terms and r^4 times the others."""
+    r2 = r * r
+    near = (_P[0] + _P[1] * r) + (_P[2] + _P[3] * r) * r2
+    if _single(r):
+        return r2, near, _P[4]
+    r4 = r2 * r2
+    middle = (_P[4] + _P[5] * r) + (_P[6] + _P[7] * r) * r2
+    high = (_P[8] + _P[9] * r) + (_P[10] + _P[11] * r) * r2
+    return r2, near, middle + r4 * high

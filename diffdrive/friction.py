@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from diffdrive.exponential import fading
+from diffdrive.exponential import LOG2_E, faded, halving
 from diffdrive.parameters import Directional, Friction, Scalar
 from diffdrive.polynomial import polynomial
 
@@ -40,7 +40,7 @@ def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
 def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
     """Friction level g(v), N, without the viscous part (eq. (5))."""
     gap = friction.breakaway_gap.towards(velocity)
-    decay = fading(jnp.abs(velocity) / friction.stribeck_velocity.towards(velocity))
+    decay = halving(LOG2_E * jnp.abs(velocity) / friction.stribeck_velocity.towards(velocity))
     return coulomb(friction, velocity, load) + gap * decay
 
 
@@ -54,7 +54,7 @@ class Loaded(NamedTuple):
 
     coulomb: Directional  # F_C, N
     gap: Directional  # F_S - F_C, N
-    fade: Directional  # 1 / v_s, s/m
+    fade: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves
     stiffness: Directional
     damping: Directional
     viscous: Directional
@@ -62,7 +62,7 @@ class Loaded(NamedTuple):
     def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
         """The coefficients of eq. (4) at this velocity and bristle deflection."""
         speed, stiffness = jnp.abs(velocity), self.stiffness.towards(deflection)
-        stribeck = self.gap.towards(velocity) * fading(speed * self.fade.towards(velocity))
+        stribeck = self.gap.towards(velocity) * halving(speed * self.fade.towards(velocity))
         level = self.coulomb.towards(velocity) + stribeck
         return Bristle(
             stiffness=stiffness,
@@ -76,8 +76,8 @@ class Loaded(NamedTuple):
         """Friction level g, N, at this speed in either direction."""
         speed = jnp.abs(velocity)
         return Directional(
-            self.coulomb.positive + self.gap.positive * fading(speed * self.fade.positive),
-            self.coulomb.negative + self.gap.negative * fading(speed * self.fade.negative),
+            self.coulomb.positive + self.gap.positive * halving(speed * self.fade.positive),
+            self.coulomb.negative + self.gap.negative * halving(speed * self.fade.negative),
         )
 
 
@@ -92,7 +92,7 @@ def under(friction: Friction, load: Scalar) -> Loaded:
     return Loaded(
         Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
         friction.breakaway_gap,
-        Directional(1.0 / slow.positive, 1.0 / slow.negative),
+        Directional(LOG2_E / slow.positive, LOG2_E / slow.negative),
         friction.bristle_stiffness,
         friction.bristle_damping,
         friction.viscous,
@@ -120,8 +120,8 @@ class Decay(NamedTuple):
     x: Scalar
 
 
-# 1/2! - x/3! + x^2/4! - ..., and 1/3! - x/4! + ...: eight terms leave 1e-17 at x = 0.05
-_SECOND, _THIRD = (tuple((-1) ** n / math.factorial(n + order) for n in range(8)) for order in (2, 3))
+# 1/3! - x/4! + x^2/5! - ...: eight terms leave 1e-18 at x = 0.05
+_THIRD = tuple((-1) ** n / math.factorial(n + 3) for n in range(8))
 
 
 def decay(x: Scalar) -> Decay:
@@ -139,8 +139,7 @@ class _Divided(NamedTuple):
     """The decay, and what its slope needs."""
 
     decay: Decay
-    small: Bool[Array, ""]  # by series
-    near: Scalar  # x there, else 0
+    small: Bool[Array, ""]  # where 1 / x would be too large
     inverse: Scalar  # 1 / x elsewhere
     per_bottom: Scalar
 
@@ -151,12 +150,11 @@ def _divided(top: Scalar, bottom: Scalar) -> _Divided:
     once = 1.0 / (safe * bottom)
     per_bottom, inverse = safe * once, bottom * bottom * once
     x = top * per_bottom
-    end = fading(x)
-    near = jnp.where(small, x, 0.0)
-    series, far = polynomial(_SECOND, near), (1.0 - end) * inverse
-    mean = jnp.where(small, 1.0 - near * series, far)
-    again = jnp.where(small, series, (1.0 - far) * inverse)
-    return _Divided(Decay(end, mean, again, x), small, near, inverse, per_bottom)
+    end, whole, series = faded(x)
+    square = inverse * inverse
+    mean = jnp.where(whole, 1.0 - x * series, inverse - inverse * end)
+    again = jnp.where(whole, series, (inverse - square) + square * end)
+    return _Divided(Decay(end, mean, again, x), small, inverse, per_bottom)
 
 
 @decay_of.defjvp
@@ -165,9 +163,10 @@ def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
 
     The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives.
     """
-    (end, mean, again, x), small, near, inverse, per_bottom = _divided(*primals)
+    (end, mean, again, x), small, inverse, per_bottom = _divided(*primals)
     along = (tangents[0] - x * tangents[1]) * per_bottom
     slope = jnp.where(small, again - mean, (end - mean) * inverse)
+    near = jnp.where(small, x, 0.0)
     slope_again = jnp.where(small, 2.0 * polynomial(_THIRD, near) - again, -(slope + again) * inverse)
     return Decay(end, mean, again, x), Decay(-end * along, slope * along, slope_again * along, along)
 

@@ -72,7 +72,7 @@ def _substep(table: _Table, state: PlantState, slip: Scalar, force: Scalar) -> t
         bristle=fade.end * state.bristle + step * fade.mean * mean,
     )
     # the next midpoint velocity is extrapolated: second order without a second pass
-    return lax.optimization_barrier((ahead, 2.0 * ahead.velocity - mean))
+    return lax.optimization_barrier((ahead, 3.0 * mean - 2.0 * state.velocity))
 
 
 def advance(

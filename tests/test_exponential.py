@@ -1,4 +1,6 @@
-"""The step's own exp(-x) against the exact one."""
+"""The step's own exp(-x) and 2^-y against the exact ones."""
+
+import math
 
 import jax
 import jax.numpy as jnp
@@ -7,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.exponential import FARTHEST, FARTHEST_SINGLE, fading
+from diffdrive.exponential import FARTHEST, FARTHEST_SINGLE, LN2, LOG2_E, faded, fading, halving
 
-COMPILED = jax.jit(fading)
+COMPILED, HALVED = jax.jit(fading), jax.jit(halving)
 
 
 @given(st.floats(0.0, FARTHEST))
@@ -19,18 +21,47 @@ def test_it_is_the_exponential_to_rounding(x):
 
 
 def test_it_is_so_where_the_power_of_two_changes():
-    edges = (np.arange(1000) + 0.5) * np.log(2.0)
+    edges = (np.arange(960) + 0.5) * np.log(2.0)
     x = np.concatenate([np.nextafter(edges, 0.0), edges, np.nextafter(edges, 1e3)])
     exact = np.exp(-x.astype(np.longdouble))
     assert np.max(np.abs(np.asarray(COMPILED(x)) / exact - 1)) < 4e-16
 
 
-def test_its_ends():
-    assert float(fading(0.0)) == 1.0
-    assert float(fading(-0.0)) == 1.0
-    assert 0.0 < float(fading(jnp.inf)) < 1e-300
-    assert np.isnan(fading(jnp.nan))
-    assert float(fading(5e-324)) == 1.0
+@given(st.floats(0.0, FARTHEST * LOG2_E))
+def test_a_power_of_two_is_so_too(y):
+    exact = np.exp2(-np.longdouble(y))
+    assert abs(np.longdouble(float(HALVED(y))) - exact) <= 4e-16 * exact
+
+
+def test_halving_is_right_where_the_whole_number_changes():
+    edges = np.arange(960) + 0.5
+    y = np.concatenate([np.nextafter(edges, 0.0), edges, np.nextafter(edges, 1e4)])
+    assert np.max(np.abs(np.asarray(HALVED(y)) / np.exp2(-y.astype(np.longdouble)) - 1)) < 4e-16
+    whole = np.arange(960.0)
+    np.testing.assert_array_equal(HALVED(whole), np.exp2(-whole))
+
+
+@pytest.mark.parametrize("function", [fading, halving])
+def test_its_ends(function):
+    assert float(function(0.0)) == 1.0
+    assert float(function(-0.0)) == 1.0
+    assert 0.0 < float(function(jnp.inf)) < 1e-290
+    assert 0.0 < float(function(1e5)) < 1e-290
+    assert np.isnan(function(jnp.nan))
+    assert float(function(5e-324)) == 1.0
+
+
+@given(st.floats(0.0, 0.34))
+def test_the_series_is_what_the_exponential_lacks_of_a_line(x):
+    told = faded(jnp.asarray(x))
+    assert bool(told.whole)
+    terms = [(-np.longdouble(x)) ** k / math.factorial(k + 2) for k in range(25)]
+    assert float(told.series) == pytest.approx(float(sum(terms)), rel=4e-16)
+
+
+def test_the_series_is_told_below_half_a_halving():
+    assert bool(faded(0.49 * LN2).whole)
+    assert not bool(faded(0.51 * LN2).whole)
 
 
 @given(st.floats(0.0, FARTHEST_SINGLE, width=32))
@@ -39,6 +70,9 @@ def test_of_a_float_it_is_the_exponential_of_a_float(x):
     assert found.dtype == jnp.float32
     assert abs(np.longdouble(float(found)) - exact) <= 2.5e-7 * exact
     assert float(jax.grad(fading)(jnp.float32(x))) == -float(fading(jnp.float32(x)))
+    found, exact = HALVED(jnp.float32(x)), np.exp2(-np.longdouble(x))
+    assert found.dtype == jnp.float32
+    assert abs(np.longdouble(float(found)) - exact) <= 2.5e-7 * exact
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 0.3, np.log(2.0) / 2, 40.0])
@@ -47,3 +81,6 @@ def test_its_derivatives_are_itself_by_turns(x):
     assert float(slope(x)) == -float(fading(x))
     assert float(bend(x)) == float(fading(x))
     assert float(jax.jvp(fading, (x,), (2.0,))[1]) == -2.0 * float(fading(x))
+    slope, bend = jax.grad(halving), jax.grad(jax.grad(halving))
+    assert float(slope(x)) == -LN2 * float(halving(x))
+    assert float(bend(x)) == pytest.approx(LN2**2 * float(halving(x)), rel=1e-15)

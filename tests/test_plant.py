@@ -242,7 +242,15 @@ def test_mirrored_motion_gives_the_mirrored_result(drive):
         np.testing.assert_allclose(a, -b, atol=1e-12 * np.abs(a).max())
 
 
-DECAY_POINTS = np.concatenate([[0.0], np.logspace(-12, 5, 120), np.nextafter(0.05, [0, 1]), [0.05]])
+DECAY_POINTS = np.concatenate(
+    [
+        [0.0],
+        np.logspace(-12, 5, 120),
+        np.nextafter(0.05, [0, 1]),
+        [0.05],
+        np.log(2.0) / 2 * np.array([1.0 - 1e-15, 1.0, 1.0 + 1e-15]),
+    ]
+)
 
 
 def exact_decay(x):
