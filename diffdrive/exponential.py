@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool
 
 from diffdrive.parameters import Scalar
 
-FARTHEST = 670.0  # exp(-670) is 1e-291: as good as nothing, and what 2^-n multiplies is still a normal number
+FARTHEST = 670.0  # exp(-670) is 1e-291: as good as nothing, and still a normal number
 FARTHEST_SINGLE = 70.0  # the same for a float: exp(-70) is 4e-31
 LOG2_E, LN2 = math.log2(math.e), math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first has 20 trailing zero bits
@@ -31,8 +31,8 @@ class Faded(NamedTuple):
     """exp(-x), and what it is made of where x is small."""
 
     end: Scalar  # exp(-x)
-    whole: Bool[Array, ""]  # whether x < ln 2 / 2: there exp(-x) = 1 - x + x^2 series, to rounding
-    series: Scalar
+    small: Bool[Array, ""]  # whether x < ln 2 / 2: there exp(-x) = 1 - x + x^2 series
+    series: Scalar  # to rounding; in single precision to 2e-6
 
 
 @jax.custom_jvp
@@ -53,11 +53,11 @@ def faded(x: Scalar) -> Faded:
     single = _single(x)
     high, low = (_LN2_HIGH_SINGLE, _LN2_LOW_SINGLE) if single else (_LN2_HIGH, _LN2_LOW)
     x = jnp.minimum(x, FARTHEST_SINGLE if single else FARTHEST)
-    shifted, n = _whole(x * LOG2_E)
+    shifted, n = _nearest(x * LOG2_E)
     r = (n * high - x) + n * low
     r2, near, far = _series(r)
     series = near + r2 * (r2 * far)
-    return Faded((1.0 + (r + r2 * series)) * _halved(shifted), n == 0.0, series)
+    return Faded((1.0 + (r + r2 * series)) * _power(shifted), n == 0.0, series)
 
 
 @jax.custom_jvp
@@ -68,8 +68,8 @@ def halving(y: Scalar) -> Scalar:
     multiplies the parts of the polynomial while the rest of it is under way.
     """
     most = (FARTHEST_SINGLE if _single(y) else FARTHEST) * LOG2_E
-    shifted, n = _whole(y)
-    scale, r = _halved(shifted), (n - y) * LN2
+    shifted, n = _nearest(y)
+    scale, r = _power(shifted), (n - y) * LN2
     r2, near, far = _series(r)
     end = scale * ((1.0 + r) + r2 * near) + (scale * (r2 * r2 * r2)) * far
     return jnp.where(y > most, 2.0**-most, end)
@@ -86,14 +86,14 @@ def _single(x: Scalar) -> bool:
     return bool(jnp.result_type(x) == jnp.float32)
 
 
-def _whole(y: Scalar) -> tuple[Scalar, Scalar]:
+def _nearest(y: Scalar) -> tuple[Scalar, Scalar]:
     """The whole number n next to y: in the last bits of a large number, and as it is."""
     magic = _MAGIC_SINGLE if _single(y) else _MAGIC
     shifted = y + magic
     return shifted, shifted - magic
 
 
-def _halved(shifted: Scalar) -> Scalar:
+def _power(shifted: Scalar) -> Scalar:
     """2^-n, of n in the last bits of a large number."""
     if _single(shifted):
         bits = lax.bitcast_convert_type(shifted, jnp.int32)

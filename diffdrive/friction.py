@@ -54,7 +54,7 @@ class Loaded(NamedTuple):
 
     coulomb: Directional  # F_C, N
     gap: Directional  # F_S - F_C, N
-    fade: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves
+    halvings: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves for each m/s
     stiffness: Directional
     damping: Directional
     viscous: Directional
@@ -62,7 +62,7 @@ class Loaded(NamedTuple):
     def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
         """The coefficients of eq. (4) at this velocity and bristle deflection."""
         speed, stiffness = jnp.abs(velocity), self.stiffness.towards(deflection)
-        stribeck = self.gap.towards(velocity) * halving(speed * self.fade.towards(velocity))
+        stribeck = self.gap.towards(velocity) * halving(speed * self.halvings.towards(velocity))
         level = self.coulomb.towards(velocity) + stribeck
         return Bristle(
             stiffness=stiffness,
@@ -76,8 +76,8 @@ class Loaded(NamedTuple):
         """Friction level g, N, at this speed in either direction."""
         speed = jnp.abs(velocity)
         return Directional(
-            self.coulomb.positive + self.gap.positive * halving(speed * self.fade.positive),
-            self.coulomb.negative + self.gap.negative * halving(speed * self.fade.negative),
+            self.coulomb.positive + self.gap.positive * halving(speed * self.halvings.positive),
+            self.coulomb.negative + self.gap.negative * halving(speed * self.halvings.negative),
         )
 
 
@@ -131,43 +131,43 @@ def decay(x: Scalar) -> Decay:
 
 @jax.custom_jvp
 def decay_of(top: Scalar, bottom: Scalar) -> Decay:
-    """`Decay` at x = top / bottom, where bottom > 0: one division for x and 1 / x."""
-    return _divided(top, bottom).decay
+    """`Decay` at x = top / bottom, where top >= 0 and bottom > 0: one division for x and 1 / x."""
+    _, inverse, per_bottom = _divided(top, bottom)
+    x = top * per_bottom
+    end, small, series = faded(x)
+    square = inverse * inverse
+    mean = jnp.where(small, 1.0 - x * series, inverse - inverse * end)
+    again = jnp.where(small, series, (inverse - square) + square * end)
+    return Decay(end, mean, again, x)
 
 
 class _Divided(NamedTuple):
-    """The decay, and what its slope needs."""
+    """Of x = top / bottom, by one division."""
 
-    decay: Decay
-    small: Bool[Array, ""]  # where 1 / x would be too large
+    least: Bool[Array, ""]  # where 1 / x would be too large, and slopes are those of series
     inverse: Scalar  # 1 / x elsewhere
-    per_bottom: Scalar
+    per_bottom: Scalar  # 1 / bottom
 
 
 def _divided(top: Scalar, bottom: Scalar) -> _Divided:
-    small = top < 0.05 * bottom
-    safe = jnp.where(small, 1.0, top)  # keeps the branch not taken, and its derivative, finite
+    least = top < 0.05 * bottom
+    safe = jnp.where(least, 1.0, top)  # keeps the branch not taken, and its derivative, finite
     once = 1.0 / (safe * bottom)
-    per_bottom, inverse = safe * once, bottom * bottom * once
-    x = top * per_bottom
-    end, whole, series = faded(x)
-    square = inverse * inverse
-    mean = jnp.where(whole, 1.0 - x * series, inverse - inverse * end)
-    again = jnp.where(whole, series, (inverse - square) + square * end)
-    return _Divided(Decay(end, mean, again, x), small, inverse, per_bottom)
+    return _Divided(least, bottom * bottom * once, safe * once)
 
 
 @decay_of.defjvp
 def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Decay, Decay]:
     """In closed form: a tangent that went through the series term by term would cost as much as the series itself.
 
-    The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives.
+    The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives. The
+    decay is asked for by its name, so that a second derivative comes this way as well.
     """
-    (end, mean, again, x), small, inverse, per_bottom = _divided(*primals)
+    (end, mean, again, x), (least, inverse, per_bottom) = decay_of(*primals), _divided(*primals)
     along = (tangents[0] - x * tangents[1]) * per_bottom
-    slope = jnp.where(small, again - mean, (end - mean) * inverse)
-    near = jnp.where(small, x, 0.0)
-    slope_again = jnp.where(small, 2.0 * polynomial(_THIRD, near) - again, -(slope + again) * inverse)
+    slope = jnp.where(least, again - mean, (end - mean) * inverse)
+    near = jnp.where(least, x, 0.0)
+    slope_again = jnp.where(least, 2.0 * polynomial(_THIRD, near) - again, -(slope + again) * inverse)
     return Decay(end, mean, again, x), Decay(-end * along, slope * along, slope_again * along, along)
 
 

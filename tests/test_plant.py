@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
@@ -277,3 +277,20 @@ def test_decay_and_its_derivative():
     for i, tolerance in enumerate((1e-14, 1e-12, 1e-10)):
         np.testing.assert_allclose(slopes[i], [e[1][i] for e in exact], rtol=tolerance, atol=1e-30)
         np.testing.assert_allclose(reverse[i], slopes[i], rtol=tolerance, atol=1e-30)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-3, 0.049, 0.051, 0.3, 0.4, 3.0, 30.0])
+def test_second_derivatives_of_the_decay(x):
+    """The means are integrals of exp(-x s) and (1 - s) exp(-x s): twice differentiated, of s^2 times these."""
+    end, mean, again, _ = jax.jacfwd(jax.jacfwd(decay))(jnp.asarray(x))
+    assert float(end) == pytest.approx(np.exp(-x), rel=1e-13)
+    assert float(mean) == pytest.approx(quad(lambda s: s**2 * np.exp(-x * s), 0, 1)[0], rel=1e-7)
+    assert float(again) == pytest.approx(quad(lambda s: (1 - s) * s**2 * np.exp(-x * s), 0, 1)[0], rel=1e-6)
+
+
+def test_the_decay_in_single_precision():
+    x = jnp.asarray(DECAY_POINTS, jnp.float32)
+    found, exact = jax.vmap(decay)(x), [exact_decay(one)[0] for one in np.asarray(x)]
+    for i, tolerance in enumerate((1e-6, 1e-6, 3e-6)):
+        assert found[i].dtype == jnp.float32
+        np.testing.assert_allclose(found[i], [one[i] for one in exact], rtol=tolerance, atol=1e-30)
