@@ -2,12 +2,13 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from imagined import hypothesis, names, seeing  # noqa: F401
 
 from tuning.diagnosis import explain, leading, verdict
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.explain import Explanation, _better, _brought_back, _other_first, _searched_beside
+from tuning.diagnosis.explain import Explanation, _better, _credibly, _other_first, _searched_beside
 from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH
 from tuning.diagnosis.search import Round
 
@@ -48,6 +49,9 @@ def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
     assert not _better(impossible, possible)
     assert _better(possible, hypothesis(evidence=-50.0, strain=9.0))
     assert _better(impossible, hypothesis(evidence=-100.0, strain=8.0))
+    soft = hypothesis(evidence=-100.0, strain=5.0)  # what a table that slides tells counts before how the bristle bends
+    soft.u[NAMES.index("bristle_stiffness")] = 9.0
+    assert not _better(impossible, soft)
 
 
 def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(monkeypatch):
@@ -94,6 +98,39 @@ def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_i
     assert (gain >= refused.enough) == (len(found) == 2)
 
 
+class Nearby:
+    """A fitter to which the drive file's own numbers are worth -4000, and what is fitted from there ends `near`."""
+
+    def __init__(self, near):
+        self.near, self.begun = near, []
+
+    def sought(self, model, u, process, course, most, free=None):
+        self.begun.append((u, most, free))
+        there = hypothesis("backlash", "cogging", evidence=-4000.0 if most else -1000.0)
+        there.process, there.track = "begun", SimpleNamespace(course=None)
+        return there, 0
+
+    def fit(self, model, u, process, course):
+        assert process == "begun"
+        self.begun.append((u, None, None))
+        return self.near
+
+
+def far_and_near(monkeypatch, evidence, strain):
+    """A search that ended 7.6 tolerances off at -9000, and the fitter that leads to another end from the file's own."""
+    base, play = hypothesis(evidence=0.0), hypothesis("backlash", evidence=-8000.0)
+    far, near = (
+        hypothesis("backlash", "cogging", evidence=by, strain=moved)
+        for by, moved in ((-9000.0, 7.6), (evidence, strain))
+    )
+    far.u = np.r_[far.u, 0.3, 0.4]
+    far.track = SimpleNamespace(course=None)
+    monkeypatch.setattr(leading, "to_its_end", lambda fitter, one: one)
+    monkeypatch.setattr(leading, "searched_again", lambda fitter, before, one: one)
+    rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [far], 1, 0.0)]
+    return Nearby(near), Explanation(base, rounds, far)
+
+
 @pytest.mark.parametrize(
     ("evidence", "strain", "taken"), [(-8900.0, 5.0, True), (-8700.0, 5.0, False), (-8900.0, 6.5, False)]
 )
@@ -101,23 +138,66 @@ def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_
     monkeypatch, evidence, strain, taken
 ):
     """What they told is 5000 here, of which SLIGHT is 200."""
-    base, play = hypothesis(evidence=0.0), hypothesis("backlash", evidence=-8000.0)
-    far, near = (
-        hypothesis("backlash", "cogging", evidence=by, strain=moved)
-        for by, moved in ((-9000.0, 7.6), (evidence, strain))
+    fitter, far = far_and_near(monkeypatch, evidence, strain)
+    found = _credibly(fitter, far)
+    if not taken:
+        assert found is far
+    else:
+        assert found.best is found.rounds[1].fits[0] is fitter.near
+        assert found.rounds[1].gain == far.rounds[1].gain  # what was lost is no less of a merit of the effect's
+    for u, _, _ in fitter.begun:  # from the drive file's own, the effects as they were found
+        np.testing.assert_array_equal(u[: len(NAMES)], 0.0)
+        np.testing.assert_array_equal(u[len(NAMES) :], [0.3, 0.4])
+    free = next(one for _, most, one in fitter.begun if most)  # beside which what the file's own tell is measured
+    np.testing.assert_array_equal(free, np.r_[np.zeros(len(NAMES)), 1.0, 1.0])
+    fewer = Explanation(far.base, far.rounds[:1], far.rounds[0].fits[0])
+    assert _credibly(fitter, fewer) is fewer
+
+
+def test_what_a_sliding_table_does_not_tell_may_stay_far_off(monkeypatch):
+    fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
+    fitter.near.u[NAMES.index("bristle_stiffness")] = 9.0
+    assert _credibly(fitter, far).best is fitter.near
+
+
+def test_a_rival_that_needs_numbers_that_cannot_be_is_none_of_what_does_without(monkeypatch):
+    """And one that does without them and explains more stands in front."""
+    fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
+    impossible, likelier, other = (
+        hypothesis("backlash", name, evidence=by, strain=moved)
+        for name, by, moved in (("lead_error", -8990.0, 8.0), ("constant_force", -8950.0, 2.0), ("stiction", -9.0, 0.0))
     )
-    nominal = hypothesis("backlash", "cogging", evidence=-4000.0)
-    nominal.process = nominal.track = far.process = far.track = SimpleNamespace(course=None)
-    monkeypatch.setattr(leading, "to_its_end", lambda fitter, one: near if one is nominal else one)
-    monkeypatch.setattr(leading, "searched_again", lambda fitter, before, one: one)
-    fitter = SimpleNamespace(fit=lambda *_, **__: nominal)
-    rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [far], 1, 0.0)]
-    found = _brought_back(fitter, Explanation(base, rounds, far))
-    assert found.best is found.rounds[1].fits[0] is (near if taken else far)
-    assert _brought_back(fitter, Explanation(base, rounds[:1], play)).best is play
-    if taken:  # what a table that slides does not tell may stay far off
-        near.u[NAMES.index("bristle_stiffness")] = 9.0
-        assert _brought_back(fitter, Explanation(base, rounds, far)).best is near
+    looked = far.rounds[1]._replace(fits=[far.best, impossible, likelier, other], rivals=3)
+    found = _credibly(fitter, far._replace(rounds=[far.rounds[0], looked]))
+    assert found.best is likelier
+    assert found.rounds[1].fits == [likelier, fitter.near, impossible, other]
+    assert found.rounds[1].rivals == 2
+    assert found.rounds[1].gain == looked.gain
+    for module in (explain, verdict):
+        monkeypatch.setattr(module, "complete", lambda *_: False)
+        monkeypatch.setattr(module, "unexplained", lambda *_: 0.001)
+    told = {one.effect: one for one in verdict.judge(None, found).beliefs}
+    assert told["constant_force"].confidence > 0.5 > told["lead_error"].confidence
+
+
+def test_the_search_goes_on_from_numbers_that_can_be(monkeypatch):
+    """What stood in for a second effect is gone then: it is looked for."""
+    base = hypothesis(evidence=0.0, strain=9.0)
+    far, near = (hypothesis("backlash", evidence=by, strain=moved) for by, moved in ((-9000.0, 7.6), (-8900.0, 3.0)))
+    tilted = hypothesis("backlash", "constant_force", evidence=-9500.0)
+
+    def look(fitter, before, *_):
+        nothing = hypothesis("backlash", "cogging", evidence=-9001.0, strain=7.6)
+        return Round(before, [], [far if before is base else nothing if before is far else tilted], 1, 0.0)
+
+    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "brought_back", lambda fitter, before, one: near if one is far else one)
+    monkeypatch.setattr(explain, "_further", lambda *_: None)
+    monkeypatch.setattr(explain, "complete", lambda fitter, one: one is tilted)
+    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    found = explain.explain(None, base, [], lambda *_: None)
+    assert found.best is tilted
+    assert [one.fits[0] for one in found.rounds] == [near, tilted]
 
 
 FIRST = {"backlash": (-900.0, 5.5), "constant_force": (-850.0, 1.0)}

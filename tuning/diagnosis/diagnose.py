@@ -29,7 +29,7 @@ from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, confirmed, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
-from tuning.diagnosis.leftover import IMPOSSIBLE, SLIDING, furthest, strain
+from tuning.diagnosis.leftover import SLIDING, credible, furthest
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
@@ -187,7 +187,7 @@ def _closed(rungs: list[Rung], rate: float) -> Closed | None:
 
 def _credible(verdict: Verdict, best: Fitted) -> Verdict:
     """No sure cause beside a number that no machine of this drive file has."""
-    if verdict.verdict != "effect" or strain(best, SLIDING) <= IMPOSSIBLE:
+    if verdict.verdict != "effect" or credible(best):
         return verdict
     return verdict.doubted(f"{furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
 

@@ -1,4 +1,4 @@
-"""Which effects explain the logs: recalibrated, with one effect, and with two."""
+"""Which effects explain the logs: recalibrated, with one effect, with two, and so on as long as another is worth it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from tuning.diagnosis.leftover import (
     WORTH,
     blind,
     complete,
+    disbelieved,
     meant,
     relieves,
     strain,
@@ -140,29 +141,41 @@ class _Search:
                     if self.done(base, best):
                         break
                 found = self.looked(base, best, catalogue, rounds) if again else found._replace(before=best)
-            found = self.priced(base, found)
+            found = self.weighed(base, found)
             rounds = [*rounds, found]
             if not found.worth_it:
                 break
             best = found.fits[0]
         return Explanation(base, rounds, best)
 
-    def priced(self, base: Fitted, one: Round) -> Round:
+    def weighed(self, base: Fitted, looked: Round) -> Round:
         """The round with the evidence that its first effect has to bring."""
-        return one._replace(enough=_enough(self.fitter, base, one.before, self.over(base, one.before), one.fits))
+        ended = self.over(base, looked.before)
+        return looked._replace(enough=_enough(self.fitter, base, looked.before, ended, looked.fits))
 
     def to_its_best(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        """The end of a search led on, without the last effect where the others explain it as well by then."""
-        if complete(self.fitter, found.best):
-            return _brought_back(self.fitter, found)
-        beside = _searched_beside(self.fitter, found)
-        if beside is not found:
-            last = self.priced(found.base, beside.rounds[-1])
-            if last.worth_it:
-                found = beside._replace(rounds=[*beside.rounds[:-1], last])
-            else:
-                found = self.onward(found.base, beside.rounds[:-1], last.before, catalogue)
-        return _brought_back(self.fitter, found)
+        """The end of a search with what was searched for early searched for again, and with numbers that can be, from
+        where the search goes on. Once: not again for what is found then.
+        """
+        if not complete(self.fitter, found.best):
+            found = self.beside_the_last(found, catalogue)
+        credibly = _credibly(self.fitter, found)
+        if credibly is found:
+            return found
+        known = credibly.rounds[: credibly.best.model.added]
+        return self.onward(credibly.base, known, credibly.best, catalogue)
+
+    def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+        """What was searched for before the last effect was known searched for again beside it; without that one, and
+        with what is found in its place, where the others explain as much by then.
+        """
+        again = _searched_beside(self.fitter, found)
+        if again is found:
+            return found
+        last = self.weighed(found.base, again.rounds[-1])
+        if last.worth_it:
+            return again._replace(rounds=[*again.rounds[:-1], last])
+        return self.onward(found.base, again.rounds[:-1], last.before, catalogue)
 
 
 def explain(
@@ -171,9 +184,9 @@ def explain(
     """Effects one after the other, as long as another is worth it, up to `most`.
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, or what a second
-    encoder saw. Where something is missing in the end, the search goes a second way, a rival of the first effect in
-    front, beside which only what was found is looked for. Where that ends better, everything is; the other end is kept
-    as a rival.
+    encoder saw. What is found is led to its best. Where something is missing then, the search goes a second way, a
+    rival of the first effect in front, beside which only what was found is looked for. Where that ends better,
+    everything is; the other end is kept as a rival.
     """
     search = _Search(fitter, progress, most)
     found = search.to_its_best(search.onward(base, [], base, catalogue), catalogue)
@@ -210,19 +223,34 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     return found._replace(rounds=rounds, best=best)
 
 
-def _brought_back(fitter: Fitter, found: Explanation) -> Explanation:
-    """What was found with numbers that can be, where its fit left some that cannot and need not have."""
+def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
+    """What was found with numbers that can be, where its fit left some that cannot and need not have. The same object
+    where it does not.
+
+    The first of its round is then what explains most with such numbers, and what needs others is no rival of it. What
+    those told beyond it is no less of a merit of the effect's than it was.
+    """
     if not found.best.model.added or strain(found.best) <= IMPOSSIBLE:
         return found
     best, last = brought_back(fitter, found.base, found.best), found.best.model.added - 1
+    if best is found.best:
+        return found
+    looked = found.rounds[last]
+    rivals = [one for one in looked.fits[1 : looked.rivals] if not disbelieved(one, best)]
+    credible = sorted([best, *rivals], key=lambda one: one.evidence)
+    lost = max(credible[0].evidence - found.best.evidence, 0.0)
     rounds = [*found.rounds]
-    rounds[last] = rounds[last]._replace(fits=[best, *rounds[last].fits[1:]])
-    return found._replace(rounds=rounds, best=best)
+    rounds[last] = looked._replace(
+        fits=[*credible, *apart_from(looked.fits[1:], rivals)],
+        rivals=len(credible),
+        allowance=looked.allowance + lost,
+    )
+    return found._replace(rounds=rounds, best=credible[0])
 
 
 def _better(one: Fitted, other: Fitted) -> bool:
     """Whether one end is likelier than another; never by numbers that cannot be where the other's can."""
-    return one.evidence < other.evidence and not relieves(other, one, IMPOSSIBLE)
+    return one.evidence < other.evidence and not disbelieved(one, other)
 
 
 def _other_first(found: Explanation) -> Round | None:

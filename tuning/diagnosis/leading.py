@@ -6,13 +6,14 @@ import numpy as np
 
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.evolving import evolved
-from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter
+from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
 from tuning.diagnosis.harmonics import at_its_root
-from tuning.diagnosis.leftover import IMPOSSIBLE, SLIDING, SLIGHT, WORTH, relieves, strain
+from tuning.diagnosis.leftover import SLIGHT, WORTH, disbelieved
 from tuning.diagnosis.model import Model
 from tuning.diagnosis.screening import begin
 
 LONGER = 4  # times the most steps, for the best
+OWN = 8  # steps that an effect is given to fit the drive file's own numbers
 SEARCHES = 3  # more at most around a fit of what has to be searched for
 
 
@@ -57,27 +58,29 @@ def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
     return found if np.isfinite(found.evidence) else None
 
 
-def allowance(one: Fitted, nominal: Fitted) -> float:
+def allowance(one: Fitted, nominal: Fitted | Point) -> float:
     """What a fit within the drive file's tolerances may lack against one far beyond them."""
     return SLIGHT * max(nominal.cost - one.cost, 0.0)
 
 
 def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
-    """The fit begun again from the drive file's own numbers, where that ends with numbers that can be and those that
-    cannot did not tell much more.
+    """The fit begun again from the drive file's own numbers, and what of it has to be searched for from there.
 
     A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
-    is a little off is made up for by friction of either direction. It is what a table that slides tells that no cause
-    is believed beside; how the bristle bends may stay far off.
+    is a little off is made up for by friction of either direction. The end is taken where it does without the numbers
+    that cannot be, and lacks no more than a little of what these had told: by how much the fit is likelier than with
+    the drive file's own and its effects fitted to those.
     """
-    nominal = at_nominal(fitter, one)
-    if nominal is None:
+    nominal = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
+    effects = np.r_[np.zeros(len(NAMES)), np.ones(one.u.size - len(NAMES))]
+    begun = fitter.sought(one.model, nominal, None, one.track.course, 0)[0]
+    if not np.isfinite(begun.cost):
         return one
-    ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
+    told = fitter.sought(one.model, nominal, begun.process, begun.track.course, OWN, effects)[0]
+    ended = to_its_end(fitter, fitter.fit(one.model, nominal, begun.process, begun.track.course))
     ended = searched_again(fitter, base, ended)
-    close = ended.evidence - one.evidence <= allowance(one, nominal)
-    credible = relieves(ended, one, IMPOSSIBLE) or strain(ended, SLIDING) <= IMPOSSIBLE < strain(one, SLIDING)
-    return ended if close and credible and possible([ended]) else one
+    close = ended.evidence - one.evidence <= allowance(one, told)
+    return ended if close and disbelieved(one, ended) and possible([ended]) else one
 
 
 def _searched(model: Model) -> int | None:

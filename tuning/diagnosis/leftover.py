@@ -21,7 +21,7 @@ BLIND = 0.05  # of the samples: where the filter is lost at more of them, its co
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
 WORTH = 12.0  # in evidence, that an effect must bring
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
-IMPOSSIBLE = 6.0  # of these, of a nominal parameter that is explained before anything else
+IMPOSSIBLE = 6.0  # of the same: what no machine of this drive file has, and is explained before anything else
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 RELEVANT = 3e-4  # of the friction
 # what a table that slides tells: effects before sliding take over what the others mean
@@ -95,6 +95,16 @@ def relieves(one: Fitted, other: Fitted, most: float = STRAINED) -> bool:
     """
     among = meant(one, other)
     return strain(other, among) >= most > strain(one, among)
+
+
+def credible(fitted: Fitted) -> bool:
+    """Whether a cause may be believed beside the numbers of a fit; how the bristle bends may be far off."""
+    return strain(fitted, SLIDING) <= IMPOSSIBLE
+
+
+def disbelieved(one: Fitted, other: Fitted) -> bool:
+    """Whether one fit rests on numbers that cannot be, where the other does without."""
+    return relieves(other, one, IMPOSSIBLE) or (credible(other) and not credible(one))
 
 
 def strain(fitted: Fitted, among: Sequence[str] | None = None) -> float:

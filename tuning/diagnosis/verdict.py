@@ -19,8 +19,8 @@ from tuning.diagnosis.leftover import (
     LEFT,
     STRAINED,
     complete,
+    disbelieved,
     furthest,
-    relieves,
     strain,
     unexplained,
 )
@@ -105,7 +105,7 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
 
 def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float) -> list[Belief]:
     """The beliefs with what the search found on its other way as a rival of what differs from it."""
-    if found.other is None or relieves(found.best, found.other.best, IMPOSSIBLE):
+    if found.other is None or disbelieved(found.other.best, found.best):
         return beliefs
     mine, theirs = found.named - found.other.named, found.other.named - found.named
     gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
