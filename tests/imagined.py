@@ -17,13 +17,14 @@ def hypothesis(*effects, evidence, strain=0.0, coarse=False):
         SimpleNamespace(candidate=SimpleNamespace(name=one, searched=one in SEARCHED, parameters=(one,)))
         for one in effects
     )
-    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, possible=lambda u: True)
+    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda u: True)
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
 
 
 @pytest.fixture
 def seeing(monkeypatch):
-    """No filter is lost."""
+    """No filter is lost, and no effect can be done without."""
+    monkeypatch.setattr(explain, "but_one", lambda *_: None)
     for module in (explain, leftover):
         monkeypatch.setattr(module, "blind", lambda *_: False)
 

@@ -15,22 +15,25 @@ RATE = 1_000.0
 SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0)
 
 
+@pytest.mark.parametrize("passes_for", ["force", "noise"])
 @pytest.mark.parametrize(("name", "parameter", "period"), [
     ("lead_error", "lead", 3.7e-3), ("lead_error", "lead", 5.08e-3), ("lead_error", "lead", 2.5e-2),
     ("interpolation_error", "period", 2.35e-5), ("interpolation_error", "period", 3.3e-6),
 ])  # fmt: skip
-def test_the_period_of_a_scales_error_is_seen_in_the_force_that_it_feigns(name, parameter, period):
-    """Whatever it is: a position error e(x) reads as a force m e''(x) v^2."""
+def test_the_period_of_a_scales_error_is_seen_in_what_it_passes_for(name, parameter, period, passes_for):
+    """Whatever it is: a position error e(x) reads as a force m e''(x) v^2; too quick for that, as noise."""
     time = np.arange(8_000) / RATE
     position = 0.04 * np.sin(1.1 * time) + 0.01 * np.sin(3.7 * time)
     velocity = np.gradient(position, time)
-    force = (velocity**2 * np.cos(2 * np.pi * position / period))[None]
-    force = force / force.std() + 0.5 * np.random.default_rng(1).standard_normal(force.shape)
-    lanes = SimpleNamespace(counts=np.ones_like(force), position=jnp.asarray(position)[None])
+    wave = np.cos(2 * np.pi * position / period)[None]
+    wave = velocity**2 * wave if passes_for == "force" else wave
+    wave = wave / wave.std() + 0.5 * np.random.default_rng(1).standard_normal(wave.shape)
+    lanes = SimpleNamespace(counts=np.ones_like(wave), position=jnp.asarray(position)[None])
     logged = SimpleNamespace(logs=1, owner=(0,), starts=jnp.zeros(1), sampling=SimpleNamespace(rate=RATE), lanes=lanes)
-    flat = np.zeros_like(force)
+    flat = np.zeros_like(wave)
     course = SimpleNamespace(position=position[None])
-    track = SimpleNamespace(pull=(flat, flat), innovation=flat, lacking=force, course=course)
+    force, noise = (wave, flat) if passes_for == "force" else (flat, 1e-7 * wave)
+    track = SimpleNamespace(pull=(flat, flat), innovation=noise, scatter=1e-7 + flat, lacking=force, course=course)
     drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
     candidate = next(one for one in candidates(SETTING) if one.name == name)
     points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)

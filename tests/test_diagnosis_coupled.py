@@ -59,6 +59,19 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
 
 
+def test_a_base_that_swings_with_little_damping_is_screened_between_the_points_of_the_grid(sound):
+    """A resonance is as narrow as its damping, the grid's steps are a tenth: half way between two, neither shows it."""
+    grid = next(one for one in catalogue(*sound) if one.name == "frame_vibration").grid
+    below, above = grid[22]["frequency"], grid[23]["frequency"]
+    swings = float(np.sqrt(below * above))
+    fitter = fitter_of(FrameVibration(ratio=0.06, frequency=swings, damping=0.015))
+    base = recalibrated(fitter, TOLERANCE)
+    candidate = next(one for one in catalogue(fitter, base) if one.name == "frame_vibration")
+    found, coarse = screen(base, candidate), screen(base, candidate._replace(narrow=""))
+    assert found.values["frequency"][0] == pytest.approx(swings, rel=0.01)
+    assert found.gain > 1.5 * coarse.gain
+
+
 @pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
 def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monkeypatch, name):
     fitter, base = sound

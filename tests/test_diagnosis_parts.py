@@ -359,24 +359,54 @@ def test_a_signal_period_is_longer_than_the_counts_that_divide_it(resolution):
     begun = [point["period"] for point in candidate.grid]
     assert min(begun) >= 4.0 * resolution
     assert any(np.isclose(begun, 2e-5)) == (resolution < 4e-6)  # the usual one, where it can be
-    found = [candidate.plausible({"period": np.array([one * at.count])}, np.ones(1)) for one in (1.0, 2.0, 4.0, 8.0)]
-    assert found == [False, False, False, True]
+    assert [_read(candidate, at, period=one) for one in (1.0, 2.0, 4.0, 8.0)] == [False, False, False, True]
+
+
+def _read(candidate, at, period=8.0, amplitude=1.0):
+    """Whether an engineer would read a wave of so many counts as that of a scale."""
+    waves = {name: np.zeros(1) for name in ("cosine", "sine", "cosine2", "sine2")}
+    values = waves | {"period": np.array([period * at.count]), "cosine": np.array([amplitude * at.count])}
+    return candidate.plausible(values, np.ones(1))
+
+
+def test_an_error_of_a_scale_is_larger_than_that_of_its_counts():
+    """Met at even distances, the staircase of the counts passes for a wave of any length, of up to a count over pi."""
+    log = logged_of(dataclasses.replace(DRIVE.drive, sensor=Sensor(resolution=1e-7)), [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    candidate = next(one for one in candidates(at) if one.name == "interpolation_error")
+    place = np.linspace(0.0, 1000.0, 100_001)  # counts
+    wave = 2.0 * abs(np.mean((np.round(place) - place) * np.exp(2j * np.pi * place)))
+    sizes = (0.5 * wave, 0.95 * wave, 1.05 * wave, 3.0)
+    assert [_read(candidate, at, 40.0, amplitude=one) for one in sizes] == [False, False, True, True]
 
 
 def test_a_resonance_is_one_that_the_log_can_show():
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     screw = next(one for one in candidates(at) if one.name == "compliance")
+    calm = {"damping": np.full(2, 0.03)}
     both = [{"frequency": np.array([150.0, one])} for one in (0.39 * RATE, 0.43 * RATE, 0.9 * RATE)]
-    found = [screw.plausible(one, np.ones(2)) for one in both]
+    found = [screw.plausible(calm | one, np.ones(2)) for one in both]
     assert found == [True, False, False]
+    slow = {"frequency": np.full(2, 150.0)}
+    assert [screw.plausible(slow | {"damping": np.full(2, one)}, np.ones(2)) for one in (0.3, 0.8)] == [True, False]
 
 
 def test_a_screw_with_next_to_no_play_is_an_elastic_one():
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     screw = next(one for one in candidates(at) if one.name == "backlash")
-    assert [screw.plausible({"gap": np.array([one])}, np.ones(1)) for one in (3e-9, 3e-7)] == [False, True]
+    calm = {"damping": np.array([0.08])}
+    assert [screw.plausible(calm | {"gap": np.array([one])}, np.ones(1)) for one in (3e-9, 3e-7)] == [False, True]
+
+
+@pytest.mark.parametrize(("effect", "name"), [("friction_dwell", "growth"), ("frame_vibration", "ratio")])
+def test_what_cannot_be_less_than_nothing_is_not(effect, name):
+    """Friction that falls with the dwell, and a frame of negative mass, would give energy to the table."""
+    log = logged_of(DRIVE.drive, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    candidate = next(one for one in candidates(at) if one.name == effect)
+    assert [candidate.plausible({name: np.array([one])}, np.ones(1)) for one in (-0.1, 0.1)] == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -113,6 +113,13 @@ def test_what_is_met_at_a_place_is_met(name):
         assert any(low + 0.1 * (high - low) < place < high - 0.1 * (high - low) for low, high in ways)
 
 
+def test_no_two_faults_are_one():
+    """A spring beside a tilt is a spring that is neutral elsewhere; a loose screw is an elastic one."""
+    pairs = {frozenset(kind) for seed in range(40) for kind in generate.kinds(seed, 120) if len(kind) == 2}
+    assert {"constant_force", "cogging"} in pairs
+    assert not pairs & {frozenset(("constant_force", "position_spring")), frozenset(("compliance", "backlash"))}
+
+
 def test_kinds_mix_every_effect_with_none_two_outsiders_and_pitfalls():
     kinds = generate.kinds(0, 120)
     assert len(kinds) == 120

@@ -90,11 +90,16 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
         found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
         return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
     if candidate.effect in SCALES:
-        # a scale's error passes for a force that shakes the table at each place alike
+        # a scale's error passes for a force that shakes the table at each place alike or, too quick for one, for noise
         name, shortest, longest = SCALES[candidate.effect]
         finest = next((low for bound, low, _ in candidate.bounds if bound == name), 0.0)
         position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
-        lines = lines_in_position(missing_force(fitted), position, counts, max(shortest, finest), longest)
+        surprise = np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter) * counts
+        lines = [
+            one
+            for signal in (missing_force(fitted), surprise)
+            for one in lines_in_position(signal, position, counts, max(shortest, finest), longest)
+        ]
         known = [one[name] for one in candidate.grid]
         return [{name: everywhere(value)} for value in (*known, *(one.value for one in lines))]
     if candidate.effect is ProcessForce:

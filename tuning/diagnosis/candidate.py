@@ -12,6 +12,7 @@ from tuning.diagnosis.priors import Parameter
 
 SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
 LARGE = 0.3  # of its largest in any log
+WAVE = ("cosine", "sine", "cosine2", "sine2")
 
 
 class Candidate(NamedTuple):
@@ -23,6 +24,8 @@ class Candidate(NamedTuple):
     coupled: bool = False  # it acts by the table's velocity and friction, and these by it
     searched: bool = False  # its cost is steep near the truth and flat elsewhere: no slope leads there
     bounds: tuple[tuple[str, float, float], ...] = ()  # between which an engineer would call it that
+    least: float = 0.0  # of a wave's amplitude, for the same
+    narrow: str = ""  # of the grid, in which what the log shows is narrower than its steps
 
     @property
     def name(self) -> str:
@@ -35,14 +38,18 @@ class Candidate(NamedTuple):
         return self.name == other.name or screws
 
     def plausible(self, values: Mapping[str, Float[np.ndarray, " logs"]], lasts: Float[np.ndarray, " logs"]) -> bool:
-        """Whether an engineer would call it that: within its bounds; and a process swings several times while it is on
-        in a log of that many seconds in which it is large.
+        """Whether an engineer would call it that: within its bounds; a wave that is large enough in some log; and a
+        process that swings several times while it is on in a log of that many seconds in which it is large.
         """
         if any(np.min(values[name]) < low or np.max(values[name]) > high for name, low, high in self.bounds):
             return False
+        if not self.least and self.effect is not forces.ProcessForce:
+            return True
+        large = np.sqrt(sum(values[name] ** 2 for name in WAVE))
+        if np.max(large) < self.least:
+            return False
         if self.effect is not forces.ProcessForce:
             return True
-        large = np.sqrt(sum(values[name] ** 2 for name in ("cosine", "sine", "cosine2", "sine2")))
         on = np.minimum(values["end"], lasts) - np.maximum(values["start"], 0.0)
         return bool(np.max((on * values["frequency"])[large >= LARGE * np.max(large)]) >= SWINGS)
 
@@ -64,7 +71,12 @@ class Candidate(NamedTuple):
     @property
     def unseen(self) -> bool:
         """Whether it may act though no force is missing: nominal parameters make up for it, or it passes for noise."""
-        return self.relieves or issubclass(self.effect, scale.ScaleEffect)
+        return self.relieves or self.noisy
+
+    @property
+    def noisy(self) -> bool:
+        """Whether it may pass for noise of the measurement."""
+        return issubclass(self.effect, scale.ScaleEffect)
 
     @property
     def relieves(self) -> bool:

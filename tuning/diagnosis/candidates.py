@@ -14,6 +14,7 @@ from tuning.diagnosis.setting import SLIPPERY, Setting
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
 DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: what is shorter is the counts themselves
+MUFFLED = 0.5  # damping ratio, above which nothing of steel swings
 TIGHT = 1e-7  # m: a screw with less play has none, and is but elastic
 FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
@@ -127,14 +128,20 @@ def _friction_dwell(at: Setting) -> Candidate:
             _positive("rested", 0.3, 2.0, session=True),
         ),
         _grid(rested=np.array([0.3]), onset=np.array([0.05, 0.2]), slip=at.bristle * np.array([1.0, 4.0, 16.0])),
+        bounds=(("growth", 0.0, np.inf),),
     )
 
 
 def _presliding_hysteresis(at: Setting) -> Candidate:
+    """There as a whole or not: what a small share of it does points the wrong way."""
     return Candidate(
         friction.PreslidingHysteresis,
-        (_amplitude("share", 0.7), _positive("longest", 3.0 * at.bristle, 0.8), _positive("shortest", 0.2, 0.7)),
-        _grid(longest=at.bristle * np.array([0.5, 1.0, 2.0, 4.0, 8.0])),
+        (
+            _positive("share", 1.0, 0.5),
+            _positive("longest", 3.0 * at.bristle, 0.8),
+            _positive("shortest", 0.2, 0.7),
+        ),
+        _grid(longest=at.bristle * np.array([0.5, 1.0, 2.0, 4.0, 8.0]), shortest=np.array([0.1, 0.2, 0.4])),
         coupled=True,
     )
 
@@ -206,6 +213,8 @@ def _frame_vibration(at: Setting) -> Candidate:
         forces.FrameVibration,
         (_amplitude("ratio", 0.1), _positive("frequency", 25.0, 0.8), _positive("damping", 0.03, 0.8)),
         _grid(frequency=np.geomspace(4.0, min(150.0, top), 40), damping=np.array([0.03])),
+        narrow="frequency",
+        bounds=(("ratio", 0.0, np.inf),),
         coupled=True,
     )
 
@@ -222,7 +231,7 @@ def _compliance(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
-        bounds=(("frequency", 0.0, SHOWN / at.period),),
+        bounds=(("frequency", 0.0, SHOWN / at.period), ("damping", 0.0, MUFFLED)),
     )
 
 
@@ -238,7 +247,7 @@ def _backlash(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
-        bounds=(("gap", TIGHT, np.inf),),
+        bounds=(("gap", TIGHT, np.inf), ("damping", 0.0, MUFFLED)),
     )
 
 
@@ -283,7 +292,11 @@ def _lead_error(at: Setting) -> Candidate:
 
 
 def _interpolation_error(at: Setting) -> Candidate:
-    """A signal period is longer than the counts that it is divided into."""
+    """A signal period is longer than the counts that it is divided into, and its error larger than theirs.
+
+    A staircase swings by a count over pi about its slope, once a count; met at even distances it passes for a longer
+    wave (its alias).
+    """
     names, finest = ("cosine", "sine", "cosine2", "sine2"), DIVIDED * at.count
     periods = 1e-6 * np.array([2.0, 4.0, 8.0, 10.0, 16.0, 20.0, 40.0, 80.0, 100.0])
     return Candidate(
@@ -297,6 +310,7 @@ def _interpolation_error(at: Setting) -> Candidate:
         ),
         _grid(period=periods[periods >= finest] if finest <= periods[-1] else finest * np.array([2.0, 4.0, 20.0])),
         bounds=(("period", finest, np.inf),),
+        least=at.count / np.pi,
     )
 
 

@@ -11,7 +11,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, solved
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.leading import brought_back, searched_again, to_its_end
+from tuning.diagnosis.leading import brought_back, but_one, searched_again, to_its_end
 from tuning.diagnosis.leftover import (
     IMPOSSIBLE,
     SLIGHT,
@@ -121,14 +121,20 @@ class _Search:
 
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         """One more effect looked for."""
-        if self.over(base, before):
+        if rounds and self.done(base, before):
+            catalogue = [one for one in catalogue if one.noisy]
+        elif self.over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
         return look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
 
+    def ended(self, base: Fitted, best: Fitted) -> bool:
+        """Whether nothing is looked for beside what was found: what a scale does, beside what is quick to follow."""
+        return self.done(base, best) and best.model.coupled
+
     def onward(self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
         """What was found before and, of this catalogue, what is found beside it."""
-        while len(rounds) < self.most and not (rounds and self.done(base, best)):
+        while len(rounds) < self.most and not (rounds and self.ended(base, best)):
             found = self.looked(base, best, catalogue, rounds)
             further = _further(self.fitter, best, found.fits)
             if further is not None:
@@ -138,7 +144,7 @@ class _Search:
                 base, best = from_there, further
                 if rounds:
                     rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
-                    if self.done(base, best):
+                    if self.ended(base, best):
                         break
                 found = self.looked(base, best, catalogue, rounds) if again else found._replace(before=best)
             found = self.weighed(base, found)
@@ -154,16 +160,45 @@ class _Search:
         return looked._replace(enough=_enough(self.fitter, base, looked.before, ended, looked.fits))
 
     def to_its_best(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        """The end of a search with what was searched for early searched for again, and with numbers that can be, from
-        where the search goes on. Once: not again for what is found then.
+        """The end of a search with what was searched for early searched for again, with numbers that can be, and
+        without what the others can do without, from where the search goes on. Once: not again for what is found then.
         """
         if not complete(self.fitter, found.best):
             found = self.beside_the_last(found, catalogue)
-        credibly = _credibly(self.fitter, found)
-        if credibly is found:
+        other = self.spared(_credibly(self.fitter, found))
+        if other is found:
             return found
-        known = credibly.rounds[: credibly.best.model.added]
-        return self.onward(credibly.base, known, credibly.best, catalogue)
+        return self.onward(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
+
+    def spared(self, found: Explanation) -> Explanation:
+        """Without an effect that those found after it can do without; the same object where there is none.
+
+        One that is like the right one, or what had set a fit going that was stuck without it, may be found first.
+        """
+        count = found.best.model.added
+        for index in range(count - 1):
+            fewer = but_one(self.fitter, found.best, index)
+            if fewer is None or fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
+                continue
+            rounds, before = found.rounds[:index], found.rounds[index].before
+            beside = found.rounds[index].fits
+            for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
+                one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
+                if one is None:
+                    return found
+                name = one.model.members[-1].candidate.name
+                fits = [one, *(other for other in beside if other.model.members[-1].candidate.name != name)]
+                rounds = [*rounds, self.weighed(found.base, Round(before, looked.screened, fits, len(fits), 0.0))]
+                before, beside = one, []
+            return found._replace(rounds=rounds, best=fewer)
+        return found
+
+    def bar(self, base: Fitted, fewer: Fitted, best: Fitted) -> float:
+        """The evidence that an effect must bring beside those that were found after it."""
+        if relieves(best, fewer):
+            return WORTH
+        enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
+        return min(enough, RESOLVING) if complete(self.fitter, best) else enough
 
     def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """What was searched for before the last effect was known searched for again beside it; without that one, and

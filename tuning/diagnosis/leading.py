@@ -51,6 +51,15 @@ def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
     return one
 
 
+def but_one(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:
+    """The fit without one of the effects that were added, from where it ended; None where that is no machine."""
+    member = len(one.model.members) - one.model.added + index
+    members = (*one.model.members[:member], *one.model.members[member + 1 :])
+    model = Model(one.model.logged, members, one.model.tolerance)
+    fewer = fitter.fit(model, one.u[~one.model.of_member(member)], one.process, one.track.course)
+    return next(iter(possible([to_its_end(fitter, fewer)])), None)
+
+
 def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
     """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
     u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]

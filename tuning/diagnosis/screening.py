@@ -37,6 +37,7 @@ from tuning.diagnosis.priors import Parameter
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, under other process forces too
+LIKELY, BETWEEN = 2, 9  # points of a grid about which it is refined, and into how many
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
@@ -101,30 +102,44 @@ def _pushed(fitted: Fitted) -> Logged:
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate with amplitudes; of no evidence where there is none."""
-    logged = fitted.model.logged
-    samples = fitted.residual.size
     left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
-    best: Screened | None = None
-    for point in looked_for(fitted, candidate):
-        values = dict(point)
-        found, labels = _directions(fitted, candidate, values)
-        d = np.where(fitted.residual[:, None] != 0.0, found.reshape(samples, -1), 0.0)  # not where the filter was lost
-        cross = fitted.jacobian.T @ d
-        making_way = solved(fitted.hessian, cross)
-        schur = d.T @ d - cross.T @ making_way
-        slope = d.T @ fitted.residual - cross.T @ left
-        schur = schur + np.eye(len(schur))
-        amount = -solved(schur, slope)
-        gain = float(-slope @ amount)
-        evidence = gain - log_volume(schur)
-        evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing
-        if best is None or evidence > best.evidence:
-            for (one, log), value in zip(labels, amount, strict=True):
-                row = values.setdefault(one.name, np.zeros(logged.logs))
-                row[slice(None) if log is None else log] = value * one.spread
-            moved = [fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left)]
-            best = Screened(candidate, gain, evidence, values, *moved, fitted.process * TRIED)
-    return best or Screened(candidate, 0.0, -np.inf, {}, fitted.u, fitted.u, fitted.process * TRIED)
+    found = [_screened(fitted, candidate, point, left) for point in looked_for(fitted, candidate)]
+    if candidate.narrow:
+        likely = sorted(found, key=lambda one: -one.evidence)[:LIKELY]
+        found += [_screened(fitted, candidate, point, left) for one in likely for point in _about(candidate, one)]
+    nothing = Screened(candidate, 0.0, -np.inf, {}, fitted.u, fitted.u, fitted.process * TRIED)
+    return max(found, key=lambda one: one.evidence, default=nothing)
+
+
+def _about(candidate: Candidate, found: Screened) -> list[Values]:
+    """Points between a point of the grid and its neighbours."""
+    steps = np.array([point[candidate.narrow] for point in candidate.grid])
+    step = float(np.log(steps[1] / steps[0])) if len(steps) > 1 else 0.0
+    fixed = {name: found.values[name] for name in candidate.grid[0]}
+    shares = step * np.linspace(-1, 1, BETWEEN)
+    return [fixed | {candidate.narrow: fixed[candidate.narrow] * np.exp(share)} for share in shares]
+
+
+def _screened(fitted: Fitted, candidate: Candidate, point: Values, left: Vector) -> Screened:
+    """What the candidate would explain at a point of its grid; `left` is how far the free parameters want to move."""
+    logged, values = fitted.model.logged, dict(point)
+    found, labels = _directions(fitted, candidate, values)
+    found = found.reshape(fitted.residual.size, -1)
+    d = np.where(fitted.residual[:, None] != 0.0, found, 0.0)  # not where the filter was lost
+    cross = fitted.jacobian.T @ d
+    making_way = solved(fitted.hessian, cross)
+    schur = d.T @ d - cross.T @ making_way
+    slope = d.T @ fitted.residual - cross.T @ left
+    schur = schur + np.eye(len(schur))
+    amount = -solved(schur, slope)
+    gain = float(-slope @ amount)
+    evidence = gain - log_volume(schur)
+    evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing
+    for (one, log), value in zip(labels, amount, strict=True):
+        row = values.setdefault(one.name, np.zeros(logged.logs))
+        row[slice(None) if log is None else log] = value * one.spread
+    moved = [fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left)]
+    return Screened(candidate, gain, evidence, values, *moved, fitted.process * TRIED)
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
