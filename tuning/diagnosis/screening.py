@@ -37,7 +37,7 @@ from tuning.diagnosis.priors import Parameter
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, under other process forces too
-LIKELY, BETWEEN = 2, 9  # points of a grid about which it is refined, and into how many
+LIKELY, BETWEEN = 2, 8  # points of a grid about which it is refined, and how many are tried there
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
@@ -116,7 +116,7 @@ def _about(candidate: Candidate, found: Screened) -> list[Values]:
     steps = np.array([point[candidate.narrow] for point in candidate.grid])
     step = float(np.log(steps[1] / steps[0])) if len(steps) > 1 else 0.0
     fixed = {name: found.values[name] for name in candidate.grid[0]}
-    shares = step * np.linspace(-1, 1, BETWEEN)
+    shares = step * np.linspace(-1, 1, BETWEEN + 2)[1:-1]
     return [fixed | {candidate.narrow: fixed[candidate.narrow] * np.exp(share)} for share in shares]
 
 
