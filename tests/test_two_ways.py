@@ -154,6 +154,15 @@ def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_
     assert _credibly(fitter, fewer) is fewer
 
 
+def test_a_search_that_leads_off_once_more_is_not_followed(monkeypatch):
+    fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
+    off = hypothesis("backlash", "cogging", evidence=-9500.0, strain=9.0)
+    monkeypatch.setattr(leading, "searched_again", lambda fitter, before, one: off)
+    assert _credibly(fitter, far).best is fitter.near
+    off.u[0] = 2.0
+    assert _credibly(fitter, far).best is off
+
+
 def test_what_a_sliding_table_does_not_tell_may_stay_far_off(monkeypatch):
     fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
     fitter.near.u[NAMES.index("bristle_stiffness")] = 9.0

@@ -87,9 +87,9 @@ def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
         return one
     told = fitter.sought(one.model, nominal, begun.process, begun.track.course, OWN, effects)[0]
     ended = to_its_end(fitter, fitter.fit(one.model, nominal, begun.process, begun.track.course))
-    ended = searched_again(fitter, base, ended)
-    close = ended.evidence - one.evidence <= allowance(one, told)
-    return ended if close and disbelieved(one, ended) and possible([ended]) else one
+    most = one.evidence + allowance(one, told)
+    ends = possible([ended, searched_again(fitter, base, ended)])  # the other may lead off once more
+    return next((end for end in ends if end.evidence <= most and disbelieved(one, end)), one)
 
 
 def _searched(model: Model) -> int | None:
