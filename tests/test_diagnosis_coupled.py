@@ -1,5 +1,7 @@
 """Diagnosis: effects that are stepped within the filter."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from off_its_file import OFF, catalogue, fitter_of
@@ -152,6 +154,24 @@ def test_numbers_of_a_member_are_those_that_its_values_are_made_of(sound):
     np.testing.assert_array_equal(begin(model, found[1], 1), u[model.of_member(1)])
     assert not np.any(model.of_member(0) & model.of_member(1))
     assert not np.any(model.of_member(0)[: len(NAMES)])
+
+
+@pytest.mark.parametrize(("without", "stays"), [(0, "constant_force"), (1, "backlash")])
+def test_a_fit_without_one_of_its_effects_begins_where_it_ended(sound, monkeypatch, without, stays):
+    model, u = both(*sound)
+    one = sound[1]._replace(model=model, u=u)
+
+    def fit(model, u, process, course):
+        assert (process is one.process, course is one.track.course) == (True, True)
+        return one._replace(model=model, u=u)
+
+    monkeypatch.setattr(leading, "to_its_end", lambda fitter, fitted: fitted)
+    found = leading.but_one(SimpleNamespace(fit=fit), one, without)
+    (member,) = found.model.members
+    assert member.candidate.name == stays
+    assert found.u.size == found.model.size
+    np.testing.assert_array_equal(found.u[: len(NAMES)], u[: len(NAMES)])
+    assert found.model.values(found.u)[0] == pytest.approx(model.values(u)[1 - without])
 
 
 @pytest.mark.parametrize(("gains", "searches"), [((0.0,), 1), ((50.0, 0.0), 2), ((50.0, 50.0, 50.0), 3)])
