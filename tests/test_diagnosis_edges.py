@@ -26,8 +26,8 @@ from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import drive_of, loop_gap
 from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
 from tuning.diagnosis.next_experiment import Experiment
-from tuning.diagnosis.screening import begin, joined, screen
-from tuning.diagnosis.search import recalibrated, standing
+from tuning.diagnosis.screening import begin, joined
+from tuning.diagnosis.search import _screened, recalibrated, standing
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import _probabilities
 
@@ -92,9 +92,10 @@ def test_a_drive_file_without_friction_has_priors_and_a_screening_of_numbers():
             assert np.isfinite(one.middle), candidate.name
             assert one.spread > 0, candidate.name
             assert np.isfinite(one.standard(one.middle)), candidate.name
-    base = recalibrated(Fitter(logs), 0.02)
+    fitter = Fitter(logs)
+    base = recalibrated(fitter, 0.02)
     for name in ("friction_dwell", "presliding_hysteresis", "friction_asymmetry"):
-        assert not np.isnan(screen(base, candidate_of(logs, name)).evidence), name
+        assert not np.isnan(_screened(fitter, base, candidate_of(logs, name)).evidence), name
 
 
 @pytest.mark.parametrize("gains", [[-7000.0, -9000.0], [-1e6], [0.0, 0.0], [5e5, -5e5]])
