@@ -99,21 +99,23 @@ def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_i
 
 
 class Nearby:
-    """A fitter to which the drive file's own numbers are worth -4000, and what is fitted from there ends `near`."""
+    """A fitter to which the drive file's own numbers are worth -4000, and what is fitted from there ends `near`, or
+    where `later` says in turn.
+    """
 
     def __init__(self, near):
-        self.near, self.begun = near, []
+        self.near, self.begun, self.later = near, [], []
 
     def sought(self, model, u, process, course, most, free=None):
         self.begun.append((u, most, free))
         there = hypothesis("backlash", "cogging", evidence=-4000.0 if most else -1000.0)
-        there.process, there.track = "begun", SimpleNamespace(course=None)
+        there.u, there.process, there.track = u, "begun", SimpleNamespace(course=None)
         return there, 0
 
     def fit(self, model, u, process, course):
         assert process == "begun"
         self.begun.append((u, None, None))
-        return self.near
+        return self.later.pop(0) if self.later else self.near
 
 
 def far_and_near(monkeypatch, evidence, strain):
@@ -123,8 +125,9 @@ def far_and_near(monkeypatch, evidence, strain):
         hypothesis("backlash", "cogging", evidence=by, strain=moved)
         for by, moved in ((-9000.0, 7.6), (evidence, strain))
     )
-    far.u = np.r_[far.u, 0.3, 0.4]
-    far.track = SimpleNamespace(course=None)
+    for one in (far, near):
+        one.u = np.r_[one.u, 0.3, 0.4]
+        one.track = SimpleNamespace(course=None)
     monkeypatch.setattr(leading, "to_its_end", lambda fitter, one: one)
     monkeypatch.setattr(leading, "searched_again", lambda fitter, before, one: one)
     rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [far], 1, 0.0)]
@@ -152,6 +155,20 @@ def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_
     np.testing.assert_array_equal(free, np.r_[np.zeros(len(NAMES)), 1.0, 1.0])
     fewer = Explanation(far.base, far.rounds[:1], far.rounds[0].fits[0])
     assert _credibly(fitter, fewer) is fewer
+
+
+@pytest.mark.parametrize(("gain", "reached"), [(WORTH + 1.0, True), (WORTH - 1.0, False)])
+def test_the_files_own_numbers_are_returned_to_as_long_as_that_leads_further(monkeypatch, gain, reached):
+    """Each time beside the effects as they were found the time before: a gap is found a little closer."""
+    fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
+    fitter.later = [hypothesis("backlash", "cogging", evidence=by, strain=6.5) for by in (-8000.0, -8000.0 - gain)]
+    for effects, one in zip(([0.5, 0.5], [0.6, 0.6]), fitter.later, strict=True):
+        one.u, one.track = np.r_[one.u, effects], SimpleNamespace(course=None)
+    found = _credibly(fitter, far)
+    assert found.best is (fitter.near if reached else far.best)
+    begun = [list(u[len(NAMES) :]) for u, most, _ in fitter.begun if most is None]
+    assert begun == [[0.3, 0.4], [0.5, 0.5], [0.6, 0.6]][: 2 + reached]
+    assert all((u[: len(NAMES)] == 0.0).all() for u, _, _ in fitter.begun)
 
 
 def test_a_search_that_leads_off_once_more_is_not_followed(monkeypatch):

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from diffdrive.effects.catalogue import EFFECTS
 from experiments.withheld import generate
 from experiments.withheld.axes import AXES
-from experiments.withheld.draw import _scaled, draw, of_log
+from experiments.withheld.draw import draw, of_log, without
 from experiments.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED
 from experiments.withheld.machine import Faults
 from experiments.withheld.truth import truth
@@ -54,11 +55,39 @@ def test_machines_differ_in_what_the_engineer_knows():
 
 
 def sole(effect):
-    """A machine with the effect, and the one without, all else alike."""
+    """A machine with the effect, its fault, and the drive without, all else alike."""
     case = drawn(effect)
-    fault = case.faults[0]
-    back = {name: 1.0 / factor for name, factor in fault.scaled.items()}
-    return case, fault, _scaled(case.true, back)
+    return case, case.faults[0], without(case, 0).true
+
+
+def test_a_machine_without_one_of_its_faults_has_the_other():
+    case = drawn("friction_asymmetry", "force_gain")
+    friction, gain = without(case, 1), without(case, 0)
+    assert [one.effect for one in friction.faults] == ["friction_asymmetry"]
+    assert friction.true == case.true
+    assert [one.effect for one in gain.faults] == ["force_gain"]
+    assert gain.true != case.true
+    assert of_log(gain, 0)[0].gain == of_log(case, 0)[0].gain
+
+
+@pytest.mark.parametrize(("share", "seen"), [(0.5, False), (2.0, True)])
+@pytest.mark.parametrize("log", [0, 1])
+def test_each_of_two_effects_is_seen_in_a_log(monkeypatch, share, seen, log):
+    """A limit that is hardly reached is none: a machine with it and another effect is drawn again."""
+    case = drawn("force_limit", "force_gain")
+    noise = np.hypot(case.noise, case.resolution / math.sqrt(12.0))
+    wave = np.tile([1.0, -1.0], 50)
+    limit = share * noise * wave
+
+    def run(machine, which, peak=None):
+        effects = {fault.effect for fault in machine.faults}
+        position = 50.0 * noise * wave * ("force_gain" in effects) + limit * ("force_limit" in effects) * (which == log)
+        return SimpleNamespace(position=position)
+
+    monkeypatch.setattr(generate, "_log", run)
+    assert generate._seen(case, [run(case, 0), run(case, 1)], 200.0) == seen
+    alone = drawn("force_limit")
+    assert generate._seen(alone, [run(alone, 0), run(alone, 1)], 200.0)
 
 
 def test_truths_are_those_of_the_catalogue_on_the_true_drive():

@@ -111,6 +111,13 @@ def _placed(fault: Fault, logs: tuple[Told, Told]) -> Fault:
     return fault._replace(faults=fault.faults | {name: low + fault.faults[name] * (high - low)})  # type: ignore[operator]
 
 
+def without(case: Case, number: int) -> Case:
+    """The machine without one of its faults."""
+    undone = {name: 1.0 / factor for name, factor in case.faults[number].scaled.items()}
+    faults = (*case.faults[:number], *case.faults[number + 1 :])
+    return case._replace(true=_scaled(case.true, undone), faults=faults)
+
+
 def of_log(case: Case, log: int, peak: float | None = None) -> tuple[Faults, Kind]:
     """Faults of one log; a limit is set below the `peak` (N) of the command without it, and not without a peak."""
     values: dict[str, float] = {}

@@ -22,7 +22,7 @@ from experiments.withheld import axes, faults, machine, motions
 from experiments.withheld import draw as draws
 from experiments.withheld import truth as truths
 from experiments.withheld.axes import AXES, Axis
-from experiments.withheld.draw import Case, draw, of_log
+from experiments.withheld.draw import Case, draw, of_log, without
 from experiments.withheld.faults import KNOWN, OUTSIDE, PITFALLS
 from experiments.withheld.machine import run
 from experiments.withheld.truth import truth
@@ -30,7 +30,8 @@ from experiments.withheld.truth import truth
 NONE, TWO, UNKNOWN, PITFALL = 0.12, 0.12, 0.12, 0.05  # shares of cases
 # a loose screw is an elastic one; and a spring beside a tilt is a spring that is neutral elsewhere
 ONE = ({"compliance", "backlash"}, {"constant_force", "position_spring"})
-ATTEMPTS = 10  # at a machine whose loop is stable
+ATTEMPTS = 10  # at a machine whose loop is stable, and that shows what it has
+SEEN = 1.0  # of the noise of the position: what each of two effects must change of a log
 
 
 def kinds(seed: int, count: int) -> list[tuple[str, ...]]:
@@ -66,6 +67,18 @@ def _log(case: Case, log: int, peak: float | None = None) -> Log:
     position, command = run(case.true, faults, kind, case.gains, case.resolution, told, case.rate)
     time = np.arange(len(position)) / case.rate
     return Log("ab"[log], time, position, command, reference=told.reference, load=told.load)
+
+
+def _seen(case: Case, logs: list[Log], peak: float | None) -> bool:
+    """Whether each of two effects changes a log: a limit that nothing but noise exceeds is none to be found."""
+    noise = np.hypot(case.noise, case.resolution / np.sqrt(12.0))
+
+    def changes(number: int) -> bool:
+        other = without(case, number)
+        gone = (_log(other, log, peak).position - logs[log].position for log in range(2))
+        return any(np.sqrt(np.mean(np.square(one))) >= SEEN * noise for one in gone)
+
+    return len(case.faults) < 2 or all(changes(number) for number in range(len(case.faults)))
 
 
 def _logs(case: Case) -> tuple[list[Log], float | None]:
@@ -130,9 +143,9 @@ def _followable(seed: int, number: int, effects: tuple[str, ...], axis: Axis) ->
     for attempt in range(ATTEMPTS):
         case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects, axis)
         logs, peak = _logs(case)
-        if all(_followed(log) for log in logs):
+        if all(_followed(log) for log in logs) and _seen(case, logs, peak):
             return case, logs, peak
-    raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference")
+    raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference or show its effects")
 
 
 def _write(place: Path, case: Case, logs: list[Log]) -> None:

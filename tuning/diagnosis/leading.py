@@ -9,12 +9,13 @@ from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
 from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.leftover import SLIGHT, WORTH, disbelieved
-from tuning.diagnosis.model import Model
+from tuning.diagnosis.model import Model, Vector
 from tuning.diagnosis.screening import begin
 
 LONGER = 4  # times the most steps, for the best
 OWN = 8  # steps that an effect is given to fit the drive file's own numbers
 SEARCHES = 3  # more at most around a fit of what has to be searched for
+RETURNS = 3  # at most to the drive file's own numbers
 
 
 def possible(fits: Iterable[Fitted]) -> list[Fitted]:
@@ -62,8 +63,7 @@ def but_one(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:
 
 def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
     """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
-    u = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
-    found = fitter.fit(one.model, u, None, one.track.course, most=0)
+    found = fitter.fit(one.model, _nominal(one), None, one.track.course, most=0)
     return found if np.isfinite(found.evidence) else None
 
 
@@ -76,20 +76,40 @@ def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     """The fit begun again from the drive file's own numbers, and what of it has to be searched for from there.
 
     A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
-    is a little off is made up for by friction of either direction. The end is taken where it does without the numbers
-    that cannot be, and lacks no more than a little of what these had told: by how much the fit is likelier than with
-    the drive file's own and its effects fitted to those.
+    is a little off is made up for by friction of either direction, and is found a little closer each time. The end is
+    taken where it does without the numbers that cannot be, and lacks no more than a little of what these had told: by
+    how much the fit is likelier than with the drive file's own and its effects fitted to those.
     """
-    nominal = np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
-    effects = np.r_[np.zeros(len(NAMES)), np.ones(one.u.size - len(NAMES))]
-    begun = fitter.sought(one.model, nominal, None, one.track.course, 0)[0]
-    if not np.isfinite(begun.cost):
+    nominal = _begun(fitter, one)
+    if nominal is None:
         return one
-    told = fitter.sought(one.model, nominal, begun.process, begun.track.course, OWN, effects)[0]
-    ended = to_its_end(fitter, fitter.fit(one.model, nominal, begun.process, begun.track.course))
+    effects = np.r_[np.zeros(len(NAMES)), np.ones(one.u.size - len(NAMES))]
+    told = fitter.sought(one.model, nominal.u, nominal.process, nominal.track.course, OWN, effects)[0]
     most = one.evidence + allowance(one, told)
-    ends = possible([ended, searched_again(fitter, base, ended)])  # the other may lead off once more
-    return next((end for end in ends if end.evidence <= most and disbelieved(one, end)), one)
+    last = np.inf
+    for _ in range(RETURNS):
+        ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
+        ends = possible([ended, searched_again(fitter, base, ended)])  # the other may lead off once more
+        taken = next((end for end in ends if end.evidence <= most and disbelieved(one, end)), None)
+        if taken is not None:
+            return taken
+        if not ends or last - ends[0].evidence < WORTH:
+            break
+        last, nominal = ends[0].evidence, _begun(fitter, ends[0])
+        if nominal is None:
+            break
+    return one
+
+
+def _nominal(one: Fitted) -> Vector:
+    """The values of a fit with the drive file's own nominal parameters."""
+    return np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
+
+
+def _begun(fitter: Fitter, one: Fitted) -> Point | None:
+    """Where a fit with the drive file's own nominal parameters begins; None where no filter can run it."""
+    found = fitter.sought(one.model, _nominal(one), None, one.track.course, 0)[0]
+    return found if np.isfinite(found.cost) else None
 
 
 def _searched(model: Model) -> int | None:
