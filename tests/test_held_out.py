@@ -12,8 +12,8 @@ from diffdrive.effects.friction import AppliedLoad
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.explain import Explanation
-from tuning.diagnosis.gap import ForceGap
-from tuning.diagnosis.held_out import Closed, closed, confirmed, denied, upheld
+from tuning.diagnosis.gap import ForceGap, LoopGap
+from tuning.diagnosis.held_out import SEEN, Closed, closed, confirmed, denied, left_in_loop, upheld
 from tuning.diagnosis.search import Round
 from tuning.diagnosis.verdict import Belief, Verdict
 
@@ -34,6 +34,23 @@ def test_a_model_is_denied_by_more_than_chance_and_more_than_a_little():
     assert not denied(rung(50.0, scatter=8.0), rung(0.0), 500.0)  # some pieces say so, others the contrary
     assert not denied(rung(50.0), rung(0.0, moved=20.0), 500.0)  # by numbers that cannot be
     assert denied(rung(50.0, moved=20.0), rung(0.0, moved=20.0), 500.0)
+
+
+def in_loop(position, floor, says=""):
+    """What the simulation in closed loop is off (um)."""
+    return SimpleNamespace(loop=LoopGap(position, 0.0, floor, 0.0, says))
+
+
+def test_what_is_left_in_closed_loop_is_what_lies_beyond_the_floors():
+    assert left_in_loop(in_loop(5.0, 3.0 / SEEN), in_loop(0.5, 0.3)) == pytest.approx(0.16 / (25.0 - 9.0 / SEEN**2))
+    assert left_in_loop(in_loop(5.0, 1.0), in_loop(0.5, 0.6)) == 0.0
+    assert left_in_loop(in_loop(5.0, 1.0), in_loop(9.0, 1.0)) == 1.0  # worse than before is all of it
+    assert left_in_loop(in_loop(0.99 * SEEN, 1.0), in_loop(1.0, 1.0)) is None
+    away = in_loop(np.inf, np.inf, "runs away")
+    assert left_in_loop(in_loop(5.0, 1.0), away) == 1.0
+    assert left_in_loop(away, in_loop(0.5, 0.6)) is None
+    unknown = SimpleNamespace(loop=None)
+    assert left_in_loop(unknown, unknown) is None
 
 
 @pytest.mark.parametrize(("held_out", "confidence"), [(-500.0, 0.9), (50.0, 0.5)])

@@ -48,6 +48,24 @@ def test_only_alone_may_an_effect_whose_details_differ_leave_much(leaving, effec
     assert all(one.confidence > 0.5 for one in told.beliefs) == (says == "effect")
 
 
+@pytest.mark.parametrize(
+    ("coarse", "share", "in_loop", "says"),
+    [
+        (True, 0.4, 0.01, "effect"),  # details that a filter resolves
+        (True, 0.01, 0.6, "unknown"),  # a filter follows what the simulation does not
+        (True, 0.4, None, "unknown"),
+        (True, 0.01, None, "effect"),
+        (False, 0.4, 0.01, "unknown"),
+        (False, 0.01, 0.6, "effect"),
+    ],
+)
+def test_where_details_differ_the_simulation_tells_how_much_is_explained(leaving, coarse, share, in_loop, says):
+    leaving(share)
+    told = verdict.judge(None, explained("backlash", coarse=coarse), in_loop)
+    assert told.verdict == says
+    assert told.unexplained == (in_loop if coarse and in_loop is not None else share)
+
+
 def test_of_each_effect_there_is_one_belief(leaving):
     """What was found of it, however sure it seemed in another round; else what is surest."""
     leaving(0.001)

@@ -26,7 +26,7 @@ from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
-from tuning.diagnosis.held_out import Closed, closed, confirmed, upheld
+from tuning.diagnosis.held_out import Closed, closed, confirmed, left_in_loop, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.leftover import SLIDING, credible, furthest
@@ -159,7 +159,8 @@ def diagnose(
     rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
-    verdict = _within(_credible(confirmed(judge(fitter, found), rungs, share), found.best), lacks)
+    in_loop = left_in_loop(rungs[1], rungs[-1]) if len(rungs) > 2 else None
+    verdict = _within(_credible(confirmed(judge(fitter, found, in_loop), rungs, share), found.best), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")

@@ -14,6 +14,7 @@ SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it 
 HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
 PLAIN = 2.0  # times the floor's mean square: a gap opened in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
+SEEN = 2.0  # times its floor: the gap of the position in closed loop that tells something
 
 
 class Closed(NamedTuple):
@@ -51,6 +52,20 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     if perhaps and low <= 0.0 and high >= 1.0 and squares[1][0] <= squares[0][0]:
         return None
     return Closed(float(shares[0]), float(low), float(high))
+
+
+def left_in_loop(before: Rung, after: Rung) -> float | None:
+    """Share of the position's gap in closed loop beyond its floor, in mean squares, that one rung leaves of another's;
+    None where there is hardly any, or where it is not known.
+    """
+    if before.loop is None or after.loop is None or before.loop.says:
+        return None
+    if after.loop.says:
+        return 1.0
+    if not before.loop.position_rms > SEEN * before.loop.position_floor:
+        return None
+    beyond = [one.position_rms**2 - one.position_floor**2 for one in (before.loop, after.loop)]
+    return float(np.clip(beyond[1] / beyond[0], 0.0, 1.0))
 
 
 def upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:

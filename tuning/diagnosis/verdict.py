@@ -161,12 +161,19 @@ def _worth(gain: float, enough: float) -> float:
     return float(expit((gain - enough) / max(COLDEST, BLURRED * enough)))
 
 
-def judge(fitter: Fitter, found: Explanation) -> Verdict:
-    """The verdict on an explanation."""
+def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> Verdict:
+    """The verdict on an explanation, of which the simulation of what was held out leaves the share `in_loop`, if known.
+
+    A filter resolves the details of an effect that differ from machine to machine, and misses them in one of the right
+    kind; and it follows one of the wrong kind, whose simulation goes astray. So where these differ, and only there, it
+    is the simulation that tells how much is explained.
+    """
     base, best = found.base, found.best
     effects = best.model.added
     lacks = not complete(fitter, base)
     share = unexplained(fitter, base, best) if lacks else 0.0
+    if lacks and best.model.coarse and in_loop is not None:
+        share = in_loop
     left = share / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
