@@ -13,7 +13,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.gap import ForceGap, LoopGap
-from tuning.diagnosis.held_out import SEEN, Closed, closed, confirmed, denied, left_in_loop, upheld
+from tuning.diagnosis.held_out import PLAIN, SEEN, Closed, closed, confirmed, denied, left_in_loop, upheld
 from tuning.diagnosis.search import Round
 from tuning.diagnosis.verdict import Belief, Verdict
 
@@ -36,21 +36,50 @@ def test_a_model_is_denied_by_more_than_chance_and_more_than_a_little():
     assert denied(rung(50.0, moved=20.0), rung(0.0, moved=20.0), 500.0)
 
 
-def in_loop(position, floor, says=""):
-    """What the simulation in closed loop is off (um)."""
-    return SimpleNamespace(loop=LoopGap(position, 0.0, floor, 0.0, says))
+def in_loop(position, floor, command=0.0, says="", coarse=True):
+    """What the simulation in closed loop is off, by its position and by a command whose floor is one."""
+    members = [SimpleNamespace(candidate=SimpleNamespace(coarse=coarse))]
+    loop = LoopGap(position, command, floor, 1.0, says)
+    return SimpleNamespace(loop=loop, fitted=SimpleNamespace(model=SimpleNamespace(members=members)))
 
 
-def test_what_is_left_in_closed_loop_is_what_lies_beyond_the_floors():
-    assert left_in_loop(in_loop(5.0, 3.0 / SEEN), in_loop(0.5, 0.3)) == pytest.approx(0.16 / (25.0 - 9.0 / SEEN**2))
-    assert left_in_loop(in_loop(5.0, 1.0), in_loop(0.5, 0.6)) == 0.0
-    assert left_in_loop(in_loop(5.0, 1.0), in_loop(9.0, 1.0)) == 1.0  # worse than before is all of it
-    assert left_in_loop(in_loop(0.99 * SEEN, 1.0), in_loop(1.0, 1.0)) is None
-    away = in_loop(np.inf, np.inf, "runs away")
-    assert left_in_loop(in_loop(5.0, 1.0), away) == 1.0
-    assert left_in_loop(away, in_loop(0.5, 0.6)) is None
+def left(*rungs):
+    """Of the recalibrated drive and what follows; the nominal one tells nothing."""
+    return left_in_loop([in_loop(1e3, 1.0), *rungs])
+
+
+def test_what_is_left_in_closed_loop_is_what_lies_beyond_the_floor():
+    before = in_loop(5.0, 1.0)
+    assert left(before, in_loop(3.0, 1.0)) == pytest.approx((9.0 - PLAIN) / (25.0 - PLAIN))
+    assert left(before, in_loop(1.4, 1.0)) == 0.0
+    assert left(before, in_loop(9.0, 1.0)) == 1.0  # worse than before is all of it
+    assert left(in_loop(0.99 * SEEN, 1.0), in_loop(1.0, 1.0)) is None
+    away = in_loop(np.inf, np.inf, says="runs away")
+    assert left(before, away) == 1.0
+    assert left(away, in_loop(0.5, 0.6)) is None
     unknown = SimpleNamespace(loop=None)
-    assert left_in_loop(unknown, unknown) is None
+    assert left(unknown, unknown) is None
+    assert left(before) is None
+
+
+def test_a_simulation_that_hunts_explains_nothing_by_differing_from_itself():
+    before = in_loop(5.0, 1.0)
+    assert left(before, in_loop(5.5, 0.99 * SEEN)) == 1.0
+    assert left(before, in_loop(5.5, 1.01 * SEEN)) is None
+
+
+def test_of_position_and_command_the_one_of_which_more_is_left_counts():
+    assert left(in_loop(5.0, 1.0, 8.0), in_loop(1.0, 1.0, 5.0)) == pytest.approx((25.0 - PLAIN) / (64.0 - PLAIN))
+    assert left(in_loop(5.0, 1.0, 0.9 * SEEN), in_loop(1.0, 1.0, 0.8 * SEEN)) == 0.0  # hardly seen before
+
+
+@pytest.mark.parametrize(("after_first", "told"), [(9.0, 0.0), (1.5, None), (1.0, None)])
+def test_beside_another_an_effect_whose_details_differ_must_have_closed_most_of_what_it_found(after_first, told):
+    """A force limit closes the gap: a frame beside it is not proved by that."""
+    before, first, second = in_loop(10.0, 1.0), in_loop(after_first, 1.0, coarse=False), in_loop(1.3, 1.0)
+    assert left(before, first, second) == told
+    plain = in_loop(1.3, 1.0, coarse=False)
+    assert left(before, in_loop(2.5, 1.0), plain) == 0.0
 
 
 @pytest.mark.parametrize(("held_out", "confidence"), [(-500.0, 0.9), (50.0, 0.5)])

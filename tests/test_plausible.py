@@ -54,22 +54,34 @@ def test_a_signal_period_is_longer_than_the_counts_that_divide_it(resolution):
     assert [_read(candidate, at, period=one) for one in (1.0, 2.0, 4.0, 8.0)] == [False, False, False, True]
 
 
-def _read(candidate, at, period=8.0, amplitude=1.0):
-    """Whether an engineer would read a wave of so many counts as that of a scale."""
-    waves = {name: np.zeros(1) for name in ("cosine", "sine", "cosine2", "sine2")}
-    values = waves | {"period": np.array([period * at.count]), "cosine": np.array([amplitude * at.count])}
-    return candidate.plausible(values, np.ones(1))
+def _read(candidate, at, period=8.0, amplitude=1.0, second=0.0):
+    """Whether an engineer would read a wave of so many counts, and one of half the period, as those of a scale."""
+    counts = {"period": period, "cosine": amplitude, "sine": 0.0, "cosine2": second, "sine2": 0.0}
+    return candidate.plausible({name: np.array([one * at.count]) for name, one in counts.items()}, np.ones(1))
 
 
 def test_an_error_of_a_scale_is_larger_than_that_of_its_counts():
-    """Met at even distances, the staircase of the counts passes for a wave of any length, of up to a count over pi."""
+    """Met at even distances, the staircase of the counts passes for a wave of any length and the one of half of it."""
     log = logged_of(dataclasses.replace(DRIVE.drive, sensor=Sensor(resolution=1e-7)), [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     candidate = next(one for one in candidates(at) if one.name == "interpolation_error")
     place = np.linspace(0.0, 1000.0, 100_001)  # counts
-    wave = 2.0 * abs(np.mean((np.round(place) - place) * np.exp(2j * np.pi * place)))
-    sizes = (0.5 * wave, 0.95 * wave, 1.05 * wave, 3.0)
-    assert [_read(candidate, at, 40.0, amplitude=one) for one in sizes] == [False, False, True, True]
+    stairs = np.round(place) - place
+    wave, half = (2.0 * abs(np.mean(stairs * np.exp(2j * np.pi * k * place))) for k in (1, 2))
+    assert not _read(candidate, at, 40.0, wave, half)
+    assert not _read(candidate, at, 40.0, half)
+    assert _read(candidate, at, 40.0, 1.15 * wave, 1.15 * half)
+    assert _read(candidate, at, 40.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "so_called"), [(-0.02, False), (0.01, False), (0.5, True), (1.1, True), (1.5, False)]
+)
+def test_elements_before_sliding_replace_some_of_the_bristle_and_no_more_than_all_of_it(share, so_called):
+    log = logged_of(DRIVE.drive, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    candidate = next(one for one in candidates(at) if one.name == "presliding_hysteresis")
+    assert candidate.plausible({"share": np.array([share])}, np.ones(1)) == so_called
 
 
 def test_a_resonance_is_one_that_the_log_can_show():

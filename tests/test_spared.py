@@ -20,12 +20,15 @@ def stepwise(monkeypatch, alone):
     base, process = hypothesis(evidence=0.0), hypothesis("process_force", evidence=-6000.0)
     frame = hypothesis("frame_vibration", evidence=-3000.0)
     both = hypothesis("process_force", "frame_vibration", evidence=-24_000.0)
-    rounds = [Round(base, [], [process, frame], 2, 0.0), Round(process, [], [both], 1, 0.0)]
+    rival = hypothesis("process_force", "compliance", evidence=-23_990.0)
+    rounds = [Round(base, [], [process, frame], 2, 0.0), Round(process, [], [both, rival], 2, 50.0)]
     asked = []
 
     def but_one(fitter, one, index):
         asked.append((one, index))
-        return None if alone is None else hypothesis("frame_vibration", evidence=alone)
+        if alone is None:
+            return None
+        return hypothesis(names(Round(None, [], [one], 1, 0.0))[0], evidence=alone + (15.0 if one is rival else 0.0))
 
     monkeypatch.setattr(explain, "but_one", but_one)
     monkeypatch.setattr(explain, "complete", lambda *_: False)
@@ -48,8 +51,30 @@ def test_what_was_found_first_is_dropped_where_what_came_after_explains_as_much_
     (first,) = other.rounds
     assert first.before is found.base
     assert first.fits[0] is other.best
-    assert names(first) == ["frame_vibration", "process_force"]  # which is tried and declared, as any rival is
+    assert names(first) == ["frame_vibration", "compliance", "process_force"]  # tried and declared, as any rival is
+    assert first.rivals == 3
+    assert first.allowance == 50.0
     assert first.worth_it
+
+
+def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(monkeypatch):
+    found, _ = stepwise(monkeypatch, -23_900.0)
+    ends = {"frame_vibration": 0.0, "compliance": 9.0}
+
+    def but_one(fitter, one, index):
+        name = names(Round(None, [], [one], 1, 0.0))[0]
+        return hypothesis(name, evidence=-23_950.0, strain=ends[name])
+
+    monkeypatch.setattr(explain, "but_one", but_one)
+    (first,) = _Search(None, quiet, 2).spared(found).rounds
+    assert names(first) == ["frame_vibration", "process_force"]
+
+
+def test_an_effect_is_not_dropped_where_a_number_becomes_impossible_without(monkeypatch):
+    found, _ = stepwise(monkeypatch, None)
+    found.best.u[0] = 5.0
+    monkeypatch.setattr(explain, "but_one", lambda *_: hypothesis("frame_vibration", evidence=-23_900.0, strain=9.0))
+    assert _Search(None, quiet, 2).spared(found) is found
 
 
 def test_where_nothing_is_left_an_effect_need_not_bring_more_than_a_small_one_brings(monkeypatch):

@@ -9,7 +9,7 @@ from imagined import hypothesis, names, seeing  # noqa: F401
 from tuning.diagnosis import explain, leading, verdict
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation, _better, _credibly, _other_first, _searched_beside
-from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH
+from tuning.diagnosis.leftover import IMPOSSIBLE, SLIGHT, WORTH
 from tuning.diagnosis.search import Round
 
 pytestmark = pytest.mark.usefixtures("seeing")
@@ -45,13 +45,19 @@ def test_what_explains_nearly_as_much_is_tried_first_as_well():
 
 
 def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
+    base = hypothesis(evidence=5000.0)
     impossible, possible = hypothesis(evidence=-900.0, strain=9.0), hypothesis(evidence=-100.0, strain=5.0)
-    assert not _better(impossible, possible)
-    assert _better(possible, hypothesis(evidence=-50.0, strain=9.0))
-    assert _better(impossible, hypothesis(evidence=-100.0, strain=8.0))
+    assert not _better(base, impossible, possible)
+    assert _better(base, possible, hypothesis(evidence=-50.0, strain=9.0))
+    assert _better(base, impossible, hypothesis(evidence=-100.0, strain=8.0))
+    for lacks, better in ((0.9, True), (1.1, False)):
+        far = hypothesis(evidence=-1000.0, strain=9.0)
+        near = hypothesis(evidence=-1000.0 + lacks * SLIGHT * 6000.0, strain=5.0)
+        assert _better(base, near, far) == better
+    assert not _better(base, hypothesis(evidence=-999.0), hypothesis(evidence=-1000.0))
     soft = hypothesis(evidence=-100.0, strain=5.0)  # what a table that slides tells counts before how the bristle bends
     soft.u[NAMES.index("bristle_stiffness")] = 9.0
-    assert not _better(impossible, soft)
+    assert not _better(base, impossible, soft)
 
 
 def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(monkeypatch):

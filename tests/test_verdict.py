@@ -63,7 +63,8 @@ def test_where_details_differ_the_simulation_tells_how_much_is_explained(leaving
     leaving(share)
     told = verdict.judge(None, explained("backlash", coarse=coarse), in_loop)
     assert told.verdict == says
-    assert told.unexplained == (in_loop if coarse and in_loop is not None else share)
+    assert told.unexplained == share  # what the filter misses is said all the same
+    assert ("in closed loop" in told.says) == (coarse and in_loop == 0.6)
 
 
 def test_of_each_effect_there_is_one_belief(leaving):

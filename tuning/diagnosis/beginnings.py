@@ -11,6 +11,7 @@ from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.scale import InterpolationError, LeadError
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.fitting import Fitted
+from tuning.diagnosis.following import LOST
 from tuning.diagnosis.lines import lines_in_position, lines_in_time, missing_force
 
 SCALES = {LeadError: ("lead", 1e-3, 0.05), InterpolationError: ("period", 1e-6, 5e-4)}  # m, between which to look
@@ -95,6 +96,7 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
         finest = next((low for bound, low, _ in candidate.bounds if bound == name), 0.0)
         position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
         surprise = np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter) * counts
+        surprise = np.where(np.abs(surprise) < LOST, surprise, 0.0)
         lines = [
             one
             for signal in (missing_force(fitted), surprise)

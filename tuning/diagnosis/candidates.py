@@ -14,6 +14,8 @@ from tuning.diagnosis.setting import SLIPPERY, Setting
 PAYLOAD, LIGHTER = 0.2, 0.5  # of the moving mass: what is usual, and the most by which it may be less
 SHOWN = 0.4  # of a log's rate: a resonance above it swings too fast for the log to show, and for the filter to follow
 DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: what is shorter is the counts themselves
+STAIRS = 0.4  # counts, more than what their staircase makes of both of a wave's harmonics: 1 / pi and half of that
+WHOLE = (0.1, 1.3)  # of the bristle that elements replace: hardly any of it is none, and more than all of it cannot be
 MUFFLED = 0.5  # damping ratio, above which nothing of steel swings
 TIGHT = 1e-7  # m: a screw with less play has none, and is but elastic
 FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
@@ -143,6 +145,7 @@ def _presliding_hysteresis(at: Setting) -> Candidate:
         ),
         _grid(longest=at.bristle * np.array([0.5, 1.0, 2.0, 4.0, 8.0]), shortest=np.array([0.1, 0.2, 0.4])),
         coupled=True,
+        bounds=(("share", *WHOLE),),
     )
 
 
@@ -310,7 +313,7 @@ def _interpolation_error(at: Setting) -> Candidate:
         ),
         _grid(period=periods[periods >= finest] if finest <= periods[-1] else finest * np.array([2.0, 4.0, 20.0])),
         bounds=(("period", finest, np.inf),),
-        least=at.count / np.pi,
+        least=STAIRS * at.count,
     )
 
 

@@ -159,8 +159,8 @@ def diagnose(
     rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
-    in_loop = left_in_loop(rungs[1], rungs[-1]) if len(rungs) > 2 else None
-    verdict = _within(_credible(confirmed(judge(fitter, found, in_loop), rungs, share), found.best), lacks)
+    verdict = judge(fitter, found, left_in_loop(rungs))
+    verdict = _within(_credible(confirmed(verdict, rungs, share), found.best), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")

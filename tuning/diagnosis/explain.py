@@ -129,7 +129,9 @@ class _Search:
         return look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
 
     def ended(self, base: Fitted, best: Fitted) -> bool:
-        """Whether nothing is looked for beside what was found: what a scale does, beside what is quick to follow."""
+        """Whether nothing at all is looked for beside what was found. An error of the scale is, but not beside what is
+        stepped within the filter, where it costs much.
+        """
         return self.done(base, best) and best.model.coupled
 
     def onward(self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
@@ -175,27 +177,40 @@ class _Search:
 
         One that is like the right one, or what had set a fit going that was stuck without it, may be found first.
         """
-        count = found.best.model.added
-        for index in range(count - 1):
+        for index in range(found.best.model.added - 1):
             fewer = but_one(self.fitter, found.best, index)
             if fewer is None or fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
                 continue
-            rounds, before = found.rounds[:index], found.rounds[index].before
-            beside = found.rounds[index].fits
-            for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
-                one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
-                if one is None:
-                    return found
-                name = one.model.members[-1].candidate.name
-                fits = [one, *(other for other in beside if other.model.members[-1].candidate.name != name)]
-                rounds = [*rounds, self.weighed(found.base, Round(before, looked.screened, fits, len(fits), 0.0))]
-                before, beside = one, []
-            return found._replace(rounds=rounds, best=fewer)
+            rounds = self.rounds_but(found, index, fewer)
+            if rounds is not None:
+                return found._replace(rounds=rounds, best=fewer)
         return found
+
+    def rounds_but(self, found: Explanation, index: int, fewer: Fitted) -> list[Round] | None:
+        """The rounds without the one of that number, `fewer` being what is found without it in the end; None where what
+        came after it is no machine alone. The rivals are those of both rounds that become one.
+        """
+        count, rounds, dropped = found.best.model.added, found.rounds[:index], found.rounds[index]
+        before, aside, beside = dropped.before, dropped.fits, dropped.fits[: dropped.rivals]
+        for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
+            one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
+            if one is None:
+                return None
+            others = [but_one(self.fitter, rival, index) for rival in looked.fits[1 : looked.rivals]]
+            rivals = sorted(
+                [other for other in [*others, *beside] if other and not disbelieved(other, one)],
+                key=lambda other: other.evidence,
+            )
+            head = _first_of_each([one, *rivals])
+            fits = _first_of_each([*head, *aside])
+            joined = Round(before, looked.screened, fits, len(head), looked.allowance)
+            rounds = [*rounds, self.weighed(found.base, joined)]
+            before, aside, beside = one, [], []
+        return rounds
 
     def bar(self, base: Fitted, fewer: Fitted, best: Fitted) -> float:
         """The evidence that an effect must bring beside those that were found after it."""
-        if relieves(best, fewer):
+        if relieves(best, fewer) or disbelieved(fewer, best):
             return WORTH
         enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
         return min(enough, RESOLVING) if complete(self.fitter, best) else enough
@@ -218,10 +233,10 @@ def explain(
 ) -> Explanation:
     """Effects one after the other, as long as another is worth it, up to `most`.
 
-    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, or what a second
-    encoder saw. What is found is led to its best. Where something is missing then, the search goes a second way, a
-    rival of the first effect in front, beside which only what was found is looked for. Where that ends better,
-    everything is; the other end is kept as a rival.
+    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, what a second
+    encoder saw, or what passes for noise of the scale. What is found is led to its best. Where something is missing
+    then, the search goes a second way, a rival of the first effect in front, beside which only what was found is looked
+    for. Where that ends better, everything is; the other end is kept as a rival.
     """
     search = _Search(fitter, progress, most)
     found = search.to_its_best(search.onward(base, [], base, catalogue), catalogue)
@@ -234,10 +249,10 @@ def explain(
         return search.to_its_best(search.onward(found.base, [first], first.fits[0], catalogue), catalogue)
 
     other = beside([one for one in catalogue if one.name in found.named])
-    if not _better(other.best, found.best):
+    if not _better(found.base, other.best, found.best):
         return found._replace(other=other)
     widely = beside(catalogue)
-    return (other if _better(other.best, widely.best) else widely)._replace(other=found)
+    return (other if _better(found.base, other.best, widely.best) else widely)._replace(other=found)
 
 
 def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
@@ -283,9 +298,22 @@ def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
     return found._replace(rounds=rounds, best=credible[0])
 
 
-def _better(one: Fitted, other: Fitted) -> bool:
-    """Whether one end is likelier than another; never by numbers that cannot be where the other's can."""
-    return one.evidence < other.evidence and not disbelieved(one, other)
+def _first_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
+    """The first fit of each effect that was added last."""
+    found: dict[str, Fitted] = {}
+    for one in fits:
+        found.setdefault(one.model.members[-1].candidate.name, one)
+    return list(found.values())
+
+
+def _better(base: Fitted, one: Fitted, other: Fitted) -> bool:
+    """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
+    its own can, it may lack a little.
+    """
+    if disbelieved(one, other):
+        return False
+    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if disbelieved(other, one) else 0.0
+    return one.evidence < other.evidence + may_lack
 
 
 def _other_first(found: Explanation) -> Round | None:

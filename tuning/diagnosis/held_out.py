@@ -1,5 +1,6 @@
 """What the held-out logs say of a verdict: an effect that does not prove itself there is withdrawn or not believed."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,9 @@ from tuning.diagnosis.verdict import Verdict
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
 SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
 HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
-PLAIN = 2.0  # times the floor's mean square: a gap opened in a single place, which draws of pieces may miss
+PLAIN = 2.0  # times the floor's mean square: a gap, be it in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
-SEEN = 2.0  # times its floor: the gap of the position in closed loop that tells something
+SEEN = 2.0  # times its floor: the gap in closed loop that tells something, and a floor that tells nothing
 
 
 class Closed(NamedTuple):
@@ -54,18 +55,43 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     return Closed(float(shares[0]), float(low), float(high))
 
 
-def left_in_loop(before: Rung, after: Rung) -> float | None:
-    """Share of the position's gap in closed loop beyond its floor, in mean squares, that one rung leaves of another's;
-    None where there is hardly any, or where it is not known.
+def left_in_loop(rungs: list[Rung]) -> float | None:
+    """Share of the recalibrated drive's gap in closed loop that the last rung leaves; None where the loop cannot tell.
+
+    Beside another effect that closes the gap, one whose details differ must have closed most of what it found there.
+    """
+    if len(rungs) <= 2:
+        return None
+    share = _left(rungs[1], rungs[-1])
+    if share is None or share >= PROVED:
+        return share
+    steps = [
+        _left(before, after)
+        for before, after in itertools.pairwise(rungs[1:])
+        if after.fitted.model.members[-1].candidate.coarse
+    ]
+    return share if all(one is not None and one < PROVED for one in steps) else None
+
+
+def _left(before: Rung, after: Rung) -> float | None:
+    """Share of the gap in closed loop, in mean squares, that one rung leaves of another's, of position or command the
+    larger; None where there is hardly any, or where it is not known.
+
+    Either is measured against the lesser floor: a simulation that hunts differs from itself as much as from the log.
     """
     if before.loop is None or after.loop is None or before.loop.says:
         return None
     if after.loop.says:
         return 1.0
-    if not before.loop.position_rms > SEEN * before.loop.position_floor:
-        return None
-    beyond = [one.position_rms**2 - one.position_floor**2 for one in (before.loop, after.loop)]
-    return float(np.clip(beyond[1] / beyond[0], 0.0, 1.0))
+    shares = []
+    for name in ("position", "command"):
+        (rms, floor), (then, there) = (
+            (getattr(one.loop, f"{name}_rms"), getattr(one.loop, f"{name}_floor")) for one in (before, after)
+        )
+        if rms > SEEN * floor and there <= SEEN * floor:
+            none = PLAIN * min(floor, there) ** 2
+            shares.append(float(np.clip((then**2 - none) / (rms**2 - none), 0.0, 1.0)))
+    return max(shares, default=None)
 
 
 def upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:

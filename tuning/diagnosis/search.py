@@ -113,7 +113,7 @@ def fit_from(
     lost = min(ended.evidence, other.evidence) > before.evidence - PROMISING  # neither way has led anywhere yet
     if lost and ended.steps == most and not found.candidate.coupled:
         ended = fitter.fit(ended.model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
-    return min(ended, other, key=lambda one: one.evidence)
+    return min(possible([ended, other]) or [ended, other], key=lambda one: one.evidence)
 
 
 def _different(*points: Vector) -> list[Vector]:

@@ -162,19 +162,18 @@ def _worth(gain: float, enough: float) -> float:
 
 
 def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> Verdict:
-    """The verdict on an explanation, of which the simulation of what was held out leaves the share `in_loop`, if known.
+    """The verdict on an explanation that leaves the share `in_loop` of the gap in closed loop, if known.
 
-    A filter resolves the details of an effect that differ from machine to machine, and misses them in one of the right
-    kind; and it follows one of the wrong kind, whose simulation goes astray. So where these differ, and only there, it
-    is the simulation that tells how much is explained.
+    Of an effect whose details differ from machine to machine, a filter tells too little and too much: by such details
+    it is off also with the right effect, and it may follow with a wrong one whose simulation goes astray. Beside one,
+    and only there, the simulation of what was held out says how much is explained.
     """
     base, best = found.base, found.best
     effects = best.model.added
     lacks = not complete(fitter, base)
     share = unexplained(fitter, base, best) if lacks else 0.0
-    if lacks and best.model.coarse and in_loop is not None:
-        share = in_loop
-    left = share / _may_leave(best)
+    by_loop = lacks and best.model.coarse and in_loop is not None
+    left = (in_loop if by_loop else share) / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
@@ -189,7 +188,8 @@ def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> V
     if not known >= 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
         comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
-        says = f"{named} {comes} closest, but {leaves} {100 * share:.0f} % of the gap unexplained"
+        much = f"{100 * in_loop:.0f} % of the gap in closed loop" if by_loop else f"{100 * share:.0f} % of the gap"
+        says = f"{named} {comes} closest, but {leaves} {much} unexplained"
         return Verdict("unknown", _unsure(beliefs), share, says)
     return _found(found, beliefs, lacks, share)
 
