@@ -64,7 +64,10 @@ def test_where_details_differ_the_simulation_tells_how_much_is_explained(leaving
     told = verdict.judge(None, explained("backlash", coarse=coarse), in_loop)
     assert told.verdict == says
     assert told.unexplained == share  # what the filter misses is said all the same
-    assert ("in closed loop" in told.says) == (coarse and in_loop == 0.6)
+    judged, gap = (in_loop, "gap in closed loop") if coarse and in_loop is not None else (share, "gap")
+    left = f", but for {100 * judged:.0f} % of it" if says == "effect" else f"{100 * judged:.0f} % of the {gap} unex"
+    assert left in told.says
+    assert gap in told.says
 
 
 def test_of_each_effect_there_is_one_belief(leaving):

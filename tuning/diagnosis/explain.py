@@ -26,7 +26,7 @@ from tuning.diagnosis.leftover import (
     unexplained,
 )
 from tuning.diagnosis.model import Vector
-from tuning.diagnosis.search import Progress, Round, apart_from, look, whole
+from tuning.diagnosis.search import Progress, Round, apart_from, first_of_each, look, whole
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -201,8 +201,8 @@ class _Search:
                 [other for other in [*others, *beside] if other and not disbelieved(other, one)],
                 key=lambda other: other.evidence,
             )
-            head = _first_of_each([one, *rivals])
-            fits = _first_of_each([*head, *aside])
+            head = first_of_each([one, *rivals])
+            fits = first_of_each([*head, *aside])
             joined = Round(before, looked.screened, fits, len(head), looked.allowance)
             rounds = [*rounds, self.weighed(found.base, joined)]
             before, aside, beside = one, [], []
@@ -296,14 +296,6 @@ def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
         allowance=looked.allowance + lost,
     )
     return found._replace(rounds=rounds, best=credible[0])
-
-
-def _first_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
-    """The first fit of each effect that was added last."""
-    found: dict[str, Fitted] = {}
-    for one in fits:
-        found.setdefault(one.model.members[-1].candidate.name, one)
-    return list(found.values())
 
 
 def _better(base: Fitted, one: Fitted, other: Fitted) -> bool:

@@ -230,6 +230,19 @@ def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) 
     return sorted((one for one in fits if one.evidence < most and relieving(one)), key=lambda one: one.evidence)
 
 
+def _name(fitted: Fitted) -> str:
+    """The effect that was added last."""
+    return fitted.model.members[-1].candidate.name
+
+
+def first_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable] = _name) -> list[Fitted]:
+    """The first fit of each kind, in their order; those of one effect are one kind, if nothing else is said."""
+    found: dict[Hashable, Fitted] = {}
+    for one in fits:
+        found.setdefault(kind(one), one)
+    return list(found.values())
+
+
 def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
     """All but some."""
     held = {id(one) for one in some}
@@ -319,14 +332,6 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
     return few + [one for one in apart_from(found, few) if one.candidate.relieves]
 
 
-def _name(fitted: Fitted) -> str:
-    """The effect that was added last."""
-    return fitted.model.members[-1].candidate.name
-
-
 def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
     """One fit of each kind, the best first."""
-    found: dict[Hashable, Fitted] = {}
-    for one in possible(fits):
-        found.setdefault(kind(one), one)
-    return list(found.values())
+    return first_of_each(possible(fits), kind)

@@ -172,8 +172,10 @@ def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> V
     effects = best.model.added
     lacks = not complete(fitter, base)
     share = unexplained(fitter, base, best) if lacks else 0.0
-    by_loop = lacks and best.model.coarse and in_loop is not None
-    left = (in_loop if by_loop else share) / _may_leave(best)
+    told, gap = share, "the gap"
+    if lacks and best.model.coarse and in_loop is not None:
+        told, gap = in_loop, "the gap in closed loop"
+    left = told / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
@@ -188,10 +190,10 @@ def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> V
     if not known >= 0.5:
         named = ", ".join(one.effect for one in beliefs if one.found)
         comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
-        much = f"{100 * in_loop:.0f} % of the gap in closed loop" if by_loop else f"{100 * share:.0f} % of the gap"
-        says = f"{named} {comes} closest, but {leaves} {much} unexplained"
+        says = f"{named} {comes} closest, but {leaves} {100 * told:.0f} % of {gap} unexplained"
         return Verdict("unknown", _unsure(beliefs), share, says)
-    return _found(found, beliefs, lacks, share)
+    much = f"{gap}, but for {100 * told:.0f} % of it" if told >= TOLD else gap
+    return _found(found, beliefs, lacks, share, much)
 
 
 def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
@@ -205,14 +207,13 @@ def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
     return Verdict("none", beliefs, 0.0, "the recalibrated drive explains the logs to the noise: no effect is missing")
 
 
-def _found(found: Explanation, beliefs: list[Belief], lacks: bool, share: float) -> Verdict:
-    """The verdict on effects that leave only a `share` of the gap."""
+def _found(found: Explanation, beliefs: list[Belief], lacks: bool, share: float, much: str) -> Verdict:
+    """The verdict on effects that leave only a `share` of the gap, and explain so `much`."""
     named = " and ".join(one.effect for one in beliefs if one.found)
     explains = "explain" if found.best.model.added > 1 else "explains"
     if not lacks and strain(found.best) > IMPOSSIBLE:
         says = f"recalibration hides the gap, and {named} {explains} it no better: still {furthest(found.best)}"
         return Verdict("unknown", _unsure(beliefs), 0.0, says)
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
-    much = f", but for {100 * share:.0f} % of it" if share >= TOLD else ""
-    says = f"{named} {explains} the gap{much}" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
+    says = f"{named} {explains} {much}" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
     return Verdict("effect", beliefs, share, says)
