@@ -111,6 +111,7 @@ def evolved(
 
     def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:
         found = {one.name: one.value(2 * REACH * (at - 0.5)) for one, at in zip(free, share, strict=False)}
+        found |= {name: float(np.clip(found[name], low, high)) for name, low, high in candidate.bounds}
         return {name: np.full(logged.logs, value) for name, value in found.items()}
 
     def forces(shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s 2"]:

@@ -5,12 +5,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.evolving import evolved
 from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
 from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.leftover import SLIGHT, WORTH, disbelieved
 from tuning.diagnosis.model import Model, Vector
-from tuning.diagnosis.screening import begin
+from tuning.diagnosis.screening import begin, joined
 
 LONGER = 4  # times the most steps, for the best
 OWN = 8  # steps that an effect is given to fit the drive file's own numbers
@@ -50,6 +51,24 @@ def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
             return further
         one = further
     return one
+
+
+def simpler(fitter: Fitter, before: Fitted, fits: Iterable[Fitted], kinds: Iterable[Candidate]) -> list[Fitted]:
+    """Fits of those kinds that the best fit's last effect is but a richer form of, from where that ended: without its
+    play, a loose screw is an elastic one. The simpler may have been searched for in a wrong place.
+    """
+    best = next(iter(possible(fits)), None)
+    if best is None:
+        return []
+    last, values = best.model.members[-1].candidate, best.model.values(best.u)[-1]
+    found = []
+    for kind in kinds:
+        if {one.name for one in kind.parameters} < {one.name for one in last.parameters}:
+            known = {one.name: values[one.name] for one in kind.parameters}
+            model = joined(before.model, kind, known)
+            u = np.r_[best.u[: before.u.size], begin(model, known)]
+            found.append(fitter.fit(model, u, best.process, best.track.course))
+    return found
 
 
 def but_one(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:

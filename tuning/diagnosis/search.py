@@ -16,7 +16,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
-from tuning.diagnosis.leading import allowance, at_nominal, led_on, on, possible, renamed, searched_again
+from tuning.diagnosis.leading import allowance, at_nominal, led_on, on, possible, renamed, searched_again, simpler
 from tuning.diagnosis.leftover import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH, meant, relieves, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
@@ -171,6 +171,7 @@ def look(
     gains = fits and before.evidence - fits[0].evidence > SETTLED
     if not (gains and whole(fits[0], left) and strain(fits[0]) < IMPOSSIBLE):
         also, further = _race(fitter, before, searched, progress, known)
+        further += simpler(fitter, before, further, searched)
         screened, fits = screened + also, led_on(fitter, _again(fitter, before, fits + further, left))
     screened.sort(key=lambda one: -one.evidence)
     return _ranked(before, believed, screened, fits)
