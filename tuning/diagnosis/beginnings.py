@@ -5,6 +5,7 @@ A grid fine enough for every line, and for times that differ from log to log, wo
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import savgol_filter
 
 from diffdrive.effects.forces import Cogging, ProcessForce
 from diffdrive.effects.friction import AppliedLoad
@@ -18,6 +19,7 @@ SCALES = {LeadError: ("lead", 1e-3, 0.05), InterpolationError: ("period", 1e-6, 
 BIN = 0.05  # s, to which the times of a load are looked for
 MOST_BINS = 600  # of those: a longer log has coarser ones
 SLOW = 1e-3  # m/s, below which friction may be anything
+SMOOTH, PARABOLA = 11, 2  # samples, within which a table moves along a parabola
 
 
 def _window(signal: Float[np.ndarray, " n"], frequency: float, rate: float) -> tuple[float, float]:
@@ -76,6 +78,17 @@ def _loads(fitted: Fitted) -> list[dict[str, np.ndarray]]:
     return [{"start": np.array([one[0] for one in way]), "end": np.array([one[1] for one in way])} for way in both]
 
 
+def _unsmooth(position: Float[np.ndarray, "lanes n"]) -> Float[np.ndarray, "lanes n"]:
+    """What of a measured position is no smooth motion, as large at every frequency as it is, and without a lag.
+
+    What a filter makes of an error has another phase at every speed, and where the error's frequency is above half of
+    the rate, turns backwards: over a log with many speeds it adds up to nothing.
+    """
+    if position.shape[1] < SMOOTH:
+        return np.zeros_like(position)
+    return position - savgol_filter(position, SMOOTH, PARABOLA, axis=1)
+
+
 def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarray]]:
     """The candidate's grid, or where the lines are: each parameter one value for each log."""
     logged = fitted.model.logged
@@ -91,7 +104,8 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
         found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
         return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
     if candidate.effect in SCALES:
-        # a scale's error passes for a force that shakes the table at each place alike or, too quick for one, for noise
+        # a scale's error passes for a force that shakes the table at each place alike or, too quick for one, for noise;
+        # where the table goes through several periods a sample, only what is no smooth motion of it is alike
         name, shortest, longest = SCALES[candidate.effect]
         finest = next((low for bound, low, _ in candidate.bounds if bound == name), 0.0)
         position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
@@ -99,7 +113,7 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
         surprise = np.where(np.abs(surprise) < LOST, surprise, 0.0)
         lines = [
             one
-            for signal in (missing_force(fitted), surprise)
+            for signal in (missing_force(fitted), surprise, _unsmooth(np.asarray(logged.lanes.position)))
             for one in lines_in_position(signal, position, counts, max(shortest, finest), longest)
         ]
         known = [one[name] for one in candidate.grid]
