@@ -15,6 +15,27 @@ RATE = 1_000.0
 SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0)
 
 
+TIME = np.arange(8_000) / RATE
+POSITION = 0.04 * np.sin(1.1 * TIME) + 0.01 * np.sin(3.7 * TIME)
+VELOCITY = np.gradient(POSITION, TIME)
+
+
+def _off(name, parameter, period, measured, force, noise):
+    """Turns over the travel, by which the nearest point that a search begins from is off."""
+    flat = np.zeros((1, len(TIME)))
+    lanes = SimpleNamespace(counts=flat + 1.0, position=jnp.asarray(measured)[None])
+    logged = SimpleNamespace(logs=1, owner=(0,), starts=jnp.zeros(1), sampling=SimpleNamespace(rate=RATE), lanes=lanes)
+    course = SimpleNamespace(position=POSITION[None])
+    track = SimpleNamespace(
+        pull=(flat, flat), innovation=noise[None], scatter=1e-7 + flat, lacking=force[None], course=course
+    )
+    drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
+    candidate = next(one for one in candidates(SETTING) if one.name == name)
+    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
+    travel = np.ptp(POSITION)
+    return min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
+
+
 @pytest.mark.parametrize("passes_for", ["force", "noise"])
 @pytest.mark.parametrize(("name", "parameter", "period"), [
     ("lead_error", "lead", 3.7e-3), ("lead_error", "lead", 5.08e-3), ("lead_error", "lead", 2.5e-2),
@@ -22,24 +43,20 @@ SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.0
 ])  # fmt: skip
 def test_the_period_of_a_scales_error_is_seen_in_what_it_passes_for(name, parameter, period, passes_for):
     """Whatever it is: a position error e(x) reads as a force m e''(x) v^2; too quick for that, as noise."""
-    time = np.arange(8_000) / RATE
-    position = 0.04 * np.sin(1.1 * time) + 0.01 * np.sin(3.7 * time)
-    velocity = np.gradient(position, time)
-    wave = np.cos(2 * np.pi * position / period)[None]
-    wave = velocity**2 * wave if passes_for == "force" else wave
+    wave = np.cos(2 * np.pi * POSITION / period) * (VELOCITY**2 if passes_for == "force" else 1.0)
     wave = wave / wave.std() + 0.5 * np.random.default_rng(1).standard_normal(wave.shape)
-    lanes = SimpleNamespace(counts=np.ones_like(wave), position=jnp.asarray(position)[None])
-    logged = SimpleNamespace(logs=1, owner=(0,), starts=jnp.zeros(1), sampling=SimpleNamespace(rate=RATE), lanes=lanes)
     flat = np.zeros_like(wave)
-    course = SimpleNamespace(position=position[None])
     force, noise = (wave, flat) if passes_for == "force" else (flat, 1e-7 * wave)
-    track = SimpleNamespace(pull=(flat, flat), innovation=noise, scatter=1e-7 + flat, lacking=force, course=course)
-    drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
-    candidate = next(one for one in candidates(SETTING) if one.name == name)
-    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
-    travel = np.ptp(position)
-    off = min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
-    assert off < 0.25  # turns over the travel: a fit finds the rest
+    assert _off(name, parameter, period, POSITION, force, noise) < 0.25  # turns over the travel: a fit finds the rest
+
+
+@pytest.mark.parametrize("period", [2.35e-5, 8.79e-6, 3.3e-6])
+def test_the_period_of_a_scales_error_is_seen_where_the_table_goes_through_many_a_sample(period):
+    """The filter shows nothing of it: at 80 mm/s, 3.4 to 24 periods go by in a sample of 1 ms."""
+    noise = 5e-8 * np.random.default_rng(1).standard_normal(POSITION.shape)
+    measured = POSITION + 3e-7 * np.cos(2 * np.pi * POSITION / period) + noise
+    flat = np.zeros_like(measured)
+    assert _off("interpolation_error", "period", period, measured, flat, flat) < 0.25
 
 
 @pytest.mark.parametrize("name", ["cogging", "process_force"])

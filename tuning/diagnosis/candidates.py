@@ -262,7 +262,7 @@ def _force_limit(at: Setting) -> Candidate:
     return Candidate(
         actuator.ForceLimit,
         (_positive("limit", 0.8 * at.command, 0.3),),
-        _grid(limit=at.command * np.array([0.98, 0.93, 0.85, 0.7, 0.5])),
+        _grid(limit=at.command * np.r_[np.linspace(0.99, 0.91, 9), 0.87, 0.8, 0.7, 0.6, 0.5]),
     )
 
 
