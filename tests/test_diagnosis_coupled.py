@@ -9,7 +9,7 @@ from sound_log import DRIVE, RATE
 
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
-from diffdrive.effects.transmission import Backlash
+from diffdrive.effects.transmission import Backlash, Compliance
 from tuning.diagnosis import evolving, leading
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
@@ -117,6 +117,40 @@ def test_where_nobody_can_say_what_is_missing_a_search_begins_as_expected(sound,
         {one.name: one.middle for one in candidate.parameters}
     )
     assert np.all(np.isfinite(forces))
+
+
+def test_a_population_keeps_to_the_screws_that_can_be(sound, monkeypatch):
+    """A resonance beyond what a log shows would win the search, and be thrown away."""
+    fitter, base = sound
+    candidate = next(one for one in catalogue(fitter, base) if one.name == "compliance")
+    model = joined(base.model, candidate._replace(bounds=(("frequency", 300.0, 310.0), ("damping", 0.0, 0.01))))
+    for share in (0.0, 1.0):
+        monkeypatch.setattr(
+            evolving,
+            "evolve",
+            lambda costs, first, budget, share=share, **more: SimpleNamespace(share=0.0 * first + share),
+        )
+        values, _ = evolving.evolved(base, model, 0, np.r_[base.u, begin(model, {})])
+        assert values["frequency"][0] == pytest.approx(300.0 + 10.0 * share)
+        assert values["damping"][0] <= 0.01
+
+
+def test_an_elastic_screw_is_fitted_from_where_a_loose_one_ended_and_not_the_other_way():
+    truth = {"frequency": 313.0, "damping": 0.03, "motor_share": 0.36, "table_friction": 0.61}
+    fitter = fitter_of(Compliance(**truth))
+    base = recalibrated(fitter, TOLERANCE)
+    known = {one.name: one for one in catalogue(fitter, base)}
+    astray = {"gap": 8e-7, "frequency": 330.0, "damping": 0.05, "motor_share": 0.3, "table_friction": 0.7}
+    values = {name: np.array([value]) for name, value in astray.items()}
+    model = joined(base.model, known["backlash"], values)
+    loose = fitter.fit(model, np.r_[base.u, begin(model, values)], base.process, base.track.course, 3)
+    (elastic,) = leading.simpler(fitter, base, [loose], [known["compliance"], known["backlash"]])
+    found = elastic.model.values(elastic.u)[-1]
+    assert found["frequency"][0] == pytest.approx(truth["frequency"], rel=0.01)
+    assert found["motor_share"][0] == pytest.approx(truth["motor_share"], rel=0.2)
+    assert elastic.evidence < loose.evidence - 100.0
+    assert leading.simpler(fitter, base, [elastic], [known["compliance"], known["backlash"]]) == []
+    assert leading.simpler(fitter, base, [], known.values()) == []
 
 
 def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
