@@ -57,6 +57,26 @@ def test_what_was_found_first_is_dropped_where_what_came_after_explains_as_much_
     assert first.worth_it
 
 
+@pytest.mark.parametrize(("evidence", "first", "kept"), [
+    (-23_900.0, -6000.0, False), (-22_000.0, -6000.0, True), (-23_900.0, -13_000.0, True),
+])  # fmt: skip
+def test_what_was_found_last_is_dropped_where_it_but_set_the_fit_before_it_going(monkeypatch, evidence, first, kept):
+    """What brought less than all before it did no such thing, and is not asked about."""
+    found, _ = stepwise(monkeypatch, None)
+    found.rounds[0].fits[0].evidence = first
+    fewer = hypothesis("process_force", evidence=evidence)
+    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
+    other = _Search(None, quiet, 2).spared(found)
+    if kept:
+        assert other is found
+        return
+    assert other.best is fewer
+    assert other.named == {"process_force"}
+    (only,) = other.rounds
+    assert only.before is found.base
+    assert names(only) == ["process_force", "frame_vibration"]
+
+
 def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(monkeypatch):
     found, _ = stepwise(monkeypatch, -23_900.0)
     ends = {"frame_vibration": 0.0, "compliance": 9.0}

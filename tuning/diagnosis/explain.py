@@ -173,11 +173,13 @@ class _Search:
         return self.onward(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
 
     def spared(self, found: Explanation) -> Explanation:
-        """Without an effect that those found after it can do without; the same object where there is none.
+        """Without an effect that the others can do without; the same object where there is none.
 
-        One that is like the right one, or what had set a fit going that was stuck without it, may be found first.
+        One that is like the right one, or what had set a fit going that was stuck without it, may be found first. One
+        that sets the fit before it going is found last, and seems to bring more than all that was found before.
         """
-        for index in range(found.best.model.added - 1):
+        last = found.best.model.added - 1
+        for index in range(last + _outdone(found) if last > 0 else 0):
             fewer = but_one(self.fitter, found.best, index)
             if fewer is None or fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
                 continue
@@ -191,6 +193,8 @@ class _Search:
         came after it is no machine alone. The rivals are those of both rounds that become one.
         """
         count, rounds, dropped = found.best.model.added, found.rounds[:index], found.rounds[index]
+        if index == count - 1:
+            return [*rounds[:-1], rounds[-1]._replace(fits=[fewer, *rounds[-1].fits[1:]])]
         before, aside, beside = dropped.before, dropped.fits, dropped.fits[: dropped.rivals]
         for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
             one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
@@ -253,6 +257,12 @@ def explain(
         return found._replace(other=other)
     widely = beside(catalogue)
     return (other if _better(found.base, other.best, widely.best) else widely)._replace(other=found)
+
+
+def _outdone(found: Explanation) -> bool:
+    """Whether the last effect brought more than all before it together."""
+    last = found.rounds[found.best.model.added - 1]
+    return last.before.evidence - last.fits[0].evidence > found.base.evidence - last.before.evidence
 
 
 def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
