@@ -79,7 +79,7 @@ def _loads(fitted: Fitted) -> list[dict[str, np.ndarray]]:
 
 
 def _unsmooth(position: Float[np.ndarray, "lanes n"]) -> Float[np.ndarray, "lanes n"]:
-    """What of a measured position is no smooth motion, as large at every frequency as it is, and without a lag.
+    """What of a measured position is no smooth motion: what is quicker than some samples, as it is and without a lag.
 
     What a filter makes of an error has another phase at every speed, and where the error's frequency is above half of
     the rate, turns backwards: over a log with many speeds it adds up to nothing.

@@ -178,8 +178,9 @@ class _Search:
         One that is like the right one, or what had set a fit going that was stuck without it, may be found first. One
         that sets the fit before it going is found last, and seems to bring more than all that was found before.
         """
-        last = found.best.model.added - 1
-        for index in range(last + _outdone(found) if last > 0 else 0):
+        count = found.best.model.added
+        several = range(count if _outdone(found) else count - 1) if count > 1 else ()
+        for index in several:
             fewer = but_one(self.fitter, found.best, index)
             if fewer is None or fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
                 continue
