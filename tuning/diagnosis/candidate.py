@@ -70,8 +70,10 @@ class Candidate(NamedTuple):
 
     @property
     def unseen(self) -> bool:
-        """Whether it may act though no force is missing: nominal parameters make up for it, or it passes for noise."""
-        return self.relieves or self.noisy
+        """Whether it may act though no force is missing: nominal parameters make up for it, it passes for noise, or it
+        acts at a few samples only.
+        """
+        return self.relieves or self.noisy or self.effect is actuator.ForceLimit
 
     @property
     def noisy(self) -> bool:

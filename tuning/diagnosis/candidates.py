@@ -259,10 +259,12 @@ def _force_gain(at: Setting) -> Candidate:
 
 
 def _force_limit(at: Setting) -> Candidate:
+    """One that no command of the log reaches limits nothing."""
     return Candidate(
         actuator.ForceLimit,
         (_positive("limit", 0.8 * at.command, 0.3),),
         _grid(limit=at.command * np.r_[np.linspace(0.99, 0.91, 9), 0.87, 0.8, 0.7, 0.6, 0.5]),
+        bounds=(("limit", 0.0, at.command),),
     )
 
 

@@ -21,6 +21,7 @@ from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
+from tuning.diagnosis.command_left import follows_command
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
@@ -44,6 +45,8 @@ from tuning.replay import long_pieces
 SUBSTEP = 50e-6  # s
 ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
 SAME_RATE = 1e-3  # relative
+FOLLOWING = 40.0  # of -2 log likelihood, that following the command explains beside the right effects at most, and
+FOLLOWS = 0.004  # of what was gained
 
 
 @dataclass(frozen=True)
@@ -160,7 +163,8 @@ def diagnose(
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
     verdict = judge(fitter, found, left_in_loop(rungs))
-    verdict = _within(_credible(confirmed(verdict, rungs, share), found.best), lacks)
+    verdict = _credible(confirmed(verdict, rungs, share), found.best)
+    verdict = _within(_indifferent(verdict, found), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
@@ -191,6 +195,19 @@ def _credible(verdict: Verdict, best: Fitted) -> Verdict:
     if verdict.verdict != "effect" or credible(best):
         return verdict
     return verdict.doubted(f"{furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
+
+
+def _indifferent(verdict: Verdict, found: Explanation) -> Verdict:
+    """No sure cause that leaves what follows the command.
+
+    Effects whose details differ may leave that, and behind those within the filter it cannot be told.
+    """
+    best = found.best
+    if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
+        return verdict
+    if follows_command(best) < max(FOLLOWING, FOLLOWS * (found.base.evidence - best.evidence)):
+        return verdict
+    return verdict.doubted("what is left follows the command: the actuator answers otherwise than the drive file says")
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
