@@ -9,7 +9,7 @@ import pytest
 from off_its_file import OFF, catalogue, fitter_of
 from sound_log import DRIVE, RATE, described, logged, two_sines
 
-from diffdrive.effects.actuator import ForceGain, LoopDelay
+from diffdrive.effects.actuator import ForceGain, ForceLimit, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.machine import PayloadMass
@@ -19,7 +19,7 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.curvature import FARTHEST
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.explain import _further
+from tuning.diagnosis.explain import _further, explain
 from tuning.diagnosis.fitting import LEAST, Fitter
 from tuning.diagnosis.leftover import IMPOSSIBLE, LACKING, STRAINED, WORTH, lacking, strain
 from tuning.diagnosis.model import Model
@@ -263,6 +263,28 @@ def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_wa
     assert base.cost - beside.cost < 0.0  # where nothing makes way, the least of the grid explains nothing
     assert found.evidence > 100.0
     assert found.values["delay"][0] == pytest.approx(delay, rel=0.6)
+
+
+@pytest.mark.parametrize("reached", [6, 20])
+def test_a_limit_is_found_that_few_samples_reach(reached):
+    """So few that no force is missed; how many, decides which step of a grid comes near it."""
+    command = np.abs(np.asarray(fitter_of().logged.lanes.command)).ravel()
+    limit = float(np.sort(command)[-reached])
+    fitter = fitter_of(ForceLimit(limit))
+    base = recalibrated(fitter, TOLERANCE)
+    assert lacking(fitter, base) < LACKING
+    few = [one for one in catalogue(fitter, base) if one.name in ("force_limit", "force_gain", "payload_mass")]
+    found = explain(fitter, base, few, lambda *_: None)
+    assert found.named == {"force_limit"}
+    assert found.best.model.values(found.best.u)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
+
+
+def test_a_limit_beyond_all_commands_limits_nothing(sound):
+    known = {one.name: one for one in catalogue(*sound)}
+    most = float(np.abs(np.asarray(sound[0].logged.lanes.command)).max())
+    lasts = sound[0].logged.lasts
+    assert known["force_limit"].plausible({"limit": np.array([0.99 * most])}, lasts)
+    assert not known["force_limit"].plausible({"limit": np.array([1.01 * most])}, lasts)
 
 
 def test_a_filter_under_a_rough_cost_tries_every_small_sudden_force(sound, monkeypatch):

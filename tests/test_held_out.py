@@ -23,7 +23,7 @@ RATE = 1000.0
 def rung(deviance, scatter=0.0, moved=1.0):
     """What the held-out logs say of a model, piece by piece, and how far it moves a nominal parameter."""
     pieces = deviance / 50 + scatter * np.random.default_rng(0).choice([-1.0, 1.0], 50) * (deviance != 0.0)
-    bare = SimpleNamespace(u=np.full(len(NAMES), moved), model=SimpleNamespace(members=()))
+    bare = SimpleNamespace(u=np.full(len(NAMES), moved), model=SimpleNamespace(members=(), coarse=False))
     return SimpleNamespace(unlikely=pieces, fitted=bare)
 
 
@@ -191,6 +191,21 @@ def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, ver
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
     assert ("held out only" in judged.says) == (verdict == "unknown")
+
+
+@pytest.mark.parametrize(("left", "coarse", "verdict"), [(1.4, True, 0), (1.9, True, 1), (1.9, False, 0)])
+def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(left, coarse, verdict):
+    """Though that is a thousandth of the gap: a play in the place of an elastic screw leaves no more."""
+    believed = Verdict("effect", [Belief("backlash", 0.9, True, 0, 5e4, None, [])], 0.0, "backlash explains the gap")
+    rungs = [rung(one) for one in (100.0, 0.0, -500.0)]
+    rungs[-1].force, rungs[-1].floor = lacking(left).force, 1.0
+    rungs[-1].fitted.model.coarse = coarse
+    judged = confirmed(believed, rungs, Closed(0.999, 0.99, 1.0))
+    assert judged.verdict == ("effect", "unknown")[verdict]
+    assert judged.beliefs[0].confidence == (0.9, 0.5)[verdict]
+    assert ("1.9 times its floor" in judged.says) == bool(verdict)
+    rungs[-1].floor = np.inf  # it cannot be told
+    assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
 
 
 def test_what_begins_in_the_last_part_of_a_single_log_is_proved_in_other_parts():

@@ -263,7 +263,7 @@ def _force_limit(at: Setting) -> Candidate:
     return Candidate(
         actuator.ForceLimit,
         (_positive("limit", 0.8 * at.command, 0.3),),
-        _grid(limit=at.command * np.r_[np.linspace(0.99, 0.91, 9), 0.87, 0.8, 0.7, 0.6, 0.5]),
+        _grid(limit=at.command * np.r_[np.linspace(0.995, 0.96, 8), 0.94, 0.92, 0.9, 0.87, 0.8, 0.7, 0.6, 0.5]),
         bounds=(("limit", 0.0, at.command),),
     )
 

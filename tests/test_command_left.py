@@ -1,0 +1,67 @@
+"""Residual analysis: an actuator that is as late as the right one and yet another, and what only looks like it."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from off_its_file import catalogue, fitter_of
+
+from diffdrive.effects.actuator import ActuatorLag, LoopDelay
+from tuning.diagnosis import command_left
+from tuning.diagnosis.calibration import TOLERANCE
+from tuning.diagnosis.command_left import SINGLE, TAPS, follows_command
+from tuning.diagnosis.diagnose import FOLLOWING, FOLLOWS
+from tuning.diagnosis.explain import explain
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.search import recalibrated
+
+LATE = {"actuator_lag": ActuatorLag(6e-4), "loop_delay": LoopDelay(1.2)}
+
+
+@pytest.fixture(scope="module", params=sorted(LATE))
+def late(request):
+    """A machine whose actuator is late: explained as it is, and as what it is not."""
+    fitter = fitter_of(LATE[request.param])
+    base = recalibrated(fitter, TOLERANCE)
+    known = {one.name: one for one in catalogue(fitter, base)}
+    told = {name: explain(fitter, base, [known[name]], lambda *_: None, 1) for name in LATE}
+    right = told.pop(request.param)
+    return right, next(iter(told.values()))
+
+
+def test_a_delay_is_told_from_a_lag_by_what_follows_the_command(late):
+    for found in late:
+        assert found.base.evidence - found.best.evidence > 1000.0  # either explains much
+    right, wrong = (follows_command(found.best) for found in late)
+    assert right < 0.5 * FOLLOWING
+    assert wrong > max(FOLLOWING, FOLLOWS * (late[1].base.evidence - late[1].best.evidence))
+
+
+def test_to_first_order_it_is_what_those_commands_explain(late):
+    """Against the filter itself, run with the commands added to what acts on the table."""
+    best = late[1].best
+    logged, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
+    added = sum(a * command_left._held_back(logged, k) for k, a in enumerate(amounts))
+    lanes = logged.lanes._replace(disturbance=logged.lanes.disturbance + added)
+    moved = Fitter(logged._replace(lanes=lanes)).at(best.model, best.u, best.process, best.track.course).track
+    change = (np.asarray(moved.innovation) - np.asarray(best.track.innovation)) / np.asarray(best.track.scatter)
+    expected = np.asarray(command_left._answers(best)) @ amounts * np.sqrt(float(best.track.size))
+    assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(expected)
+
+
+def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
+    """As much as a wrong actuator leaves all along, in one tenth of a second."""
+    best = late[0].best
+    rate = best.model.logged.sampling.rate
+    answers = np.asarray(command_left._answers(best)) @ np.array([1.0, -1.0, 0.0, 0.0, 0.0])
+    quick = int(np.argmax(np.abs(np.asarray(best.track.course.velocity[0]))))
+    there = np.abs(np.arange(answers.shape[1]) - quick) < 0.05 * rate
+    blow = np.where(there, answers, 0.0)
+    struck = best._replace(residual=best.residual + 30.0 * (blow / np.linalg.norm(blow)).ravel())
+    told = follows_command(struck) - follows_command(best)
+    assert abs(told) < 3 * SINGLE < 0.1 * 30.0**2
+
+
+def test_a_slow_table_tells_nothing(late):
+    best = late[1].best
+    slow = best.track.course._replace(velocity=jnp.zeros_like(best.track.course.velocity))
+    assert follows_command(best._replace(track=best.track._replace(course=slow))) == pytest.approx(0.0, abs=1e-6)
