@@ -193,7 +193,7 @@ def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, ver
     assert ("held out only" in judged.says) == (verdict == "unknown")
 
 
-@pytest.mark.parametrize(("left", "coarse", "verdict"), [(1.4, True, 0), (1.9, True, 1), (1.9, False, 0)])
+@pytest.mark.parametrize(("left", "coarse", "verdict"), [(2.4, True, 0), (2.6, True, 1), (2.6, False, 0)])
 def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(left, coarse, verdict):
     """Though that is a thousandth of the gap: a play in the place of an elastic screw leaves no more."""
     believed = Verdict("effect", [Belief("backlash", 0.9, True, 0, 5e4, None, [])], 0.0, "backlash explains the gap")
@@ -203,7 +203,7 @@ def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(le
     judged = confirmed(believed, rungs, Closed(0.999, 0.99, 1.0))
     assert judged.verdict == ("effect", "unknown")[verdict]
     assert judged.beliefs[0].confidence == (0.9, 0.5)[verdict]
-    assert ("1.9 times its floor" in judged.says) == bool(verdict)
+    assert ("2.6 times its floor" in judged.says) == bool(verdict)
     rungs[-1].floor = np.inf  # it cannot be told
     assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
 

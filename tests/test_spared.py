@@ -26,7 +26,7 @@ def stepwise(monkeypatch, alone):
 
     def but_one(fitter, one, index):
         asked.append((one, index))
-        if alone is None:
+        if alone is None or index:
             return None
         return hypothesis(names(Round(None, [], [one], 1, 0.0))[0], evidence=alone + (15.0 if one is rival else 0.0))
 
@@ -57,24 +57,41 @@ def test_what_was_found_first_is_dropped_where_what_came_after_explains_as_much_
     assert first.worth_it
 
 
-@pytest.mark.parametrize(("evidence", "first", "kept"), [
-    (-23_900.0, -6000.0, False), (-22_000.0, -6000.0, True), (-23_900.0, -13_000.0, True),
-])  # fmt: skip
-def test_what_was_found_last_is_dropped_where_it_but_set_the_fit_before_it_going(monkeypatch, evidence, first, kept):
-    """What brought less than all before it did no such thing, and is not asked about."""
+@pytest.mark.parametrize(
+    ("evidence", "first", "coarse", "kept"),
+    [
+        (-23_900.0, -6000.0, False, False),
+        (-22_000.0, -6000.0, False, True),
+        (-22_000.0, -6000.0, True, False),  # its details may be worth as much
+        (-19_000.0, -6000.0, True, True),
+    ],
+)
+def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monkeypatch, evidence, first, coarse, kept):
+    """It may have but set the fit before it going, which seems to be its own merit."""
+    found, _ = stepwise(monkeypatch, None)
+    found.rounds[0].fits[0].evidence = first
+    fewer = hypothesis("process_force", evidence=evidence, coarse=coarse)
+    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
+    other = _Search(None, quiet, 2).spared(found)
+    assert other.best is (found.best if kept else fewer)
+    assert names(other.rounds[0]) == ["process_force", "frame_vibration"]
+    assert other.rounds[0].before is found.base
+    assert other.rounds[0].fits[0] is fewer
+    assert len(other.rounds) == 1 + kept
+    if kept:
+        last = other.rounds[1]
+        assert last.gain == last.allowance + fewer.evidence - found.best.evidence
+        assert last.worth_it
+
+
+@pytest.mark.parametrize(("evidence", "first"), [(-23_900.0, -13_000.0), (-5900.0, -6000.0)])
+def test_what_brought_less_than_all_before_it_set_nothing_going(monkeypatch, evidence, first):
+    """Nor did it where the others end no better without it."""
     found, _ = stepwise(monkeypatch, None)
     found.rounds[0].fits[0].evidence = first
     fewer = hypothesis("process_force", evidence=evidence)
     monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
-    other = _Search(None, quiet, 2).spared(found)
-    if kept:
-        assert other is found
-        return
-    assert other.best is fewer
-    assert other.named == {"process_force"}
-    (only,) = other.rounds
-    assert only.before is found.base
-    assert names(only) == ["process_force", "frame_vibration"]
+    assert _Search(None, quiet, 2).spared(found) is found
 
 
 def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(monkeypatch):
@@ -93,7 +110,8 @@ def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(
 def test_an_effect_is_not_dropped_where_a_number_becomes_impossible_without(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
     found.best.u[0] = 5.0
-    monkeypatch.setattr(explain, "but_one", lambda *_: hypothesis("frame_vibration", evidence=-23_900.0, strain=9.0))
+    fewer = hypothesis("frame_vibration", evidence=-23_900.0, strain=9.0)
+    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: None if index else fewer)
     assert _Search(None, quiet, 2).spared(found) is found
 
 
@@ -106,7 +124,7 @@ def test_where_nothing_is_left_an_effect_need_not_bring_more_than_a_small_one_br
 def test_an_effect_that_keeps_a_number_where_it_can_be_is_not_dropped(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
     fewer = hypothesis("frame_vibration", evidence=-23_900.0, strain=9.0)
-    monkeypatch.setattr(explain, "but_one", lambda *_: fewer)
+    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: None if index else fewer)
     assert _Search(None, quiet, 2).spared(found) is found
     fewer.evidence = found.best.evidence + 0.9 * WORTH
     assert _Search(None, quiet, 2).spared(found).best is fewer

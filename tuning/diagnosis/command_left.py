@@ -10,12 +10,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.actuator import limited
+from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.base import Effect
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, answered
+from tuning.diagnosis.gap import sliding
 from tuning.diagnosis.model import Logged
 
-TAPS = 5  # samples, from the last to be asked for to the one before it
+TAPS = 5  # samples, the first of them one before that which acts by the model
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
 PIECE = 0.25  # s
@@ -26,30 +29,32 @@ def follows_command(fitted: Fitted) -> float:
     """By how much (-2 log likelihood) a force that is a sum of the last commands, added to a fit without effects within
     its filter, would explain the logs better, to first order and all that is free moved to make way.
 
-    Where the table is slow, the counts of its scale are no noise, and the command follows them: it tells nothing.
+    Where the table is slow, the counts of its scale are no noise, and the command follows them: it tells nothing, nor
+    where it hardly slides, and its friction may be anything.
     """
-    logged = fitted.model.logged
-    answers = np.asarray(_answers(fitted))
-    quick = np.abs(np.asarray(fitted.track.course.velocity)) * logged.sampling.period >= QUICK * float(logged.noise)
-    telling = quick.reshape(-1, 1) & (fitted.residual[:, None] != 0.0)
-    ways = np.where(telling, answers.reshape(fitted.residual.size, -1), 0.0)
-    residual = fitted.residual - fitted.jacobian @ solved(fitted.hessian, _slope(fitted))
-    ways = ways - fitted.jacobian @ solved(fitted.hessian, fitted.jacobian.T @ ways)
-    amounts = -solved(ways.T @ ways + np.eye(TAPS) / SHARE**2, ways.T @ residual)
-    added = ways @ amounts
-    gained = (-added * (2.0 * residual + added)).reshape(quick.shape)
+    logged, velocity = fitted.model.logged, np.asarray(fitted.track.course.velocity)
+    quick = np.abs(velocity) * logged.sampling.period >= QUICK * float(logged.noise)
+    telling = (quick & (sliding(velocity, logged.sampling.rate) > 0.0)).reshape(-1, 1)
+    answers = np.asarray(_answers(fitted)).reshape(fitted.residual.size, -1)
+    answers = np.where(telling & (fitted.residual[:, None] != 0.0), answers, 0.0)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    cross = fitted.jacobian.T @ answers
+    making_way = solved(fitted.hessian, cross)
+    bent = answers.T @ answers - cross.T @ making_way + np.eye(TAPS) / SHARE**2
+    amounts = -solved(bent, answers.T @ fitted.residual - cross.T @ left)
+    residual = fitted.residual - fitted.jacobian @ left
+    added = answers @ amounts - fitted.jacobian @ (making_way @ amounts)
+    gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
     pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(PIECE * logged.sampling.rate))), axis=1)
     return float(np.sum(np.minimum(pieces, SINGLE)))
-
-
-def _slope(fitted: Fitted) -> Float[np.ndarray, " k"]:
-    return fitted.jacobian.T @ fitted.residual + fitted.u
 
 
 def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     """Of the residuals, to a newton and more of each of the last commands."""
     logged = fitted.model.logged
-    force = jnp.stack([_held_back(logged, k) for k in range(TAPS)], axis=-1)
+    late = float(logged.delay) + sum(_delay(effect) for effect in fitted.model.effects(fitted.u))
+    first = max(0, int(late) - 1)  # what is later than the model says, and what is sooner
+    force = jnp.stack([_held_back(logged, first + k) for k in range(TAPS)], axis=-1)
     none = jnp.zeros_like(force)
     still = jnp.zeros((fitted.linear.machine.shape[-1], TAPS))
     pushed = Exposure(force, none, none, none, none, none, none)
@@ -57,8 +62,11 @@ def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     return found / jnp.sqrt(fitted.track.size)
 
 
+def _delay(effect: Effect) -> float:
+    return float(np.max(effect.delay)) if isinstance(effect, LoopDelay) else 0.0
+
+
 def _held_back(logged: Logged, samples: int) -> Float[Array, "lanes n"]:
-    """The command that many samples after the one at which the drive file has it act."""
+    """The command that many samples later."""
     command = limited(logged.drive.actuator, logged.lanes.command)
-    late = int(logged.delay) + samples
-    return jnp.pad(command, ((0, 0), (late, 0)), mode="edge")[:, : command.shape[1]]
+    return jnp.pad(command, ((0, 0), (samples, 0)), mode="edge")[:, : command.shape[1]]

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
+from diffdrive.effects.base import ActuatorEffect
 from diffdrive.effects.catalogue import EFFECTS, PLACES
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
@@ -45,8 +46,8 @@ from tuning.replay import long_pieces
 SUBSTEP = 50e-6  # s
 ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
 SAME_RATE = 1e-3  # relative
-FOLLOWING = 40.0  # of -2 log likelihood, that following the command explains beside the right effects at most, and
-FOLLOWS = 0.004  # of what was gained
+FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
+FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 
 
 @dataclass(frozen=True)
@@ -205,9 +206,14 @@ def _indifferent(verdict: Verdict, found: Explanation) -> Verdict:
     best = found.best
     if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
         return verdict
-    if follows_command(best) < max(FOLLOWING, FOLLOWS * (found.base.evidence - best.evidence)):
+    rounds = found.rounds[: best.model.added]
+    acting = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
+    gains = [one.before.cost - one.fits[0].cost for one in acting] or [found.base.cost - best.cost]
+    if not follows_command(best) > max(FOLLOWING, FOLLOWS * min(gains)):
         return verdict
-    return verdict.doubted("what is left follows the command: the actuator answers otherwise than the drive file says")
+    return verdict.doubted(
+        "what is left follows the command: the actuator, or what lies between it and the table, answers otherwise"
+    )
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:

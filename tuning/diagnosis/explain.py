@@ -182,20 +182,35 @@ class _Search:
         several = range(count if _outdone(found) else count - 1) if count > 1 else ()
         for index in several:
             fewer = but_one(self.fitter, found.best, index)
-            if fewer is None or fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
+            if fewer is None:
+                continue
+            if index == count - 1:
+                return self.credited(found, fewer)
+            if fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
                 continue
             rounds = self.rounds_but(found, index, fewer)
             if rounds is not None:
                 return found._replace(rounds=rounds, best=fewer)
         return found
 
+    def credited(self, found: Explanation, fewer: Fitted) -> Explanation:
+        """The last effect held against what the others explain without it, or dropped where it is not worth it then;
+        the same object where they explain no more without it than they were known to.
+        """
+        *before, last = found.rounds[: found.best.model.added]
+        if fewer.evidence >= last.before.evidence:
+            return found
+        before[-1] = before[-1]._replace(fits=[fewer, *before[-1].fits[1:]])
+        last = self.weighed(found.base, last._replace(before=fewer))
+        if last.worth_it or disbelieved(fewer, found.best):
+            return found._replace(rounds=[*before, last])
+        return found._replace(rounds=before, best=fewer)
+
     def rounds_but(self, found: Explanation, index: int, fewer: Fitted) -> list[Round] | None:
         """The rounds without the one of that number, `fewer` being what is found without it in the end; None where what
         came after it is no machine alone. The rivals are those of both rounds that become one.
         """
         count, rounds, dropped = found.best.model.added, found.rounds[:index], found.rounds[index]
-        if index == count - 1:
-            return [*rounds[:-1], rounds[-1]._replace(fits=[fewer, *rounds[-1].fits[1:]])]
         before, aside, beside = dropped.before, dropped.fits, dropped.fits[: dropped.rivals]
         for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
             one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
