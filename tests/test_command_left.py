@@ -1,18 +1,24 @@
 """Residual analysis: an actuator that is as late as the right one and yet another, and what only looks like it."""
 
+import itertools
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from off_its_file import catalogue, fitter_of
+from sound_log import described, logged, two_sines
 
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
+from diffdrive.effects.forces import Cogging
 from tuning.diagnosis import command_left
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.command_left import SINGLE, TAPS, follows_command
-from tuning.diagnosis.diagnose import FOLLOWING, FOLLOWS
-from tuning.diagnosis.explain import explain
+from tuning.diagnosis.diagnose import FOLLOWING, FOLLOWS, _indifferent, logged_of
+from tuning.diagnosis.explain import Explanation, explain
 from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.search import recalibrated
+from tuning.diagnosis.search import Round, recalibrated
+from tuning.diagnosis.verdict import Belief, Verdict
 
 LATE = {"actuator_lag": ActuatorLag(6e-4), "loop_delay": LoopDelay(1.2)}
 
@@ -40,7 +46,7 @@ def test_to_first_order_it_is_what_those_commands_explain(late):
     """Against the filter itself, run with the commands added to what acts on the table."""
     best = late[1].best
     logged, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
-    added = sum(a * command_left._held_back(logged, k) for k, a in enumerate(amounts))
+    added = command_left._last_commands(best, logged) @ amounts
     lanes = logged.lanes._replace(disturbance=logged.lanes.disturbance + added)
     moved = Fitter(logged._replace(lanes=lanes)).at(best.model, best.u, best.process, best.track.course).track
     change = (np.asarray(moved.innovation) - np.asarray(best.track.innovation)) / np.asarray(best.track.scatter)
@@ -65,3 +71,45 @@ def test_a_slow_table_tells_nothing(late):
     best = late[1].best
     slow = best.track.course._replace(velocity=jnp.zeros_like(best.track.course.velocity))
     assert follows_command(best._replace(track=best.track._replace(course=slow))) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
+    """Of two thinned logs with a claimed delay, of three samples with what was found: from the second sample on."""
+    late = described(rate=4000.0, delay=3)
+    both = logged_of(late.drive, [logged(late, two_sines(0.8, 4000.0), seed=k) for k in (1, 2)])
+    assert both.thinning == 2
+    found = SimpleNamespace(model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),)), u=None)
+    asked = command_left._last_commands(found, both)
+    assert asked.shape == (*both.lanes.command.shape, TAPS)
+    for k in range(TAPS):
+        assert np.array_equal(asked[:, 10:, k], both.lanes.command[:, 10 - 2 - k : -2 - k])
+        assert np.array_equal(asked[:, 0, k], both.lanes.command[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("follows", "chain", "coarse", "verdict"),
+    [
+        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), False, "unknown"),
+        (0.9 * FOLLOWING, ((LoopDelay, 1e3),), False, "effect"),
+        (2.0 * FOLLOWING, ((LoopDelay, 4.0 * FOLLOWING / FOLLOWS),), False, "effect"),
+        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS), (LoopDelay, 1e3)), False, "unknown"),
+        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS),), False, "effect"),
+        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), True, "effect"),
+        (np.nan, ((LoopDelay, 1e3),), False, "effect"),
+    ],
+)
+def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, follows, chain, coarse, verdict):
+    """More than beside right ones, and no trifle of what the effect between command and force explained."""
+    monkeypatch.setattr("tuning.diagnosis.diagnose.follows_command", lambda _: follows)
+    fits = [SimpleNamespace(cost=0.0)]
+    for effect, gain in chain:
+        member = SimpleNamespace(candidate=SimpleNamespace(effect=effect))
+        model = SimpleNamespace(members=(member,), added=len(chain), coarse=coarse, coupled=False)
+        fits.append(SimpleNamespace(cost=fits[-1].cost - gain, model=model))
+    rounds = [Round(before, [], [one], 1, 0.0) for before, one in itertools.pairwise(fits)]
+    believed = Verdict(
+        "effect", [Belief("loop_delay", 0.9, True, 0, 1e3, None, [])], 0.0, "loop_delay explains the gap"
+    )
+    judged = _indifferent(believed, Explanation(fits[0], rounds, fits[-1]))
+    assert judged.verdict == verdict
+    assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)

@@ -279,10 +279,14 @@ def test_a_limit_is_found_that_few_samples_reach(reached):
     assert found.best.model.values(found.best.u)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
 
 
-def test_a_limit_beyond_all_commands_limits_nothing(sound):
-    known = {one.name: one for one in catalogue(*sound)}
-    most = float(np.abs(np.asarray(sound[0].logged.lanes.command)).max())
-    lasts = sound[0].logged.lasts
+@pytest.mark.parametrize("rate", [2000.0, 10_000.0])
+def test_a_limit_beyond_all_commands_limits_nothing(rate):
+    """Where a sample is several control periods, beyond the largest of these, not of their means."""
+    fast = described(rate=rate)
+    log = logged(fast, two_sines(1.0, rate))
+    there = logged_of(fast.drive, [log])
+    known = {one.name: one for one in candidates(setting(there.drive, there.lanes, there.sampling.period))}
+    most, lasts = float(np.abs(log.command).max()), there.lasts
     assert known["force_limit"].plausible({"limit": np.array([0.99 * most])}, lasts)
     assert not known["force_limit"].plausible({"limit": np.array([1.01 * most])}, lasts)
 

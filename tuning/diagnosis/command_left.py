@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from diffdrive.actuator import limited
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.base import Effect
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, answered
@@ -50,11 +49,9 @@ def follows_command(fitted: Fitted) -> float:
 
 
 def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
-    """Of the residuals, to a newton and more of each of the last commands."""
+    """Of the residuals, to each of the last commands added to the force."""
     logged = fitted.model.logged
-    late = float(logged.delay) + sum(_delay(effect) for effect in fitted.model.effects(fitted.u))
-    first = max(0, int(late) - 1)  # what is later than the model says, and what is sooner
-    force = jnp.stack([_held_back(logged, first + k) for k in range(TAPS)], axis=-1)
+    force = _last_commands(fitted, logged)
     none = jnp.zeros_like(force)
     still = jnp.zeros((fitted.linear.machine.shape[-1], TAPS))
     pushed = Exposure(force, none, none, none, none, none, none)
@@ -62,11 +59,11 @@ def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     return found / jnp.sqrt(fitted.track.size)
 
 
-def _delay(effect: Effect) -> float:
-    return float(np.max(effect.delay)) if isinstance(effect, LoopDelay) else 0.0
-
-
-def _held_back(logged: Logged, samples: int) -> Float[Array, "lanes n"]:
-    """The command that many samples later."""
+def _last_commands(fitted: Fitted, logged: Logged) -> Float[Array, "lanes n taps"]:
+    """From the one before that which acts by the model, with the delay that was found, to older ones."""
+    delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
+    late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
     command = limited(logged.drive.actuator, logged.lanes.command)
-    return jnp.pad(command, ((0, 0), (samples, 0)), mode="edge")[:, : command.shape[1]]
+    held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
+    count = command.shape[1]
+    return jnp.stack([jnp.pad(command, ((0, 0), (k, 0)), mode="edge")[:, :count] for k in held_back], axis=-1)
