@@ -20,6 +20,7 @@ from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
+from tuning.diagnosis.beyond import beyond, proved
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import follows_command
@@ -160,8 +161,14 @@ def diagnose(
     hopeless = any(one.hopeless for one in lacks)
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
     progress("judging on held-out data", 0, 1)
-    rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
+    known = None if isinstance(controller, UnknownController) else controller
+    rungs, parts = climb(fitter, found, list(logs), known)
     sought, (found, rungs) = found, upheld(found, rungs)
+    if found is sought and found.best.model.added < most_effects:
+        further = beyond(fitter, found, rungs, catalogue, progress)
+        higher = climb(fitter, further, list(logs), known) if further else None
+        if higher and proved(higher[0], rungs, found.best.evidence - further.best.evidence):
+            sought, found, (rungs, parts) = further, further, higher
     share = _closed(rungs, logged.sampling.rate)
     verdict = judge(fitter, found, left_in_loop(rungs))
     verdict = _credible(confirmed(verdict, rungs, share), found.best)
