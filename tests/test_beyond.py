@@ -85,7 +85,9 @@ def test_no_more_is_asked_for_by_a_loop_that_leaves_little_or_cannot_tell(lookin
     [(0.5 * HALVED, False, True), (0.7 * HALVED, False, False), (0.5 * HALVED, True, False), (None, False, False)],
 )
 def test_it_is_proved_by_closing_half_of_what_was_left_and_foreseeing_no_worse(monkeypatch, then, worse, holds):
-    before, after = [SimpleNamespace(left=0.6)], [SimpleNamespace(left=0.6), SimpleNamespace(left=then)]
-    monkeypatch.setattr(module, "left_in_loop", lambda rungs: rungs[-1].left)
+    """Though the first, alone, had not closed half of it."""
+    before = [SimpleNamespace(left=one) for one in (2.0, 1.0, 0.6)]
+    after = [*before, SimpleNamespace(left=then)]
+    monkeypatch.setattr(module, "left_beyond_floor", lambda from_there, to: to.left if from_there is before[1] else 9.0)
     monkeypatch.setattr(module, "denied", lambda more, fewer, gained: worse and gained == 900.0)
     assert proved(after, before, 900.0) == holds

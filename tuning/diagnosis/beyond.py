@@ -10,7 +10,7 @@ from functools import partial
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.explain import RELIEF, Explanation, left_by
 from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.held_out import denied, left_in_loop
+from tuning.diagnosis.held_out import denied, left_beyond_floor, left_in_loop
 from tuning.diagnosis.ladder import Rung
 from tuning.diagnosis.leftover import WORTH
 from tuning.diagnosis.search import Progress, Round, look, whole
@@ -38,7 +38,7 @@ def beyond(
 
 def proved(more: list[Rung], before: list[Rung], gained: float) -> bool:
     """Whether one effect more closes half of what was left in closed loop, and foresees what is held out no worse."""
-    left, then = left_in_loop(more), left_in_loop(before)
+    left, then = (left_beyond_floor(rungs[1], rungs[-1]) for rungs in (more, before))
     closes = left is not None and then is not None and left <= HALVED * then
     return closes and not denied(more[-1], more[-2], gained)
 

@@ -63,18 +63,18 @@ def left_in_loop(rungs: list[Rung]) -> float | None:
     """
     if len(rungs) <= 2:
         return None
-    share = _left(rungs[1], rungs[-1])
+    share = left_beyond_floor(rungs[1], rungs[-1])
     if share is None or share >= PROVED:
         return share
     steps = [
-        _left(before, after)
+        left_beyond_floor(before, after)
         for before, after in itertools.pairwise(rungs[1:])
         if after.fitted.model.members[-1].candidate.coarse
     ]
     return share if all(one is not None and one < PROVED for one in steps) else None
 
 
-def _left(before: Rung, after: Rung) -> float | None:
+def left_beyond_floor(before: Rung, after: Rung) -> float | None:
     """Share of the gap in closed loop, in mean squares, that one rung leaves of another's, of position or command the
     larger; None where there is hardly any, or where it is not known.
 
