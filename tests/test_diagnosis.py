@@ -25,6 +25,7 @@ from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.gap import ForceGap
+from tuning.diagnosis.leftover import STRAINED
 from tuning.diagnosis.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.setting import setting
@@ -110,7 +111,10 @@ def test_an_effect_that_is_not_considered_is_not_named():
     )
     assert found.verdict.verdict == "unknown"
     assert not any(one.found for one in found.verdict.beliefs)
-    assert "coulomb_screw" in found.verdict.says  # which was moved far in its place
+    moved = dict(zip(NAMES, found.explanation.base.u, strict=True))
+    assert moved["coulomb_screw.positive"] < 0.0 < moved["coulomb_screw.negative"]  # in its place, and as far
+    assert abs(moved["coulomb_screw.negative"]) >= STRAINED
+    assert "times its tolerance" in found.verdict.says
 
 
 def test_parameters_come_with_intervals_that_hold_the_truth(tilted):
