@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -141,7 +142,7 @@ class Report:
             # a name that is cut off says nothing: it goes on in the next line
             drawn.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
         for row in rows:
-            drawn.add_row(*(_shown(value, digits) for value in row))
+            drawn.add_row(*(escape(_shown(value, digits)) for value in row))  # a [table] of a file is no markup
         self.console.print(drawn)
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),

@@ -6,7 +6,7 @@ import pytest
 from imagined import hypothesis, names
 
 from tuning.diagnosis import beyond as module
-from tuning.diagnosis.beyond import HALVED, beyond, proved
+from tuning.diagnosis.beyond import beyond, proved
 from tuning.diagnosis.explain import RELIEF, Explanation
 from tuning.diagnosis.search import Round
 
@@ -82,7 +82,7 @@ def test_no_more_is_asked_for_by_a_loop_that_leaves_little_or_cannot_tell(lookin
 
 @pytest.mark.parametrize(
     ("then", "worse", "holds"),
-    [(0.5 * HALVED, False, True), (0.7 * HALVED, False, False), (0.5 * HALVED, True, False), (None, False, False)],
+    [(0.29, False, True), (0.31, False, False), (0.29, True, False), (None, False, False)],
 )
 def test_it_is_proved_by_closing_half_of_what_was_left_and_foreseeing_no_worse(monkeypatch, then, worse, holds):
     """Though the first, alone, had not closed half of it."""

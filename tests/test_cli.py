@@ -252,6 +252,13 @@ def test_what_was_found_before_an_error_is_kept_and_said_to_be_a_part(tmp_path, 
     assert "written to" not in printed
 
 
+def test_a_table_prints_the_names_of_a_files_tables(capsys):
+    """Square brackets are no markup."""
+    with Report("title", None) as report:
+        report.table("findings", ["mend"], [["where [units] says so"]])
+    assert "where [units] says so" in capsys.readouterr().out
+
+
 @pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
 def test_a_run_is_the_motion_that_it_was_asked_for_and_not_the_one_that_was_measured(drive_file, tmp_path):
     first = run("simulate", drive_file, "--motion", SHORT, "--out", tmp_path / "first")

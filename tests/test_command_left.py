@@ -13,8 +13,8 @@ from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging
 from tuning.diagnosis import command_left
 from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.command_left import SINGLE, TAPS, follows_command
-from tuning.diagnosis.diagnose import FOLLOWING, FOLLOWS, _indifferent, logged_of
+from tuning.diagnosis.command_left import FOLLOWING, FOLLOWS, SINGLE, TAPS, commanded, follows_command
+from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.explain import Explanation, explain
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.search import Round, recalibrated
@@ -100,7 +100,7 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
 )
 def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, follows, chain, coarse, verdict):
     """More than beside right ones, and no trifle of what the effect between command and force explained."""
-    monkeypatch.setattr("tuning.diagnosis.diagnose.follows_command", lambda _: follows)
+    monkeypatch.setattr("tuning.diagnosis.command_left.follows_command", lambda _: follows)
     fits = [SimpleNamespace(cost=0.0)]
     for effect, gain in chain:
         member = SimpleNamespace(candidate=SimpleNamespace(effect=effect))
@@ -110,6 +110,6 @@ def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, foll
     believed = Verdict(
         "effect", [Belief("loop_delay", 0.9, True, 0, 1e3, None, [])], 0.0, "loop_delay explains the gap"
     )
-    judged = _indifferent(believed, Explanation(fits[0], rounds, fits[-1]))
+    judged = commanded(believed, Explanation(fits[0], rounds, fits[-1]))
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)

@@ -10,13 +10,10 @@ from functools import partial
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.explain import RELIEF, Explanation, left_by
 from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.held_out import denied, left_beyond_floor, left_in_loop
+from tuning.diagnosis.held_out import PROVED, denied, left_beyond_floor, left_in_loop
 from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.leftover import WORTH
 from tuning.diagnosis.search import Progress, Round, look, whole
 from tuning.diagnosis.verdict import may_leave
-
-HALVED = 0.5  # of what is left in closed loop, that one effect more may leave of it
 
 
 def beyond(
@@ -39,7 +36,7 @@ def beyond(
 def proved(more: list[Rung], before: list[Rung], gained: float) -> bool:
     """Whether one effect more closes half of what was left in closed loop, and foresees what is held out no worse."""
     left, then = (left_beyond_floor(rungs[1], rungs[-1]) for rungs in (more, before))
-    closes = left is not None and then is not None and left <= HALVED * then
+    closes = left is not None and then is not None and left <= (1.0 - PROVED) * then
     return closes and not denied(more[-1], more[-2], gained)
 
 
@@ -48,6 +45,4 @@ def _looked(fitter: Fitter, found: Explanation, catalogue: Sequence[Candidate], 
     number, left = found.best.model.added, partial(left_by, fitter, found.base)
     if len(found.rounds) > number and not whole(found.best, left):
         return found.rounds[number]
-    first = found.rounds[0]
-    known = [one for one in first.fits if first.before.evidence - one.evidence > WORTH]
-    return look(fitter, found.best, catalogue, progress, left, known)
+    return look(fitter, found.best, catalogue, progress, left, found.rounds[0].telling)

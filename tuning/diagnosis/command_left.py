@@ -11,17 +11,23 @@ from jaxtyping import Array, Float
 
 from diffdrive.actuator import limited
 from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.base import ActuatorEffect
 from tuning.diagnosis.curvature import solved
+from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, answered
 from tuning.diagnosis.gap import sliding
 from tuning.diagnosis.model import Logged
+from tuning.diagnosis.verdict import Verdict
 
 TAPS = 5  # samples, the first of them one before that which acts by the model
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
 PIECE = 0.25  # s
 SINGLE = 12.0  # of cost, that a piece of this length counts at most: one event that goes wrong is no answer to commands
+
+FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
+FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 
 
 def follows_command(fitted: Fitted) -> float:
@@ -46,6 +52,24 @@ def follows_command(fitted: Fitted) -> float:
     gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
     pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(PIECE * logged.sampling.rate))), axis=1)
     return float(np.sum(np.minimum(pieces, SINGLE)))
+
+
+def commanded(verdict: Verdict, found: Explanation) -> Verdict:
+    """No sure cause that leaves what follows the command.
+
+    Effects whose details differ may leave that, and behind those within the filter it cannot be told.
+    """
+    best = found.best
+    if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
+        return verdict
+    rounds = found.rounds[: best.model.added]
+    acting = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
+    gains = [one.before.cost - one.fits[0].cost for one in acting] or [found.base.cost - best.cost]
+    if not follows_command(best) > max(FOLLOWING, FOLLOWS * min(gains)):
+        return verdict
+    return verdict.doubted(
+        "what is left follows the command: the actuator, or what lies between it and the table, answers otherwise"
+    )
 
 
 def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:

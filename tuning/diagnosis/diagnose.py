@@ -14,7 +14,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
-from diffdrive.effects.base import ActuatorEffect
 from diffdrive.effects.catalogue import EFFECTS, PLACES
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
@@ -23,7 +22,7 @@ from diffdrive.parameters import Drive, Sampling, as_arrays
 from tuning.diagnosis.beyond import beyond, proved
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
-from tuning.diagnosis.command_left import follows_command
+from tuning.diagnosis.command_left import commanded
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
@@ -47,8 +46,6 @@ from tuning.replay import long_pieces
 SUBSTEP = 50e-6  # s
 ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this
 SAME_RATE = 1e-3  # relative
-FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
-FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,7 @@ def diagnose(
     share = _closed(rungs, logged.sampling.rate)
     verdict = judge(fitter, found, left_in_loop(rungs))
     verdict = _credible(confirmed(verdict, rungs, share), found.best)
-    verdict = _within(_indifferent(verdict, found), lacks)
+    verdict = _within(commanded(verdict, found), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
@@ -203,24 +200,6 @@ def _credible(verdict: Verdict, best: Fitted) -> Verdict:
     if verdict.verdict != "effect" or credible(best):
         return verdict
     return verdict.doubted(f"{furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
-
-
-def _indifferent(verdict: Verdict, found: Explanation) -> Verdict:
-    """No sure cause that leaves what follows the command.
-
-    Effects whose details differ may leave that, and behind those within the filter it cannot be told.
-    """
-    best = found.best
-    if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
-        return verdict
-    rounds = found.rounds[: best.model.added]
-    acting = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
-    gains = [one.before.cost - one.fits[0].cost for one in acting] or [found.base.cost - best.cost]
-    if not follows_command(best) > max(FOLLOWING, FOLLOWS * min(gains)):
-        return verdict
-    return verdict.doubted(
-        "what is left follows the command: the actuator, or what lies between it and the table, answers otherwise"
-    )
 
 
 def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:

@@ -126,7 +126,7 @@ class _Search:
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
-        known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
+        known = rounds[0].telling if rounds else ()
         return look(self.fitter, before, catalogue, self.progress, partial(left_by, self.fitter, base), known)
 
     def ended(self, base: Fitted, best: Fitted) -> bool:

@@ -15,7 +15,7 @@ SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it 
 HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
 PLAIN = 2.0  # times the floor's mean square: a gap, be it in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
-PLAINLY = 2.5  # times its floor: a force that even a model whose details differ does not leave
+DETAILS = 2.5  # times its floor: more than what the details of a coarse effect leave
 SEEN = 2.0  # times its floor: the gap in closed loop that tells something, and a floor that tells nothing
 
 
@@ -138,7 +138,7 @@ def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verd
         told = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
         return verdict.doubted(f"of the force that is missing in what is held out only {told} is gone")
     last = rungs[-1]
-    if last.fitted.model.coarse and last.force.told and last.force.rms > PLAINLY * last.floor:
+    if last.fitted.model.coarse and last.force.told and last.force.rms > DETAILS * last.floor:
         times = last.force.rms / last.floor
         return verdict.doubted(f"the force that is still missing in what is held out is {times:.1f} times its floor")
     return verdict
