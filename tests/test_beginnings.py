@@ -12,7 +12,7 @@ from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.setting import Setting
 
 RATE = 1_000.0
-SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0)
+SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0, 200.0)
 
 
 TIME = np.arange(8_000) / RATE

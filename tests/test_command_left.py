@@ -1,5 +1,6 @@
 """Residual analysis: an actuator that is as late as the right one and yet another, and what only looks like it."""
 
+import dataclasses
 import itertools
 from types import SimpleNamespace
 
@@ -13,7 +14,7 @@ from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging
 from tuning.diagnosis import command_left
 from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.command_left import FOLLOWING, FOLLOWS, SINGLE, TAPS, commanded, follows_command
+from tuning.diagnosis.command_left import FOLLOWING, FOLLOWS, SINGLE, TAPS, doubted_by_command, follows_command
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.explain import Explanation, explain
 from tuning.diagnosis.fitting import Fitter
@@ -67,10 +68,15 @@ def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
     assert abs(told) < 3 * SINGLE < 0.1 * 30.0**2
 
 
-def test_a_slow_table_tells_nothing(late):
+@pytest.mark.parametrize(
+    ("speed", "noise", "told"), [(1e-3, 3e-8, False), (1e-3, 3e-9, True), (4e-4, 3e-9, False), (0.1, 3e-8, True)]
+)
+def test_a_table_that_is_slow_for_its_scale_or_hardly_slides_tells_nothing(late, speed, noise, told):
     best = late[1].best
-    slow = best.track.course._replace(velocity=jnp.zeros_like(best.track.course.velocity))
-    assert follows_command(best._replace(track=best.track._replace(course=slow))) == pytest.approx(0.0, abs=1e-6)
+    there = best.track.course._replace(velocity=jnp.full_like(best.track.course.velocity, speed))
+    model = dataclasses.replace(best.model, logged=best.model.logged._replace(noise=noise))
+    follows = follows_command(best._replace(model=model, track=best.track._replace(course=there)))
+    assert (abs(follows) > 1e-6) == told
 
 
 def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
@@ -87,29 +93,32 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
 
 
 @pytest.mark.parametrize(
-    ("follows", "chain", "coarse", "verdict"),
+    ("follows", "chain", "details", "verdict"),
     [
-        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), False, "unknown"),
-        (0.9 * FOLLOWING, ((LoopDelay, 1e3),), False, "effect"),
-        (2.0 * FOLLOWING, ((LoopDelay, 4.0 * FOLLOWING / FOLLOWS),), False, "effect"),
-        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS), (LoopDelay, 1e3)), False, "unknown"),
-        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS),), False, "effect"),
-        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), True, "effect"),
-        (np.nan, ((LoopDelay, 1e3),), False, "effect"),
+        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), None, "unknown"),
+        (0.9 * FOLLOWING, ((LoopDelay, 1e3),), None, "effect"),
+        (2.0 * FOLLOWING, ((LoopDelay, 4.0 * FOLLOWING / FOLLOWS),), None, "effect"),
+        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS), (LoopDelay, 1e3)), None, "unknown"),
+        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS),), None, "effect"),
+        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), "coarse", "effect"),
+        (2.0 * FOLLOWING, ((LoopDelay, 1e3),), "coupled", "effect"),
+        (np.nan, ((LoopDelay, 1e3),), None, "effect"),
     ],
 )
-def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, follows, chain, coarse, verdict):
+def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, follows, chain, details, verdict):
     """More than beside right ones, and no trifle of what the effect between command and force explained."""
     monkeypatch.setattr("tuning.diagnosis.command_left.follows_command", lambda _: follows)
     fits = [SimpleNamespace(cost=0.0)]
     for effect, gain in chain:
         member = SimpleNamespace(candidate=SimpleNamespace(effect=effect))
-        model = SimpleNamespace(members=(member,), added=len(chain), coarse=coarse, coupled=False)
+        model = SimpleNamespace(
+            members=(member,), added=len(chain), coarse=details == "coarse", coupled=details == "coupled"
+        )
         fits.append(SimpleNamespace(cost=fits[-1].cost - gain, model=model))
     rounds = [Round(before, [], [one], 1, 0.0) for before, one in itertools.pairwise(fits)]
     believed = Verdict(
         "effect", [Belief("loop_delay", 0.9, True, 0, 1e3, None, [])], 0.0, "loop_delay explains the gap"
     )
-    judged = commanded(believed, Explanation(fits[0], rounds, fits[-1]))
+    judged = doubted_by_command(believed, Explanation(fits[0], rounds, fits[-1]))
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)

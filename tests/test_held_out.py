@@ -23,7 +23,7 @@ RATE = 1000.0
 def rung(deviance, scatter=0.0, moved=1.0):
     """What the held-out logs say of a model, piece by piece, and how far it moves a nominal parameter."""
     pieces = deviance / 50 + scatter * np.random.default_rng(0).choice([-1.0, 1.0], 50) * (deviance != 0.0)
-    bare = SimpleNamespace(u=np.full(len(NAMES), moved), model=SimpleNamespace(members=(), coarse=False))
+    bare = SimpleNamespace(u=np.full(len(NAMES), moved), model=SimpleNamespace(members=(), coarse=False, coupled=False))
     return SimpleNamespace(unlikely=pieces, fitted=bare)
 
 
@@ -204,7 +204,10 @@ def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(le
     assert judged.verdict == ("effect", "unknown")[verdict]
     assert judged.beliefs[0].confidence == (0.9, 0.5)[verdict]
     assert ("2.6 times its floor" in judged.says) == bool(verdict)
-    rungs[-1].floor = np.inf  # it cannot be told
+    rungs[-1].fitted.model.coupled = True  # then the floor may be the recalibrated drive's, whose filter is lost
+    rungs[1].force = lacking(1.0).force._replace(lost=0.5)
+    assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
+    rungs[-1].fitted.model.coupled, rungs[-1].floor = False, np.inf
     assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
 
 

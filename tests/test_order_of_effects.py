@@ -20,7 +20,7 @@ from tuning.diagnosis.setting import Setting
 
 AXIS = Setting(
     mass=100.0, friction=70.0, load_coefficient=4e-4, viscous=2e3, delay=0.0, bristle=2e-6, period=5e-4, duration=3.0,
-    low=0.0, high=0.05, speed=0.1, command=300.0,
+    low=0.0, high=0.05, speed=0.1, command=300.0, peak=300.0,
 )  # fmt: skip
 
 

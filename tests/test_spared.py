@@ -84,6 +84,17 @@ def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monke
         assert last.worth_it
 
 
+@pytest.mark.parametrize(("evidence", "kept"), [(-23_900.0, True), (-24_000.0 + 0.9 * WORTH, False)])
+def test_what_was_found_last_need_bring_little_where_a_number_becomes_impossible_without(monkeypatch, evidence, kept):
+    found, _ = stepwise(monkeypatch, None)
+    found.rounds[1] = found.rounds[1]._replace(allowance=0.0)
+    fewer = hypothesis("process_force", evidence=evidence, strain=9.0)
+    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
+    other = _Search(None, quiet, 2).spared(found)
+    assert other.best is (found.best if kept else fewer)
+    assert all(one.worth_it for one in other.rounds)
+
+
 @pytest.mark.parametrize(("evidence", "first"), [(-23_900.0, -13_000.0), (-5900.0, -6000.0)])
 def test_what_brought_less_than_all_before_it_set_nothing_going(monkeypatch, evidence, first):
     """Nor did it where the others end no better without it."""

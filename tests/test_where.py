@@ -23,7 +23,7 @@ from tuning.diagnosis.where import FAINT, SIGNIFICANT, Region, localise, ranked
 from tuning.prediction import Lanes
 
 PITCH = 1.25e-3  # m
-SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0)
+SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0, 200.0)
 
 
 def triangle(time, speed, stroke):

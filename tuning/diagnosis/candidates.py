@@ -262,9 +262,9 @@ def _force_limit(at: Setting) -> Candidate:
     """One that no command of the log reaches limits nothing."""
     return Candidate(
         actuator.ForceLimit,
-        (_positive("limit", 0.8 * at.command, 0.3),),
-        _grid(limit=at.command * np.r_[np.linspace(0.995, 0.96, 8), 0.94, 0.92, 0.9, 0.87, 0.8, 0.7, 0.6, 0.5]),
-        bounds=(("limit", 0.0, at.command),),
+        (_positive("limit", 0.8 * at.peak, 0.3),),
+        _grid(limit=at.peak * np.r_[np.linspace(0.995, 0.96, 8), 0.94, 0.92, 0.9, 0.87, 0.8, 0.7, 0.6, 0.5]),
+        bounds=(("limit", 0.0, at.peak),),
     )
 
 

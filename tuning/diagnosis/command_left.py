@@ -20,12 +20,11 @@ from tuning.diagnosis.gap import sliding
 from tuning.diagnosis.model import Logged
 from tuning.diagnosis.verdict import Verdict
 
-TAPS = 5  # samples, the first of them one before that which acts by the model
+TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
 PIECE = 0.25  # s
 SINGLE = 12.0  # of cost, that a piece of this length counts at most: one event that goes wrong is no answer to commands
-
 FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
 FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 
@@ -54,7 +53,7 @@ def follows_command(fitted: Fitted) -> float:
     return float(np.sum(np.minimum(pieces, SINGLE)))
 
 
-def commanded(verdict: Verdict, found: Explanation) -> Verdict:
+def doubted_by_command(verdict: Verdict, found: Explanation) -> Verdict:
     """No sure cause that leaves what follows the command.
 
     Effects whose details differ may leave that, and behind those within the filter it cannot be told.
@@ -84,7 +83,7 @@ def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
 
 
 def _last_commands(fitted: Fitted, logged: Logged) -> Float[Array, "lanes n taps"]:
-    """From the one before that which acts by the model, with the delay that was found, to older ones."""
+    """From one sample sooner than the delay that the model has, if that is one or more, to older ones."""
     delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
     late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
     command = limited(logged.drive.actuator, logged.lanes.command)

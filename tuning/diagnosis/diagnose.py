@@ -19,17 +19,16 @@ from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, Sampling, as_arrays
-from tuning.diagnosis.beyond import beyond, proved
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
-from tuning.diagnosis.command_left import commanded
+from tuning.diagnosis.command_left import doubted_by_command
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, confirmed, left_in_loop, upheld
-from tuning.diagnosis.ladder import Rung, Split, climb
+from tuning.diagnosis.ladder import Rung, Split, climb, known_floor
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.leftover import SLIDING, credible, furthest
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
@@ -69,8 +68,7 @@ class Diagnosis:
 
     def floor_of(self, rung: Rung) -> float | None:
         """N: the same for one model; with effects within the filter it may be the recalibrated drive's."""
-        filtered = self.rungs[1] if rung.fitted.model.coupled else rung
-        return rung.floor if filtered.force.told and np.isfinite(rung.floor) else None
+        return known_floor(self.rungs, rung)
 
     @property
     def closed(self) -> Closed | None:
@@ -158,18 +156,12 @@ def diagnose(
     hopeless = any(one.hopeless for one in lacks)
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
     progress("judging on held-out data", 0, 1)
-    known = None if isinstance(controller, UnknownController) else controller
-    rungs, parts = climb(fitter, found, list(logs), known)
+    rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
-    if found is sought and found.best.model.added < most_effects:
-        further = beyond(fitter, found, rungs, catalogue, progress)
-        higher = climb(fitter, further, list(logs), known) if further else None
-        if higher and proved(higher[0], rungs, found.best.evidence - further.best.evidence):
-            sought, found, (rungs, parts) = further, further, higher
     share = _closed(rungs, logged.sampling.rate)
     verdict = judge(fitter, found, left_in_loop(rungs))
     verdict = _credible(confirmed(verdict, rungs, share), found.best)
-    verdict = _within(commanded(verdict, found), lacks)
+    verdict = _within(doubted_by_command(verdict, found), lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")

@@ -95,11 +95,6 @@ def _enough(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Seque
     return enough
 
 
-def left_by(fitter: Fitter, base: Fitted, one: Fitted) -> float:
-    """The share of the gap that a fit leaves: none where it explains the logs to the noise."""
-    return 0.0 if complete(fitter, one) else unexplained(fitter, base, one)
-
-
 @dataclass(frozen=True)
 class _Search:
     """The search for effects in logs: one after the other, until another is not worth it or there are `most`."""
@@ -108,9 +103,13 @@ class _Search:
     progress: Progress
     most: int
 
+    def left(self, base: Fitted, one: Fitted) -> float:
+        """The share of the gap that a fit leaves."""
+        return 0.0 if complete(self.fitter, one) else unexplained(self.fitter, base, one)
+
     def over(self, base: Fitted, one: Fitted) -> bool:
         """Whether nothing is missing any more but details."""
-        return whole(one, partial(left_by, self.fitter, base)) if one.model.coarse else complete(self.fitter, one)
+        return whole(one, partial(self.left, base)) if one.model.coarse else complete(self.fitter, one)
 
     def done(self, base: Fitted, one: Fitted) -> bool:
         """Whether there is nothing left to explain, neither a force nor a number moved far."""
@@ -126,8 +125,8 @@ class _Search:
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
-        known = rounds[0].telling if rounds else ()
-        return look(self.fitter, before, catalogue, self.progress, partial(left_by, self.fitter, base), known)
+        known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
+        return look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
 
     def ended(self, base: Fitted, best: Fitted) -> bool:
         """Whether nothing at all is looked for beside what was found. An error of the scale is, but not beside what is
@@ -203,7 +202,9 @@ class _Search:
             return found
         before[-1] = before[-1]._replace(fits=[fewer, *before[-1].fits[1:]])
         last = self.weighed(found.base, last._replace(before=fewer))
-        if last.worth_it or disbelieved(fewer, found.best):
+        if disbelieved(fewer, found.best):
+            last = last._replace(enough=WORTH)
+        if last.worth_it:
             return found._replace(rounds=[*before, last])
         return found._replace(rounds=before, best=fewer)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tuning.diagnosis.explain import Explanation
-from tuning.diagnosis.ladder import Rung
+from tuning.diagnosis.ladder import Rung, known_floor
 from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH, relieves
 from tuning.diagnosis.verdict import Verdict
 
@@ -63,18 +63,18 @@ def left_in_loop(rungs: list[Rung]) -> float | None:
     """
     if len(rungs) <= 2:
         return None
-    share = left_beyond_floor(rungs[1], rungs[-1])
+    share = _left(rungs[1], rungs[-1])
     if share is None or share >= PROVED:
         return share
     steps = [
-        left_beyond_floor(before, after)
+        _left(before, after)
         for before, after in itertools.pairwise(rungs[1:])
         if after.fitted.model.members[-1].candidate.coarse
     ]
     return share if all(one is not None and one < PROVED for one in steps) else None
 
 
-def left_beyond_floor(before: Rung, after: Rung) -> float | None:
+def _left(before: Rung, after: Rung) -> float | None:
     """Share of the gap in closed loop, in mean squares, that one rung leaves of another's, of position or command the
     larger; None where there is hardly any, or where it is not known.
 
@@ -138,7 +138,8 @@ def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verd
         told = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
         return verdict.doubted(f"of the force that is missing in what is held out only {told} is gone")
     last = rungs[-1]
-    if last.fitted.model.coarse and last.force.told and last.force.rms > DETAILS * last.floor:
-        times = last.force.rms / last.floor
+    floor = known_floor(rungs, last) if last.fitted.model.coarse and last.force.told else None
+    if floor is not None and last.force.rms > DETAILS * floor:
+        times = last.force.rms / floor
         return verdict.doubted(f"the force that is still missing in what is held out is {times:.1f} times its floor")
     return verdict

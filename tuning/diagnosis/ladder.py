@@ -44,6 +44,14 @@ class Rung(NamedTuple):
         return float(np.sum(self.unlikely))
 
 
+def known_floor(rungs: list[Rung], rung: Rung) -> float | None:
+    """N: the floor of one of the rungs; None where it cannot be told. With effects within the filter it may be the
+    recalibrated drive's.
+    """
+    filtered = rungs[1] if rung.fitted.model.coupled else rung
+    return rung.floor if filtered.force.told and np.isfinite(rung.floor) else None
+
+
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
     lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))
     twist = fitter.twist and fitter.twist._replace(counts=fitter.twist.counts * (np.asarray(counts) > 0))

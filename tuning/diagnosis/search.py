@@ -55,11 +55,6 @@ class Round(NamedTuple):
         """Whether the first brought enough."""
         return bool(self.fits) and self.gain >= self.enough
 
-    @property
-    def telling(self) -> list[Fitted]:
-        """The fits that explained anything."""
-        return [one for one in self.fits if self.before.evidence - one.evidence > WORTH]
-
 
 def standing(logged: Logged) -> Course:
     """The course before any filter: where the table was measured, at rest."""

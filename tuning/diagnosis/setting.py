@@ -27,7 +27,8 @@ class Setting(NamedTuple):
     low: float  # m, least position
     high: float  # m
     speed: float  # m/s, fastest
-    command: float  # N, largest that the drive file lets pass
+    command: float  # N, largest
+    peak: float  # N, largest of a single control period that the drive file lets pass
     count: float = 0.0  # m, of the scale: its resolution, or as coarse a one as the log's scatter is
 
 
@@ -45,10 +46,8 @@ def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts
     )
     actuator = drive.actuator
     counted = np.asarray(lanes.counts) > 0
-    asked = np.asarray(lanes.command if lanes.asked is None else lanes.asked)  # its means reach less far
-    command = float(np.abs(asked[counted]).max())
-    if actuator.force_limit is not None:
-        command = min(command, float(actuator.force_limit))
+    command = float(np.abs(np.asarray(lanes.command)[counted]).max())
+    single = np.abs(np.asarray(lanes.command if lanes.asked is None else lanes.asked)[counted]).max()
     position = np.asarray(lanes.position)
     speed = np.abs(np.diff(position, axis=1))[:, :: max(1, round(1e-3 / period))] / period
     fastest = float(np.percentile(speed, 99))
@@ -66,5 +65,6 @@ def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts
         high=float(position[counted].max()),
         speed=fastest,
         command=command,
+        peak=float(single if actuator.force_limit is None else min(single, actuator.force_limit)),
         count=float(np.sqrt(12.0)) * noise_floor(drive, lanes, 1.0 / period),
     )

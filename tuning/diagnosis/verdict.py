@@ -140,7 +140,7 @@ def _one_of_each(beliefs: list[Belief]) -> list[Belief]:
     return list(kept.values())
 
 
-def may_leave(best: Fitted) -> float:
+def _may_leave(best: Fitted) -> float:
     """The share of what was missing that an explanation may leave.
 
     An effect alone whose details differ leaves what is its own; beside it, another would be believed for filling that.
@@ -175,7 +175,7 @@ def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> V
     told, gap = share, "the gap"
     if lacks and best.model.coarse and in_loop is not None:
         told, gap = in_loop, "the gap in closed loop"
-    left = told / may_leave(best)
+    left = told / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
