@@ -18,6 +18,7 @@ from diffdrive.parameters import Scalar
 
 FARTHEST = 670.0  # exp(-670) is 1e-291: as good as nothing, and still a normal number
 FARTHEST_SINGLE = 70.0  # the same for a float: exp(-70) is 4e-31
+LEAST_BASE = 1e-12  # below it a power is none
 LOG2_E, LN2 = math.log2(math.e), math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first has 20 trailing zero bits
 _LN2_HIGH_SINGLE, _LN2_LOW_SINGLE = 0.693359375, -2.12194440e-4  # the first has 14 trailing zero bits
@@ -80,6 +81,13 @@ def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Sca
     (y,), (along,) = primals, tangents
     end = halving(y)
     return end, end * (-LN2 * along)
+
+
+def raised(y: Scalar, power: Scalar) -> Scalar:
+    """y^power of y >= 0, with slopes that are finite at y = 0 also where the power is below one."""
+    small = y < LEAST_BASE
+    safe = jnp.where(small, 1.0, y)  # keeps the branch not taken, and its derivative, finite
+    return jnp.where(small, 0.0, jnp.exp(power * jnp.log(safe)))
 
 
 def _single(x: Scalar) -> bool:

@@ -2,8 +2,9 @@
 
     F     = s0 z + s1 dz/dt + mu_v v
     dz/dt = v - r z ,   r = s0 |v| / g(v)
-    g(v)  = F_C + (F_S - F_C) exp(-|v| / v_s) ,   F_C = F_BC + mu_LC (W_LI + W_LA)
+    g(v)  = F_C + (F_S - F_C) exp(-(|v| / v_s)^d) ,   F_C = F_BC + mu_LC (W_LI + W_LA)
 
+The paper's d is 1, for which the curve costs one exponential and nothing else; textbooks have 2, measurements 0.5 to 2.
 Sliding parameters are taken for the direction of the velocity, the bristle's stiffness for the direction of its
 deflection: then force and bristle rate stay continuous through v = 0 and z = 0 also where the two sides differ.
 """
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from diffdrive.exponential import LOG2_E, faded, halving
+from diffdrive.exponential import LOG2_E, faded, halving, raised
 from diffdrive.parameters import Directional, Friction, Scalar
 from diffdrive.polynomial import polynomial
 
@@ -39,9 +40,7 @@ def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
 
 def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
     """Friction level g(v), N, without the viscous part (eq. (5))."""
-    gap = friction.breakaway_gap.towards(velocity)
-    decay = halving(LOG2_E * jnp.abs(velocity) / friction.stribeck_velocity.towards(velocity))
-    return coulomb(friction, velocity, load) + gap * decay
+    return under(friction, load).levels(velocity).towards(velocity)
 
 
 def bristle_at(friction: Friction, velocity: Scalar, deflection: Scalar, load: Scalar) -> Bristle:
@@ -54,15 +53,16 @@ class Loaded(NamedTuple):
 
     coulomb: Directional  # F_C, N
     gap: Directional  # F_S - F_C, N
-    halvings: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves for each m/s
+    halvings: Directional  # s/m: the inverse of the speed at which the gap has halved once
     stiffness: Directional
     damping: Directional
     viscous: Directional
+    exponent: Scalar | None  # d, of the Stribeck curve; None: 1
 
     def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
         """The coefficients of eq. (4) at this velocity and bristle deflection."""
         speed, stiffness = jnp.abs(velocity), self.stiffness.towards(deflection)
-        stribeck = self.gap.towards(velocity) * halving(speed * self.halvings.towards(velocity))
+        stribeck = self.gap.towards(velocity) * self.falling(speed * self.halvings.towards(velocity))
         level = self.coulomb.towards(velocity) + stribeck
         return Bristle(
             stiffness=stiffness,
@@ -76,9 +76,13 @@ class Loaded(NamedTuple):
         """Friction level g, N, at this speed in either direction."""
         speed = jnp.abs(velocity)
         return Directional(
-            self.coulomb.positive + self.gap.positive * halving(speed * self.halvings.positive),
-            self.coulomb.negative + self.gap.negative * halving(speed * self.halvings.negative),
+            self.coulomb.positive + self.gap.positive * self.falling(speed * self.halvings.positive),
+            self.coulomb.negative + self.gap.negative * self.falling(speed * self.halvings.negative),
         )
+
+    def falling(self, speeds: Scalar) -> Scalar:
+        """The share of the gap that is left at so many times the speed that halves it."""
+        return halving(speeds if self.exponent is None else raised(speeds, self.exponent))
 
 
 def under(friction: Friction, load: Scalar) -> Loaded:
@@ -89,13 +93,16 @@ def under(friction: Friction, load: Scalar) -> Loaded:
         return screw + guide * pressed
 
     screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
+    exponent = friction.stribeck_exponent
+    once = LOG2_E if exponent is None else LOG2_E ** (1.0 / exponent)
     return Loaded(
         Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
         friction.breakaway_gap,
-        Directional(LOG2_E / slow.positive, LOG2_E / slow.negative),
+        Directional(once / slow.positive, once / slow.negative),
         friction.bristle_stiffness,
         friction.bristle_damping,
         friction.viscous,
+        exponent,
     )
 
 

@@ -5,7 +5,7 @@ better than it is. So the paper's equations are written out again here, and inte
 method of fourth order in fixed steps of at most 2 us; `diffdrive.plant` and `diffdrive.friction` are not used.
 
     (4)  F = s0 z + s1 dz/dt + mu_v v ,   dz/dt = v - s0 |v| z / g(v)
-    (5)  g(v) = F_C + gap exp(-|v| / v_s)
+    (5)  g(v) = F_C + gap exp(-(|v| / v_s)^d)
     (6)  F_C = F_BC + mu_LC (W_LI + W_LA)
     (7)  M dv/dt = u + constant force - B v - F
 
@@ -70,7 +70,8 @@ def _rates(drive: Drive, table: Table, force: Scalar, load: Scalar) -> Table:
         friction.initial_load + load
     )
     gap = friction.breakaway_gap.towards(velocity)
-    level = coulomb + gap * jnp.exp(-speed / friction.stribeck_velocity.towards(velocity))
+    fast, exponent = speed / friction.stribeck_velocity.towards(velocity), friction.stribeck_exponent
+    level = coulomb + gap * jnp.exp(-(fast if exponent is None else fast**exponent))
     spring = friction.bristle_stiffness.towards(deflection) * deflection
     slip = velocity - spring * speed / level
     viscous = (friction.viscous.towards(velocity) + plant.damping.towards(velocity)) * velocity

@@ -99,13 +99,13 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
         (0.9 * FOLLOWING, ((LoopDelay, 1e3),), None, "effect"),
         (2.0 * FOLLOWING, ((LoopDelay, 4.0 * FOLLOWING / FOLLOWS),), None, "effect"),
         (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS), (LoopDelay, 1e3)), None, "unknown"),
-        (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS),), None, "effect"),
+        (2.0 * FOLLOWING, ((Cogging, 1e3),), None, "effect"),
         (2.0 * FOLLOWING, ((LoopDelay, 1e3),), "coarse", "effect"),
         (2.0 * FOLLOWING, ((LoopDelay, 1e3),), "coupled", "effect"),
         (np.nan, ((LoopDelay, 1e3),), None, "effect"),
     ],
 )
-def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, follows, chain, details, verdict):
+def test_no_cause_before_the_force_is_sure_that_leaves_what_follows(monkeypatch, follows, chain, details, verdict):
     """More than beside right ones, and no trifle of what the effect between command and force explained."""
     monkeypatch.setattr("tuning.diagnosis.command_left.follows_command", lambda _: follows)
     fits = [SimpleNamespace(cost=0.0)]

@@ -44,7 +44,7 @@ DRIVE = dataclasses.replace(paper_drive(), sensor=Sensor(None, 0.0))
 # values that are plainly there, for derivatives and for drive files
 AT_WORK = [
     AppliedLoad(4_000.0, 3_000.0, 0.1, 0.3, 0.03),
-    FrictionShape(0.2, 0.3, 5.0, 100.0, 500.0),
+    FrictionShape(0.2, 0.4, 0.3, 5.0, 100.0, 500.0),
     FrictionAsymmetry(4.0, 200.0),
     PositionFriction(30.0, 0.0005, 0.001, 0.05, 0.05),
     ViscousDrift(0.3, 0.1, 0.2),

@@ -49,6 +49,19 @@ def test_only_alone_may_an_effect_whose_details_differ_leave_much(leaving, effec
 
 
 @pytest.mark.parametrize(
+    ("share", "closes", "most"),
+    [(0.6, None, 0.21), (0.6, 0.89, 0.21), (0.6, 0.91, 0.5), (0.03, 0.99, 0.5), (0.001, 0.2, 0.97)],
+)
+def test_an_effect_that_takes_away_the_force_may_act_though_likelihood_leaves_much(leaving, share, closes, most):
+    """Whatever likelihood says of small errors that last; how sure, the studies told."""
+    leaving(share)
+    told = verdict.judge(None, explained("constant_force"), closes=closes)
+    assert told.verdict == ("unknown" if share > 0.02 else "effect")
+    assert told.beliefs[0].confidence == pytest.approx(most, abs=0.01)
+    assert ("of the force that is missing it takes away" in told.says) == (share > 0.02 and most == 0.5)
+
+
+@pytest.mark.parametrize(
     ("coarse", "share", "in_loop", "says"),
     [
         (True, 0.4, 0.01, "effect"),  # details that a filter resolves

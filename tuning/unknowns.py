@@ -12,7 +12,7 @@ from operator import attrgetter
 import equinox as eqx
 import jax.numpy as jnp
 
-from diffdrive.parameters import Directional, Drive, Friction, Plant, Scalar, quantity
+from diffdrive.parameters import Directional, Drive, Plant, Scalar, quantity
 from tuning.prediction import EARLIEST_DELAY, LONGEST_DELAY
 from tuning.space import Free
 
@@ -51,12 +51,12 @@ class Unknowns(eqx.Module):
                 damping=each(jnp.minimum, damping, self.viscous),
                 constant_force=self.constant_force,
             ),
-            friction=Friction(
+            friction=dataclasses.replace(
+                friction,
                 coulomb_screw=each(
                     lambda level, slope: level - slope * friction.initial_load, self.coulomb, self.load_coefficient
                 ),
                 load_coefficient=self.load_coefficient,
-                initial_load=friction.initial_load,
                 breakaway_gap=gap,
                 stribeck_velocity=self.stribeck_velocity,
                 viscous=each(lambda both, known: jnp.maximum(both - known, 0.0), self.viscous, damping),

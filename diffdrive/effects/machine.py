@@ -30,10 +30,11 @@ class PayloadMass(MachineEffect):
 
 
 class FrictionShape(MachineEffect, TableEffect):
-    """Another Stribeck curve: its level, its fall, its width, its viscous part, and that part curved in speed."""
+    """Another Stribeck curve: its level, its fall, its width and form, its viscous part, and that curved in speed."""
 
     name: ClassVar[str] = "friction_shape"
     stribeck_velocity: Scalar = quantity("1", "logarithm of the factor on the Stribeck velocity", default=0.0)
+    stribeck_exponent: Scalar = quantity("1", "logarithm of the factor on the Stribeck exponent", default=0.0)
     breakaway_gap: Scalar = quantity("1", "logarithm of the factor on the breakaway gap", default=0.0)
     coulomb: Scalar = quantity("N", "more Coulomb friction, in both directions", default=0.0)
     viscous: Scalar = quantity("N*s/m", "more viscous friction, in both directions", default=0.0)
@@ -42,10 +43,12 @@ class FrictionShape(MachineEffect, TableEffect):
     def alter(self, drive: Drive) -> Drive:
         """The drive with its curve bent."""
         friction = drive.friction
+        exponent = 1.0 if friction.stribeck_exponent is None else friction.stribeck_exponent
         return dataclasses.replace(
             drive,
             friction=dataclasses.replace(
                 friction,
+                stribeck_exponent=exponent * jnp.exp(self.stribeck_exponent),
                 coulomb_screw=_raised(friction.coulomb_screw, self.coulomb),
                 stribeck_velocity=_scaled(friction.stribeck_velocity, self.stribeck_velocity),
                 breakaway_gap=_scaled(friction.breakaway_gap, self.breakaway_gap),

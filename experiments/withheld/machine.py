@@ -146,7 +146,8 @@ def _friction(
         level = own.coulomb_screw.towards(way) + own.load_coefficient.towards(way) * (own.initial_load + load + put_on)
         level = level * place * (1.0 + f.drift_coulomb * warm) + f.chip * spot
         gap = own.breakaway_gap.towards(way) * (1.0 + f.growth * jnp.log1p(s.age / f.onset))
-        return level + gap * jnp.exp(-speed / own.stribeck_velocity.towards(way))
+        fast, exponent = speed / own.stribeck_velocity.towards(way), own.stribeck_exponent
+        return level + gap * jnp.exp(-(fast if exponent is None else fast**exponent))
 
     level = level_of(v)
     stiff = own.bristle_stiffness.towards(z)

@@ -26,7 +26,10 @@ NAMES = (
 
 
 def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
-    """The drive with its parameters, in the order of `NAMES`, times exp(b); damping goes with viscous friction."""
+    """The drive with its parameters, in the order of `NAMES`, times exp(b); damping goes with viscous friction.
+
+    The Stribeck curve's exponent is a number then, if only 1, so that every hypothesis has the same numbers.
+    """
     factor = dict(zip(NAMES, jnp.exp(b), strict=True))
     plant, friction = drive.plant, drive.friction
 
@@ -35,6 +38,8 @@ def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
             return Directional(pair.positive * factor[name], pair.negative * factor[name])
         return Directional(pair.positive * factor[f"{name}.positive"], pair.negative * factor[f"{name}.negative"])
 
+    exponent = friction.stribeck_exponent
+    friction = dataclasses.replace(friction, stribeck_exponent=jnp.asarray(1.0) if exponent is None else exponent)
     names = dict.fromkeys(name.split(".")[0] for name in NAMES[1:])
     return dataclasses.replace(
         drive,

@@ -59,6 +59,7 @@ def _friction_shape(at: Setting) -> Candidate:
         machine.FrictionShape,
         (
             _amplitude("stribeck_velocity", 0.3),
+            _amplitude("stribeck_exponent", 0.35),
             _amplitude("breakaway_gap", 0.3),
             _amplitude("viscous", 0.3 * at.viscous),
             _amplitude("curvature", curve),

@@ -159,7 +159,7 @@ def diagnose(
     rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
-    verdict = judge(fitter, found, left_in_loop(rungs))
+    verdict = judge(fitter, found, left_in_loop(rungs), None if share is None else share.low)
     verdict = _credible(confirmed(verdict, rungs, share), found.best)
     verdict = _within(doubted_by_command(verdict, found), lacks)
     if sought.best.model.added > found.best.model.added:

@@ -36,6 +36,8 @@ SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 SUREST = 0.97  # the most that any is: fits end in false minima, and machines have what no catalogue lists
 NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
+CLOSEST = 0.5  # the same where it surely takes away `MOSTLY` of the force that is missing in what is held out
+MOSTLY = 0.9
 
 
 class Belief(NamedTuple):
@@ -103,7 +105,7 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
     ]
 
 
-def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float) -> list[Belief]:
+def _shared(beliefs: list[Belief], found: Explanation, left: float, certain: float) -> list[Belief]:
     """The beliefs with what the search found on its other way as a rival of what differs from it."""
     if found.other is None or disbelieved(found.other.best, found.best):
         return beliefs
@@ -111,7 +113,6 @@ def _shared(beliefs: list[Belief], found: Explanation, left: float, known: float
     gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
     shares = _probabilities(gains, left)
     rivals = sorted(theirs) if shares[1] > DECLARED * shares[0] else []
-    certain = NEAREST + (1.0 - NEAREST) * known
     told = [
         one._replace(  # its own round may have shared with the same rival: the less counts, not both
             confidence=min(one.confidence, float(certain * shares[0])),
@@ -161,8 +162,12 @@ def _worth(gain: float, enough: float) -> float:
     return float(expit((gain - enough) / max(COLDEST, BLURRED * enough)))
 
 
-def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> Verdict:
-    """The verdict on an explanation that leaves the share `in_loop` of the gap in closed loop, if known.
+def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None, closes: float | None = None) -> Verdict:
+    """The verdict on an explanation that leaves the share `in_loop` of the gap in closed loop, if known, and surely
+    takes away the share `closes` of the force that is missing in what is held out.
+
+    A likelihood counts what is small and goes on for long: a model that is a little wrong all along leaves most of it
+    beside an effect that is there, and of the force next to nothing. Half of the effects that do so act.
 
     Of an effect whose details differ from machine to machine, a filter tells too little and too much: by such details
     it is off also with the right effect, and it may follow with a wrong one whose simulation goes astray. Beside one,
@@ -177,23 +182,34 @@ def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None) -> V
         told, gap = in_loop, "the gap in closed loop"
     left = told / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
+    nearest = CLOSEST if closes is not None and closes >= MOSTLY else NEAREST
+    sure = nearest + (1.0 - nearest) * known
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
             continue
-        certain = (NEAREST + (1.0 - NEAREST) * known) * _worth(looked.gain, looked.enough)
+        certain = sure * _worth(looked.gain, looked.enough)
         beliefs += _believed(looked, number, share, number < effects, certain)
-    beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, known)))
+    beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, sure)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         return _nothing_found(base, beliefs, lacks)
     if not known >= 0.5:
-        named = ", ".join(one.effect for one in beliefs if one.found)
-        comes, leaves = ("come", "leave") if effects > 1 else ("comes", "leaves")
-        says = f"{named} {comes} closest, but {leaves} {100 * told:.0f} % of {gap} unexplained"
+        says = _closest(beliefs, nearest > NEAREST, f"{100 * told:.0f} % of {gap}")
         return Verdict("unknown", _unsure(beliefs), share, says)
     much = f"{gap}, but for {100 * told:.0f} % of it" if told >= TOLD else gap
     return _found(found, beliefs, lacks, share, much)
+
+
+def _closest(beliefs: list[Belief], mostly: bool, rest: str) -> str:
+    """What effects say that leave too much: in likelihood, but perhaps not in force."""
+    named = [one.effect for one in beliefs if one.found]
+    comes, leaves, takes = ("come", "leave", "they take") if len(named) > 1 else ("comes", "leaves", "it takes")
+    says = f"{', '.join(named)} {comes} closest, but {leaves} {rest} unexplained"
+    if not mostly:
+        return says
+    counts = "that is by likelihood, where small errors that last count most"
+    return f"{says}; {counts}: of the force that is missing {takes} away {100 * MOSTLY:.0f} % and more"
 
 
 def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
