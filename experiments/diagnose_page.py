@@ -9,6 +9,7 @@ from html import escape
 from typing import Any
 
 from experiments import payoff
+from experiments.cause_words import headline, numbers
 from experiments.report import Report
 from tuning.diagnosis.where import SIGNIFICANT
 
@@ -20,7 +21,8 @@ td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee;
 td:first-child, th:first-child, .words td, .words th { text-align: left } img { max-width: 100% }
 .verdict { font-size: 1.15rem; padding: .7rem 1rem; background: #eef4fb; border-left: 4px solid #1f77b4 }
 """
-REGIONS = 10  # that are shown; the JSON has all
+REGIONS = 10  # that are shown, each with
+LEAST = 0.03  # of the gap and more; the JSON has all
 
 SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
 LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
@@ -46,6 +48,8 @@ def tell(report: Report, told: dict[str, Any]) -> None:
     if not regions:
         report.say("  - nowhere in particular: no region has more than chance would give it")
     report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
+    if found := headline(told["causes"]):
+        report.say(found)
     if told["causes"]:
         report.table(
             "causes",
@@ -68,7 +72,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     parts = [
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>",
         f"<h1>{title}</h1>",
-        f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {escape(told['says'])}</p>",
+        f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {escape(told['says'])}{_found(told)}</p>",
         _findings(told["findings"]),
         "<h2>1. How large is the gap?</h2>",
         f"<p>{escape(gap['says'])}.</p>",
@@ -98,24 +102,13 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     (report.out / "report.html").write_text("\n".join(parts), encoding="utf-8")
 
 
-def parameter(name: str, cause: dict[str, Any]) -> str:
-    """A parameter of a cause with its interval and unit; log by log where the logs differ in it."""
-    value, interval, unit = cause["parameters"][name], cause["intervals"][name], cause["units"][name]
-    many = isinstance(value, list)
-    each = list(zip(value, *interval, strict=True)) if many else [(value, *interval)]
-    shown = [f"{_number(at)} ({_number(low)} to {_number(high)})" for at, low, high in each]
-    if len(shown) > 1:
-        shown = [f"log {k} {one}" for k, one in enumerate(shown, start=1)]
-    return f"{name} {', '.join(shown)}{'' if unit == '1' else ' ' + unit}"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+def _found(told: dict[str, Any]) -> str:
+    return "".join(f"<br>{escape(line)}" for line in headline(told["causes"]).splitlines())
 
 
 def _regions(told: dict[str, Any]) -> list[str]:
     """Where more of the gap lies than chance would give, in words."""
-    telling = [one for one in told["where"] if one["p_value"] < SIGNIFICANT][:REGIONS]
+    telling = [one for one in told["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
     return [f"{one['says']} ({_chance(one['p_value'])})" for one in telling]
 
 
@@ -172,8 +165,8 @@ def _cause(one: dict[str, Any]) -> Row:
         one["effect"],
         one["round"],
         round(one["confidence"], 3),
-        "; ".join(parameter(name, one) for name in one["parameters"]) if one["found"] else "",
-        ", ".join(one["indistinguishable_from"]),
+        "; ".join(numbers(one)) if one["found"] else "",
+        ", ".join(one["indistinguishable_from"]) if one["found"] or round(one["confidence"], 3) > 0.0 else "",
     ]
 
 

@@ -18,8 +18,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Actuator, Directional, Drive
 from experiments import emps, laas
+from experiments.cause_words import numbers
 from experiments.diagnose import augmented_drive
-from experiments.diagnose_page import parameter
 from experiments.diagnosis_json import cause
 from experiments.emps_study import Records, identify_axis
 from experiments.report import Report
@@ -237,6 +237,6 @@ def _causes(found: Diagnosis) -> list[list[Any]]:
     rows = []
     for one in found.verdict.beliefs:
         told = cause(found, one)
-        shown = "; ".join(parameter(name, told) for name in told["parameters"]) if one.found else ""
+        shown = "; ".join(numbers(told)) if one.found else ""
         rows.append([one.effect, round(one.confidence, 3), round(one.gain), shown])
     return rows

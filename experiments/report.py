@@ -51,6 +51,9 @@ def _shown(value: Any, digits: int = 4) -> str:
     return f"{value:.{digits}g}" if isinstance(value, float | np.floating) else str(value)
 
 
+SELDOM = 30.0  # s, between two lines of progress where there is no terminal
+
+
 def _console() -> Console:
     console = Console(highlight=False, soft_wrap=True)
     if not console.is_terminal:
@@ -190,7 +193,13 @@ class Report:
 
     @contextlib.contextmanager
     def stages(self) -> Iterator[Callable[[str, int, int], None]]:
-        """Progress through named stages; yields a function of (stage, done, of how many)."""
+        """Progress through named stages; yields a function of (stage, done, of how many).
+
+        Where no terminal draws bars, a line says when a stage begins and when it has ended: a job's log shows life.
+        """
+        if not self.console.is_terminal:
+            yield self._lines()
+            return
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
         with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
             tasks: dict[str, Any] = {}
@@ -201,6 +210,18 @@ class Report:
                 bar.update(tasks[stage], completed=done, total=most)
 
             yield advance
+
+    def _lines(self) -> Callable[[str, int, int], None]:
+        """Progress as lines, one as a stage begins, one as it ends, and between them one now and then."""
+        began, told = time.perf_counter(), dict[str, tuple[float, bool]]()
+
+        def advance(stage: str, done: int, most: int) -> None:
+            now, (at, ended) = time.perf_counter() - began, told.get(stage, (-SELDOM, False))
+            if now - at >= SELDOM or (done == most and not ended):
+                told[stage] = now, done == most
+                self.console.print(f"{stage}: {done} of {most}, {now:.0f} s", markup=False)
+
+        return advance
 
     @contextlib.contextmanager
     def counted(self, what: str, total: int) -> Iterator[Callable[[int], None]]:

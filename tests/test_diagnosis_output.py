@@ -1,6 +1,7 @@
 """What `diffdrive diagnose` tells: JSON, page, figures and augmented drive agree, and leave nothing out."""
 
 import dataclasses
+import io
 import json
 from types import SimpleNamespace
 
@@ -16,8 +17,8 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from diffdrive.logs.plausibility import Finding
 from experiments import diagnose as command
+from experiments.cause_words import headline, numbers, parameter
 from experiments.diagnose_figures import _ladder
-from experiments.diagnose_page import parameter
 from experiments.diagnosis_json import as_json
 from experiments.report import Report
 from experiments.withheld import answer
@@ -215,17 +216,57 @@ def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_o
     assert (tmp_path / "out" / "report.html").exists()
 
 
+def test_a_job_without_a_terminal_sees_each_stage_begin_and_end():
+    written = io.StringIO()
+    with Report("job", None, Console(file=written, width=120)) as report, report.stages() as progress:
+        for stage, most in (("screening", 3), ("fitting", 2)):
+            for done in range(most + 1):
+                progress(stage, done, most)
+    lines = [line.partition(",")[0] for line in written.getvalue().splitlines()[1:]]
+    assert lines == ["screening: 0 of 3", "screening: 3 of 3", "fitting: 0 of 2", "fitting: 2 of 2"]
+
+
 def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
     cause = {
         "parameters": {"sine": [1.0, -2.0], "period": 0.005, "rested": [0.3]},
         "intervals": {"sine": ([0.9, -2.1], [1.1, -1.9]), "period": (0.004, 0.006), "rested": ([0.2], [0.4])},
         "units": {"sine": "N", "period": "m", "rested": "s"},
+        "effect": "cogging",
     }
     assert parameter("sine", cause) == "sine log 1 1 (0.9 to 1.1), log 2 -2 (-2.1 to -1.9) N"
     assert parameter("period", cause) == "period 0.005 (0.004 to 0.006) m"
     assert parameter("rested", cause) == "rested 0.3 (0.2 to 0.4) s"
     cause["intervals"]["period"] = (None, 0.006)
     assert parameter("period", cause) == "period 0.005 (- to 0.006) m"
+
+
+def test_a_wave_is_told_by_its_amplitude_and_phase_and_what_is_none_not_at_all():
+    """3 cos x - 4 sin x = 5 cos(x + 53.13 deg); a second harmonic that its intervals do not tell from none."""
+    cause = {
+        "effect": "cogging",
+        "parameters": {"cosine": [3.0, 5.0], "sine": [-4.0, 0.0], "cosine2": 0.01, "sine2": -0.02, "period": 0.005},
+        "intervals": {
+            "cosine": ([2.7, 4.7], [3.3, 5.3]), "sine": ([-4.3, -0.3], [-3.7, 0.3]),
+            "cosine2": (-0.1, 0.12), "sine2": (-0.13, 0.09), "period": (0.0049, 0.0051),
+        },
+        "units": dict.fromkeys(("cosine", "sine", "cosine2", "sine2"), "N") | {"period": "m"},
+    }  # fmt: skip
+    first = "amplitude log 1 5 (4.7 to 5.3), log 2 5 (4.7 to 5.3) N, phase -53, 0 deg"
+    assert numbers(cause) == [first, "period 0.005 (0.0049 to 0.0051) m"]
+    found = cause | {"confidence": 0.97, "found": True}
+    assert (
+        headline([found, found | {"found": False}]) == f"cogging, 97 % sure: {first}; period 0.005 (0.0049 to 0.0051) m"
+    )
+
+
+def test_what_a_friction_shape_holds_as_logarithms_is_told_as_factors():
+    cause = {
+        "effect": "friction_shape",
+        "parameters": {"stribeck_exponent": np.log(2.0), "coulomb": 0.5},
+        "intervals": {"stribeck_exponent": (np.log(1.9), np.log(2.1)), "coulomb": (0.4, 0.6)},
+        "units": {"stribeck_exponent": "1", "coulomb": "N"},
+    }
+    assert numbers(cause) == ["stribeck_exponent 2 (1.9 to 2.1) of the drive file's", "coulomb 0.5 (0.4 to 0.6) N"]
 
 
 def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):

@@ -99,12 +99,16 @@ def test_truths_are_those_of_the_catalogue_on_the_true_drive():
     assert altered.positive - altered.negative == pytest.approx(there.positive - there.negative)
 
 
-@pytest.mark.parametrize("which", ["stribeck_velocity", "breakaway_gap", "viscous"])
+@pytest.mark.parametrize("which", ["stribeck_velocity", "stribeck_exponent", "breakaway_gap", "viscous"])
 def test_the_shape_of_friction_is_told_as_the_catalogue_bends_it(which):
     seed = next(seed for seed in range(50) if which in drawn("friction_shape", seed=seed).faults[0].scaled)
     case = drawn("friction_shape", seed=seed)
     fault = case.faults[0]
     told, factor = truth(case, fault), fault.scaled[which]
+    if which == "stribeck_exponent":
+        assert case.true.friction.stribeck_exponent == pytest.approx(factor)
+        assert without(case, 0).true.friction.stribeck_exponent == pytest.approx(1.0)
+        assert case.nominal.friction.stribeck_exponent is None
     if which != "viscous":
         assert told == {which: pytest.approx(math.log(factor))}
         return

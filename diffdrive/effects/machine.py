@@ -29,6 +29,9 @@ class PayloadMass(MachineEffect):
         return dataclasses.replace(drive, plant=dataclasses.replace(drive.plant, mass=drive.plant.mass + self.mass))
 
 
+FACTORS = ("stribeck_velocity", "stribeck_exponent", "breakaway_gap")  # of a friction shape, as logarithms
+
+
 class FrictionShape(MachineEffect, TableEffect):
     """Another Stribeck curve: its level, its fall, its width and form, its viscous part, and that curved in speed."""
 

@@ -49,8 +49,9 @@ def _applied_load(room: ROOM, size: float) -> Fault:
 
 
 def _friction_shape(room: ROOM, size: float) -> Fault:
-    which = room.choice(["stribeck_velocity", "breakaway_gap", "viscous"])
-    way = float(np.exp(room.choice([-1.0, 1.0]) * min(0.15 * size, 0.7)))
+    which = room.choice(["stribeck_velocity", "stribeck_exponent", "breakaway_gap", "viscous"])
+    share = 0.3 if which == "stribeck_exponent" else 0.15  # of which little shows
+    way = float(np.exp(room.choice([-1.0, 1.0]) * min(share * size, 0.7)))
     scaled = {which: way} | ({"damping": way} if which == "viscous" else {})
     return _one("friction_shape", size, scaled=scaled)
 

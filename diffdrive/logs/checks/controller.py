@@ -38,7 +38,7 @@ def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding
                 f"the drive file's controller gives the logged command to {percent(now)} % at shift 0{over}, one "
                 f"sample earlier to {percent(early)} %, one later to {percent(late)} %: no unit delay is in the "
                 f"recording{also}",
-                "simulate the controller without a delay between measurement and command",
+                "nothing to mend: command, reference and position are recorded in time",
             )
         return
     whole = best.reference % 1 == 0 and best.position % 1 == 0
@@ -113,7 +113,8 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
             "fatal",
             "command",
             f"the command is {ratio:.4g} times what the drive file's controller gives: its sign is reversed{size}",
-            "reverse the command, or position and reference (the controller cannot tell which)",
+            'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '
+            "and reference (the controller cannot tell which)",
         )
         return
     large = not 1 / 3 < ratio < 3
