@@ -53,7 +53,7 @@ class Loaded(NamedTuple):
 
     coulomb: Directional  # F_C, N
     gap: Directional  # F_S - F_C, N
-    halvings: Directional  # s/m: the inverse of the speed at which the gap has halved once
+    halvings: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves for each m/s; of another curve 1 / v_s
     stiffness: Directional
     damping: Directional
     viscous: Directional
@@ -81,8 +81,8 @@ class Loaded(NamedTuple):
         )
 
     def falling(self, speeds: Scalar) -> Scalar:
-        """The share of the gap that is left at so many times the speed that halves it."""
-        return halving(speeds if self.exponent is None else raised(speeds, self.exponent))
+        """The share of the gap that is left at a speed times `halvings`."""
+        return halving(speeds if self.exponent is None else LOG2_E * raised(speeds, self.exponent))
 
 
 def under(friction: Friction, load: Scalar) -> Loaded:
@@ -94,7 +94,7 @@ def under(friction: Friction, load: Scalar) -> Loaded:
 
     screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
     exponent = friction.stribeck_exponent
-    once = LOG2_E if exponent is None else LOG2_E ** (1.0 / exponent)
+    once = LOG2_E if exponent is None else 1.0
     return Loaded(
         Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
         friction.breakaway_gap,
@@ -116,6 +116,19 @@ def steady_friction(friction: Friction, velocity: Scalar, load: Scalar = 0.0) ->
     """Friction force, N, after a long time at constant velocity: the Stribeck curve (paper, Fig. 5(a))."""
     level = stribeck_level(friction, velocity, load)
     return jnp.sign(velocity) * level + friction.viscous.towards(velocity) * velocity
+
+
+def steepest_fall(friction: Friction, side: str) -> float:
+    """The steepest fall of the Stribeck curve in one direction ("positive" or "negative"), N s/m, by its magnitude.
+
+    From d = 1 on it is that of the curve itself, at rest for d = 1; below, where the curve leaves rest upright, that of
+    the chord from rest to where the gap is down by a factor e.
+    """
+    gap, width = (float(getattr(pair, side)) for pair in (friction.breakaway_gap, friction.stribeck_velocity))
+    d = 1.0 if friction.stribeck_exponent is None else float(friction.stribeck_exponent)
+    share = (d - 1.0) / d
+    steepest = d * share**share * math.exp(-share) if d > 1.0 else 1.0 if d == 1.0 else 1.0 - math.exp(-1.0)
+    return gap / width * steepest
 
 
 class Decay(NamedTuple):

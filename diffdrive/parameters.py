@@ -132,7 +132,11 @@ class Friction(eqx.Module):
     bristle_stiffness: Directional = quantity("N/m", "bristle stiffness, sigma_0", above=0.0, per_direction=True)
     bristle_damping: Directional = quantity("N*s/m", "bristle damping, sigma_1", at_least=0.0, per_direction=True)
     stribeck_exponent: Scalar | None = quantity(
-        "1", "exponent d of the Stribeck curve, exp(-(abs(v) / v_s)^d); absent: 1", above=0.0, at_most=4.0, default=None
+        "1",
+        "exponent d of the Stribeck curve, exp(-(abs(v) / v_s)^d); absent: 1",
+        at_least=0.1,
+        at_most=4.0,
+        default=None,
     )
 
 

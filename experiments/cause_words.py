@@ -1,40 +1,40 @@
 """What was found in words that an engineer uses: amplitudes and phases in the place of cosines and sines, factors."""
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from diffdrive.effects.machine import FACTORS
 
-HEAD = 2  # parameters in a headline
-WAVES = {"": "first", "2": "second", "6": "sixth"}  # harmonics, as their cosines and sines are named
+HEAD = 2  # numbers in a headline
+PLAIN = 10.0  # half-widths of its interval off zero: a number that tells as much as any
+WAVES = {"": "", "2": "second harmonic: ", "6": "sixth harmonic: "}  # as their cosines and sines are named
 
 Span = tuple[float, float | None, float | None]
+
+
+class Told(NamedTuple):
+    """One number in words, and how many half-widths of its interval it is off zero, at most `PLAIN`."""
+
+    says: str
+    telling: float
 
 
 def numbers(cause: dict[str, Any]) -> list[str]:
     """Each number of a cause with its 95 % interval and unit; log by log where the logs differ in it.
 
-    A wave is told by amplitude and phase, A cos(x - phase), where its amplitude is told from none; its interval takes
-    those of cosine and sine as independent. What the effect holds as a logarithm is told as a factor.
+    A wave is told by amplitude and phase, A cos(x - phase), x counted from where position or time is zero. The interval
+    of its amplitude takes those of cosine and sine as independent, which makes it too wide where a period that is not
+    well known moves both. What the effect holds as a logarithm is told as a factor.
     """
-    shown, told = [], set[str]()
-    for name in cause["parameters"]:
-        harmonic = name.removeprefix("cosine")
-        if name in told:
-            continue
-        if name.startswith("cosine") and harmonic in WAVES and f"sine{harmonic}" in cause["parameters"]:
-            told.add(f"sine{harmonic}")
-            shown += _wave(cause, harmonic)
-        else:
-            shown.append(parameter(name, cause))
-    return shown
+    return [one.says for one in _told(cause)]
 
 
 def headline(causes: list[dict[str, Any]]) -> str:
-    """What was found, how sure that is, and how large: a line each."""
+    """What was found, how sure that is, and the numbers that are furthest from none: a line each."""
     return "\n".join(
-        f"{one['effect']}, {100.0 * one['confidence']:.0f} % sure: {'; '.join(numbers(one)[:HEAD])}"
+        f"{one['effect']}, {100.0 * one['confidence']:.0f} % sure: {'; '.join(_foremost(one))}"
         for one in causes
         if one["found"]
     )
@@ -42,10 +42,27 @@ def headline(causes: list[dict[str, Any]]) -> str:
 
 def parameter(name: str, cause: dict[str, Any]) -> str:
     """A parameter of a cause with its interval and unit; log by log where the logs differ in it."""
-    unit = cause["units"][name]
+    spans = _spans(name, cause)
     if cause["effect"] == "friction_shape" and name in FACTORS:
-        return f"{name} {_listed([_factors(one) for one in _spans(name, cause)], '')} of the drive file's"
-    return f"{name} {_listed(_spans(name, cause), '' if unit == '1' else unit)}"
+        return f"{name} {_listed([_factors(one) for one in spans])} times the recalibrated"
+    return f"{name} {_listed(spans, cause['units'][name])}"
+
+
+def _told(cause: dict[str, Any]) -> list[Told]:
+    given = cause["parameters"]
+    harmonics = [one for one in WAVES if f"cosine{one}" in given and f"sine{one}" in given]
+    shown = [_wave(cause, one) for one in harmonics]
+    largest = max((one.telling for one in shown), default=0.0)
+    waves = [one for one in shown if one.telling > 1.0 or one.telling == largest]
+    parts = {f"{part}{one}" for one in harmonics for part in ("cosine", "sine")}
+    plain = [Told(parameter(name, cause), _telling(_spans(name, cause))) for name in given if name not in parts]
+    return [*waves, *plain]
+
+
+def _foremost(cause: dict[str, Any]) -> Iterator[str]:
+    told = _told(cause)
+    first = sorted(range(len(told)), key=lambda k: -told[k].telling)[:HEAD]
+    return (told[k].says for k in sorted(first))
 
 
 def _spans(name: str, cause: dict[str, Any]) -> list[Span]:
@@ -54,36 +71,41 @@ def _spans(name: str, cause: dict[str, Any]) -> list[Span]:
     return list(zip(value, *interval, strict=True)) if isinstance(value, list) else [(value, *interval)]
 
 
+def _telling(spans: list[Span]) -> float:
+    halves = [(abs(at), 0.5 * (high - low)) for at, low, high in spans if None not in (low, high)]  # type: ignore[operator]
+    return max((PLAIN if half * PLAIN <= at else at / half for at, half in halves), default=0.0)
+
+
 def _factors(logarithm: Span) -> Span:
     at, low, high = (None if one is None else float(np.exp(one)) for one in logarithm)
     assert at is not None
     return at, low, high
 
 
-def _listed(spans: list[Span], unit: str) -> str:
+def _listed(spans: list[Span], unit: str = "1") -> str:
     shown = [f"{_number(at)} ({_number(low)} to {_number(high)})" for at, low, high in spans]
     if len(shown) > 1:
         shown = [f"log {k} {one}" for k, one in enumerate(shown, start=1)]
-    return f"{', '.join(shown)}{unit and ' ' + unit}"
+    return f"{', '.join(shown)}{'' if unit == '1' else ' ' + unit}"
 
 
-def _wave(cause: dict[str, Any], harmonic: str) -> list[str]:
-    """Amplitude and phase of one harmonic, or nothing where no log tells its amplitude from none."""
-    names = f"cosine{harmonic}", f"sine{harmonic}"
-    parts = [_spans(name, cause) for name in names]
-    if any(None in span for spans in parts for span in spans):
-        return [parameter(name, cause) for name in names]
-    amplitudes, phases = [], []
-    for (c, c_low, c_high), (s, s_low, s_high) in zip(*parts, strict=True):
+def _wave(cause: dict[str, Any], harmonic: str) -> Told:
+    """Amplitude and phase of one harmonic."""
+    amplitudes, phases = list[Span](), []
+    for cosine, sine in zip(*(_spans(f"{part}{harmonic}", cause) for part in ("cosine", "sine")), strict=True):
+        (c, half_c), (s, half_s) = (
+            (at, None if None in (low, high) else 0.5 * (high - low))
+            for at, low, high in (cosine, sine)  # type: ignore[operator]
+        )
         amplitude = float(np.hypot(c, s))
-        half = np.hypot(c * (c_high - c_low), s * (s_high - s_low)) / (2.0 * amplitude) if amplitude else c_high - c
-        amplitudes.append((amplitude, max(0.0, amplitude - float(half)), amplitude + float(half)))
         phases.append(f"{np.degrees(np.arctan2(s, c)):.0f}")
-    if not any(low > 0.0 for _, low, _ in amplitudes):
-        return []
-    which = f"{WAVES[harmonic]} harmonic: " if harmonic else ""
-    size = _listed(amplitudes, cause["units"][names[0]])
-    return [f"{which}amplitude {size}, phase {', '.join(phases)} deg"]
+        if half_c is None or half_s is None:
+            amplitudes.append((amplitude, None, None))
+            continue
+        half = float(np.hypot(c * half_c, s * half_s) / amplitude if amplitude else np.hypot(half_c, half_s))
+        amplitudes.append((amplitude, max(0.0, amplitude - half), amplitude + half))
+    size = _listed(amplitudes, cause["units"][f"cosine{harmonic}"])
+    return Told(f"{WAVES[harmonic]}amplitude {size}, phase {', '.join(phases)} deg", _telling(amplitudes))
 
 
 def _number(value: float | None) -> str:

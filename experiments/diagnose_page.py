@@ -23,6 +23,7 @@ td:first-child, th:first-child, .words td, .words th { text-align: left } img { 
 """
 REGIONS = 10  # that are shown, each with
 LEAST = 0.03  # of the gap and more; the JSON has all
+NOWHERE = f"nowhere in particular: no region with {100 * LEAST:.0f} % of it or more has more than chance would give it"
 
 SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
 LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
@@ -46,7 +47,7 @@ def tell(report: Report, told: dict[str, Any]) -> None:
     for region in regions:
         report.say(f"  - {region}")
     if not regions:
-        report.say("  - nowhere in particular: no region has more than chance would give it")
+        report.say(f"  - {NOWHERE}")
     report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
     if found := headline(told["causes"]):
         report.say(found)
@@ -79,9 +80,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
         _table(SIZE, _sizes(told), f"{LOOP}; {gap['judged_on']}"),
         _image(report, "missing_force"),
         "<h2>2. Where does it lie?</h2>",
-        "<ul>" + "".join(f"<li>{escape(one)}</li>" for one in regions) + "</ul>"
-        if regions
-        else "<p>No region has more of it than chance would give it.</p>",
+        "<ul>" + "".join(f"<li>{escape(one)}</li>" for one in regions) + "</ul>" if regions else f"<p>{NOWHERE}.</p>",
         _image(report, "where"),
         "<h2>3. Which unmodelled effect causes it?</h2>",
         _table(CAUSES, [_cause(one) for one in told["causes"]], words=True)

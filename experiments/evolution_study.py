@@ -150,7 +150,7 @@ def _numbers(drive: Drive) -> Iterator[tuple[str, float]]:
         if path != "damping":
             yield path, float(value)
     for path, _, value in quantities(drive.friction):
-        if path not in ("load_coefficient", "initial_load"):
+        if path not in ("load_coefficient", "initial_load", "stribeck_exponent"):  # which are given, not looked for
             yield f"{path} +", float(value.positive)
             yield f"{path} -", float(value.negative)
     yield "delay, periods", drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)

@@ -14,7 +14,7 @@ from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging
 from tuning.diagnosis import command_left
 from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.command_left import FOLLOWING, FOLLOWS, SINGLE, TAPS, doubted_by_command, follows_command
+from tuning.diagnosis.command_left import CLOCKS, FOLLOWING, FOLLOWS, SINGLE, TAPS, doubted_by_command, follows_command
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.explain import Explanation, explain
 from tuning.diagnosis.fitting import Fitter
@@ -99,14 +99,17 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
         (0.9 * FOLLOWING, ((LoopDelay, 1e3),), None, "effect"),
         (2.0 * FOLLOWING, ((LoopDelay, 4.0 * FOLLOWING / FOLLOWS),), None, "effect"),
         (2.0 * FOLLOWING, ((Cogging, 4.0 * FOLLOWING / FOLLOWS), (LoopDelay, 1e3)), None, "unknown"),
-        (2.0 * FOLLOWING, ((Cogging, 1e3),), None, "effect"),
+        (0.9 * CLOCKS, ((Cogging, 1e3),), None, "effect"),
+        (1.1 * CLOCKS, ((Cogging, 1e3),), None, "unknown"),
+        (1.1 * CLOCKS, ((Cogging, 2.0 * CLOCKS / FOLLOWS),), None, "effect"),
         (2.0 * FOLLOWING, ((LoopDelay, 1e3),), "coarse", "effect"),
         (2.0 * FOLLOWING, ((LoopDelay, 1e3),), "coupled", "effect"),
         (np.nan, ((LoopDelay, 1e3),), None, "effect"),
     ],
 )
-def test_no_cause_before_the_force_is_sure_that_leaves_what_follows(monkeypatch, follows, chain, details, verdict):
-    """More than beside right ones, and no trifle of what the effect between command and force explained."""
+def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, follows, chain, details, verdict):
+    """More than beside right ones, and no trifle of what the effect between command and force explained; without one,
+    more than clocks make that are a little apart."""
     monkeypatch.setattr("tuning.diagnosis.command_left.follows_command", lambda _: follows)
     fits = [SimpleNamespace(cost=0.0)]
     for effect, gain in chain:

@@ -259,6 +259,23 @@ def test_a_wave_is_told_by_its_amplitude_and_phase_and_what_is_none_not_at_all()
     )
 
 
+def test_a_headline_shows_the_numbers_that_are_furthest_from_none():
+    """A share has no unit; of waves none of which is told from none the largest is shown all the same."""
+    cause = {
+        "effect": "position_friction", "confidence": 0.97, "found": True,
+        "parameters": {"slope": 0.01, "period": 0.1, "cosine": 0.03, "sine": 0.04},
+        "intervals": {"slope": (-0.1, 0.12), "period": (0.099, 0.101), "cosine": (0.029, 0.031),
+                      "sine": (0.039, 0.041)},
+        "units": {"slope": "1/m", "period": "m", "cosine": "1", "sine": "1"},
+    }  # fmt: skip
+    shown = "amplitude 0.05 (0.049 to 0.051), phase 53 deg; period 0.1 (0.099 to 0.101) m"
+    assert headline([cause]) == f"position_friction, 97 % sure: {shown}"
+    cause["intervals"] |= {"cosine": (-0.1, 0.2), "sine": (-0.2, 0.2)}
+    assert headline([cause]).startswith("position_friction, 97 % sure: amplitude 0.05 (0 to ")
+    cause["intervals"] |= {"cosine": (None, None)}
+    assert numbers(cause)[0] == "amplitude 0.05 (- to -), phase 53 deg"
+
+
 def test_what_a_friction_shape_holds_as_logarithms_is_told_as_factors():
     cause = {
         "effect": "friction_shape",
@@ -266,7 +283,7 @@ def test_what_a_friction_shape_holds_as_logarithms_is_told_as_factors():
         "intervals": {"stribeck_exponent": (np.log(1.9), np.log(2.1)), "coulomb": (0.4, 0.6)},
         "units": {"stribeck_exponent": "1", "coulomb": "N"},
     }
-    assert numbers(cause) == ["stribeck_exponent 2 (1.9 to 2.1) of the drive file's", "coulomb 0.5 (0.4 to 0.6) N"]
+    assert numbers(cause) == ["stribeck_exponent 2 (1.9 to 2.1) times the recalibrated", "coulomb 0.5 (0.4 to 0.6) N"]
 
 
 def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):

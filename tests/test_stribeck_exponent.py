@@ -15,17 +15,20 @@ from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import parse_drive
 from diffdrive.effects.machine import FrictionShape
 from diffdrive.errors import DriveFileError
-from diffdrive.friction import steady_friction
+from diffdrive.friction import steady_friction, steepest_fall
 from diffdrive.parameters import Sampling, as_arrays
 from diffdrive.plant import PlantState, advance
 from diffdrive.presets import PAPER_KD, PAPER_KP
 from diffdrive.simulate import inputs_of, rollout, simulate
 from diffdrive.smooth import smooth
 from experiments.truth import run
+from experiments.withheld import generate
+from experiments.withheld.draw import draw
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.explain import explain
 from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.search import recalibrated
 from tuning.unknowns import unknowns_of
 
@@ -148,6 +151,36 @@ def test_a_curve_of_another_exponent_is_found_by_its_name():
     value = known.value(float(best.u[number]))
     assert spread < 0.1
     assert abs(value - np.log(2.0)) < 4 * spread
+
+
+@pytest.mark.slow
+def test_a_fault_is_sure_beside_a_curve_of_another_exponent():
+    """A tilt on a machine of other numerics, whose drive file has the paper's curve: whole catalogue, some minutes."""
+    case = draw(np.random.default_rng([3, 1, 0]), ("constant_force",))
+    case = case._replace(true=curved(2.0, case.true))
+    logs, _ = generate._logs(case)
+    believed = generate._believed(case)
+    told = diagnose(believed.drive, believed.controller, logs).verdict
+    sure = {one.effect for one in told.beliefs if one.found and one.confidence > 0.9}
+    assert (told.verdict, sure) == ("effect", {"constant_force", "friction_shape"})
+
+
+@pytest.mark.parametrize("exponent", [None, *EXPONENTS])
+def test_the_steepest_fall_is_that_of_the_curve(exponent):
+    friction = curved(exponent).friction
+    d = exponent or 1.0
+    speeds = np.geomspace(1e-5, 20.0, 200_001)
+    slopes = d * speeds ** (d - 1.0) * np.exp(-(speeds**d))
+    steepest = slopes.max() if d >= 1.0 else (1.0 - np.exp(-1.0))  # below, the chord to where a factor e is gone
+    scale = friction.breakaway_gap.negative / friction.stribeck_velocity.negative
+    assert steepest_fall(friction, "negative") == pytest.approx(scale * steepest, rel=1e-4)
+
+
+def test_a_drive_file_that_states_none_is_written_without_one():
+    """Though every hypothesis of the diagnosis holds the exponent as a number; one that is stated stays."""
+    for stated, held in ((None, None), (2.0, 2.0)):
+        fitter = Fitter(logged_of(curved(stated, DRIVE.drive), [logged(DRIVE, two_sines(0.5))]))
+        assert drive_of(recalibrated(fitter, TOLERANCE), 0).friction.stribeck_exponent == held
 
 
 def test_identification_keeps_the_exponent_of_the_file():

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.errors import DiffdriveError, LogError, ParameterError
+from diffdrive.friction import steepest_fall
 from diffdrive.logs import Log
 from diffdrive.parameters import Drive, check_drive
 from tuning import inverse_dynamics
@@ -112,10 +113,7 @@ def _held(fixed: Sequence[str]) -> set[str]:
 def _rough_bandwidth(drive: Drive, rate: float) -> float:
     """Bandwidth (rad/s) of the first searches: well above the rate at which motion on the Stribeck slope runs away."""
     friction, mass = drive.friction, float(drive.plant.mass)
-    slopes = (
-        float(getattr(friction.breakaway_gap, side)) / float(getattr(friction.stribeck_velocity, side))
-        for side in ("positive", "negative")
-    )
+    slopes = (steepest_fall(friction, side) for side in ("positive", "negative"))
     return float(np.clip(FASTER * max(slopes) / mass, ROUGH_BANDWIDTH, 0.3 * rate))
 
 

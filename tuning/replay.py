@@ -18,6 +18,7 @@ from diffdrive.actuator import ActuatorState, limited
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import acting
 from diffdrive.errors import LogError, ParameterError
+from diffdrive.friction import steepest_fall
 from diffdrive.logs import Log
 from diffdrive.motion import from_array
 from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
@@ -193,9 +194,8 @@ def drift_note(drive: Drive) -> str:
     friction, damping = drive.friction, drive.plant.damping
     fall, held = [], []
     for side in ("positive", "negative"):
-        gap, width = float(getattr(friction.breakaway_gap, side)), float(getattr(friction.stribeck_velocity, side))
         resistance = float(getattr(friction.viscous, side)) + float(getattr(damping, side))
-        fall.append(gap / width - resistance)
+        fall.append(steepest_fall(friction, side) - resistance)
         held.append(resistance)
     drifts = f"a force that is off by 1 N moves the table by {1e3 / np.mean(held):.2g} mm/s, and nothing brings it back"
     if max(fall) > 0:

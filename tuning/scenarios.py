@@ -88,7 +88,7 @@ def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float
     drives = [as_arrays(smooth(_noisy(one.drive))) for one in scenarios]
     if len({jax.tree.structure(drive) for drive in drives}) > 1:
         raise ParameterError(
-            "the machines of the scenarios differ in kind (delay samples, force limit, resolution): "
+            "the machines of the scenarios differ in kind (delay samples, force limit, resolution, Stribeck exponent): "
             "tune on machines that differ in numbers alone"
         )
     loads = [np.broadcast_to(np.asarray(one.load, float), first.time.shape) for one in scenarios]

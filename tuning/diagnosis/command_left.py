@@ -26,7 +26,8 @@ QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts ar
 PIECE = 0.25  # s
 SINGLE = 12.0  # of cost, that a piece of this length counts at most: one event that goes wrong is no answer to commands
 FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
-FOLLOWS = 0.003  # of what an effect between command and force gained: more, and it is not that effect
+FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
+CLOCKS = 1000.0  # of -2 log likelihood: more than clocks make that are a microsecond apart
 
 
 def follows_command(fitted: Fitted) -> float:
@@ -54,19 +55,19 @@ def follows_command(fitted: Fitted) -> float:
 
 
 def doubted_by_command(verdict: Verdict, found: Explanation) -> Verdict:
-    """No sure cause between command and force that leaves what follows the command.
+    """No sure cause that leaves what follows the command, and among them an effect between command and force.
 
-    Any other cause stands: half a microsecond between the clocks of scale and command is seen this way, and makes no
-    tilt less of a tilt. Effects whose details differ may leave that, and behind those within the filter it cannot be
-    told.
+    Without such an effect much has to: half a microsecond between the clocks of scale and command is seen this way (150
+    of -2 log likelihood), and makes no tilt less of a tilt. Effects whose details differ may leave that, and behind
+    those within the filter it cannot be told.
     """
     best = found.best
     if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
         return verdict
     rounds = found.rounds[: best.model.added]
     acting = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
-    gains = [one.before.cost - one.fits[0].cost for one in acting]
-    if not gains or not follows_command(best) > max(FOLLOWING, FOLLOWS * min(gains)):
+    gains = [one.before.cost - one.fits[0].cost for one in acting] or [found.base.cost - best.cost]
+    if not follows_command(best) > max(FOLLOWING if acting else CLOCKS, FOLLOWS * min(gains)):
         return verdict
     return verdict.doubted(
         "what is left follows the command: the actuator, or what lies between it and the table, answers otherwise"

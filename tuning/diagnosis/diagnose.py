@@ -27,7 +27,7 @@ from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
-from tuning.diagnosis.held_out import Closed, closed, confirmed, left_in_loop, upheld
+from tuning.diagnosis.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
 from tuning.diagnosis.ladder import Rung, Split, climb, known_floor
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.leftover import SLIDING, credible, furthest
@@ -159,7 +159,7 @@ def diagnose(
     rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
     share = _closed(rungs, logged.sampling.rate)
-    verdict = judge(fitter, found, left_in_loop(rungs), None if share is None else share.low)
+    verdict = judge(fitter, found, left_in_loop(rungs), closing(found, rungs, logged.sampling.rate))
     verdict = _credible(confirmed(verdict, rungs, share), found.best)
     verdict = _within(doubted_by_command(verdict, found), lacks)
     if sought.best.model.added > found.best.model.added:

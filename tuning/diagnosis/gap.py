@@ -137,7 +137,12 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
         whole, part = divmod(max(late, 0.0), 1.0)
         actuator = dataclasses.replace(fitted.own.actuator, delay_samples=int(whole), delay_fraction=part)
         fitted = fitted._replace(own=dataclasses.replace(fitted.own, actuator=actuator))
-    return dataclasses.replace(fitted.own, effects=tuple(one for one in effects if one not in apart))
+    own = fitted.own
+    if (
+        fitted.model.logged.drive.friction.stribeck_exponent is None
+    ):  # which a hypothesis holds as a number all the same
+        own = dataclasses.replace(own, friction=dataclasses.replace(own.friction, stribeck_exponent=None))
+    return dataclasses.replace(own, effects=tuple(one for one in effects if one not in apart))
 
 
 @eqx.filter_jit

@@ -7,7 +7,7 @@ import numpy as np
 
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.ladder import Rung, known_floor
-from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH, relieves
+from tuning.diagnosis.leftover import IMPOSSIBLE, WORTH, credible, relieves
 from tuning.diagnosis.verdict import Verdict
 
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
@@ -54,6 +54,17 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     if perhaps and low <= 0.0 and high >= 1.0 and squares[1][0] <= squares[0][0]:
         return None
     return Closed(float(shares[0]), float(low), float(high))
+
+
+def closing(found: Explanation, rungs: list[Rung], rate: float) -> list[float | None]:
+    """Of each effect found, the share that it surely takes of what the rung before it leaves beyond the floor, at the
+    low end of its interval; none where what was found cannot be, or foresees what is held out worse than nothing.
+    """
+    gained = found.base.evidence - found.best.evidence
+    if len(rungs) <= 2 or not credible(found.best) or denied(rungs[-1], rungs[1], gained):
+        return []
+    steps = [closed(before, after, rate) for before, after in itertools.pairwise(rungs[1:])]
+    return [None if one is None else one.low for one in steps]
 
 
 def left_in_loop(rungs: list[Rung]) -> float | None:

@@ -5,6 +5,7 @@ of another kind gains. So two hypotheses are told apart by their evidence only a
 the logs to the noise: the temperature of the probabilities is a share of what was gained, larger where much is left.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 SUREST = 0.97  # the most that any is: fits end in false minima, and machines have what no catalogue lists
 NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
-CLOSEST = 0.5  # the same where it surely takes away `MOSTLY` of the force that is missing in what is held out
+CLOSEST = 0.5  # the same of one that surely takes away `MOSTLY` of the force that is missing in what is held out
 MOSTLY = 0.9
 
 
@@ -162,9 +163,12 @@ def _worth(gain: float, enough: float) -> float:
     return float(expit((gain - enough) / max(COLDEST, BLURRED * enough)))
 
 
-def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None, closes: float | None = None) -> Verdict:
-    """The verdict on an explanation that leaves the share `in_loop` of the gap in closed loop, if known, and surely
-    takes away the share `closes` of the force that is missing in what is held out.
+def judge(
+    fitter: Fitter, found: Explanation, in_loop: float | None = None, closes: Sequence[float | None] = ()
+) -> Verdict:
+    """The verdict on an explanation that leaves the share `in_loop` of the gap in closed loop, if known, and of whose
+    effects each surely takes away the share `closes` of the force that is missing in what is held out before it (of its
+    mean square beyond the floor).
 
     A likelihood counts what is small and goes on for long: a model that is a little wrong all along leaves most of it
     beside an effect that is there, and of the force next to nothing. Half of the effects that do so act.
@@ -179,37 +183,39 @@ def judge(fitter: Fitter, found: Explanation, in_loop: float | None = None, clos
     share = unexplained(fitter, base, best) if lacks else 0.0
     told, gap = share, "the gap"
     if lacks and best.model.coarse and in_loop is not None:
-        told, gap = in_loop, "the gap in closed loop"
+        told, gap, closes = in_loop, "the gap in closed loop", ()  # a filter's share of force tells nothing then
     left = told / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
-    nearest = CLOSEST if closes is not None and closes >= MOSTLY else NEAREST
-    sure = nearest + (1.0 - nearest) * known
+    sure = NEAREST + (1.0 - NEAREST) * known
+    mostly = [known < 0.5 and one is not None and one >= MOSTLY for one in closes[:effects]]
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
             continue
-        certain = sure * _worth(looked.gain, looked.enough)
+        surely = max(sure, CLOSEST) if number < len(mostly) and mostly[number] else sure
+        certain = surely * _worth(looked.gain, looked.enough)
         beliefs += _believed(looked, number, share, number < effects, certain)
     beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, sure)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         return _nothing_found(base, beliefs, lacks)
     if not known >= 0.5:
-        says = _closest(beliefs, nearest > NEAREST, f"{100 * told:.0f} % of {gap}")
+        says = _closest(beliefs, mostly, f"{100 * told:.0f} % of {gap}")
         return Verdict("unknown", _unsure(beliefs), share, says)
     much = f"{gap}, but for {100 * told:.0f} % of it" if told >= TOLD else gap
     return _found(found, beliefs, lacks, share, much)
 
 
-def _closest(beliefs: list[Belief], mostly: bool, rest: str) -> str:
-    """What effects say that leave too much: in likelihood, but perhaps not in force."""
+def _closest(beliefs: list[Belief], mostly: Sequence[bool], rest: str) -> str:
+    """What effects say that leave too much: in likelihood, but some of them not in force."""
     named = [one.effect for one in beliefs if one.found]
-    comes, leaves, takes = ("come", "leave", "they take") if len(named) > 1 else ("comes", "leaves", "it takes")
+    comes, leaves = ("come", "leave") if len(named) > 1 else ("comes", "leaves")
     says = f"{', '.join(named)} {comes} closest, but {leaves} {rest} unexplained"
-    if not mostly:
+    taking = " and ".join(name for name, takes in zip(named, mostly, strict=False) if takes)
+    if not taking:
         return says
-    counts = "that is by likelihood, where small errors that last count most"
-    return f"{says}; {counts}: of the force that is missing {takes} away {100 * MOSTLY:.0f} % and more"
+    takes = f"{taking} {'take' if ' and ' in taking else 'takes'} away {100 * MOSTLY:.0f} % and more of its mean square"
+    return f"{says}; that is by likelihood, where small errors that last count most: of the missing force {takes}"
 
 
 def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
