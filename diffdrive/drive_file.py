@@ -184,7 +184,7 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
         for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
     }
     try:
-        mapping = parse_mapping(root.take("columns", {}), root.take("units", {}))
+        mapping = parse_mapping(root.take("columns", {}), root.take("units", {}), root.take("shifts", {}))
     except LogError as error:
         raise DriveFileError(f"{source}: {error}") from None
     effects = root.take("effects", {})

@@ -19,14 +19,15 @@ def check_logs(
     *,
     columns: Sequence[str] = (),
     units: Sequence[str] = (),
+    shifts: Sequence[str] = (),
     loads: Sequence[str] = (),
 ) -> bool:
     """Whether nothing fatal was found in any log.
 
-    `columns`, `units` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
+    `columns`, `units`, `shifts` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
     `ParameterError`, one line each.
     """
-    description = described(drive, columns, units)
+    description = described(drive, columns, units, shifts)
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
         logs, found = looked_over(
             paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA

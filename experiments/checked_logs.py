@@ -18,10 +18,12 @@ from tuning.fit import SHORTEST
 EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
 
-def described(drive: Path, columns: Sequence[str], units: Sequence[str]) -> DriveDescription:
-    """A drive file, its mapping of columns and units as texts on the command line override it."""
+def described(
+    drive: Path, columns: Sequence[str], units: Sequence[str], shifts: Sequence[str] = ()
+) -> DriveDescription:
+    """A drive file, its mapping of columns, units and shifts as texts on the command line override it."""
     description = read_drive(drive)
-    return replace(description, mapping=description.mapping.overridden(columns, units))
+    return replace(description, mapping=description.mapping.overridden(columns, units, shifts))
 
 
 def looked_over(

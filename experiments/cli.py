@@ -21,6 +21,7 @@ from experiments.cli_options import (
     Logs,
     MotionText,
     Out,
+    Shifts,
     Units,
 )  # fmt: skip
 from experiments.cli_studies import studies
@@ -179,7 +180,13 @@ def tune(
 
 @app.command()
 def check(
-    logs: Logs, drive: Believed, out: Out = None, column: Columns = None, unit: Units = None, load: Loads = None
+    logs: Logs,
+    drive: Believed,
+    out: Out = None,
+    column: Columns = None,
+    unit: Units = None,
+    shift: Shifts = None,
+    load: Loads = None,
 ) -> None:
     """Look over logs before anything is made of them: how they read, what was repaired, what they would mislead about.
 
@@ -190,7 +197,7 @@ def check(
     """
     from experiments.check_logs import check_logs
 
-    if not check_logs(logs, drive, out, columns=column or (), units=unit or (), loads=load or ()):
+    if not check_logs(logs, drive, out, columns=column or (), units=unit or (), shifts=shift or (), loads=load or ()):
         raise typer.Exit(3)
 
 
@@ -201,6 +208,7 @@ def identify(
     out: Out = None,
     column: Columns = None,
     unit: Units = None,
+    shift: Shifts = None,
     fix: Annotated[
         list[str] | None,
         typer.Option(help="A parameter, as the drive file calls it, that stays as believed; repeatable."),
@@ -228,7 +236,8 @@ def identify(
     from experiments.identify import identify_drive
 
     converged = identify_drive(
-        logs, drive, out, columns=column or (), units=unit or (), fixed=fix or (), bounds=bound or (), loads=load or (),
+        logs, drive, out, columns=column or (), units=unit or (), shifts=shift or (),
+        fixed=fix or (), bounds=bound or (), loads=load or (),
         starts=starts, seed=seed, held_out=held_out or (), force=force,
     )  # fmt: skip
     if not converged:
@@ -242,6 +251,7 @@ def diagnose(
     out: Out = None,
     column: Columns = None,
     unit: Units = None,
+    shift: Shifts = None,
     load: Loads = None,
     without: Annotated[
         list[str] | None, typer.Option(help="An effect of the catalogue that is not to be considered; repeatable.")
@@ -272,7 +282,8 @@ def diagnose(
     from experiments.diagnose import diagnose_logs
 
     diagnose_logs(
-        logs, drive, out, columns=column or (), units=unit or (), loads=load or (), without=without or (),
+        logs, drive, out, columns=column or (), units=unit or (), shifts=shift or (), loads=load or (),
+        without=without or (),
         most_effects=most_effects, tolerance=tolerance, tuned=tune,
     )  # fmt: skip
 

@@ -22,6 +22,13 @@ Columns = Annotated[
 Units = Annotated[
     list[str] | None, typer.Option("--unit", help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
 ]
+Shifts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--shift",
+        help="CHANNEL=SAMPLES, over the drive file's \\[shifts]: `command=-1` for one recorded late; repeatable.",
+    ),
+]
 Loads = Annotated[
     list[str] | None,
     typer.Option(

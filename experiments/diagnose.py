@@ -47,6 +47,7 @@ def diagnose_logs(
     *,
     columns: Sequence[str] = (),
     units: Sequence[str] = (),
+    shifts: Sequence[str] = (),
     loads: Sequence[str] = (),
     without: Sequence[str] = (),
     most_effects: int = MOST_EFFECTS,
@@ -55,7 +56,7 @@ def diagnose_logs(
 ) -> dict[str, Any]:
     """`diffdrive diagnose`; returns what diagnosis.json holds.
 
-    `columns`, `units` and `loads` are texts as on the command line; with `tuned`, the controller is tuned on the
+    `columns`, `units`, `shifts`, `loads` are texts as on the command line; with `tuned`, the controller is tuned on the
     nominal drive and on the one with what was found, and both are judged on the latter. Raises `DriveFileError`,
     `LogError` and `ParameterError`, one line each.
     """
@@ -64,7 +65,7 @@ def diagnose_logs(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
-    description = described(drive, columns, units)
+    description = described(drive, columns, units, shifts)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = read(report, paths, description, loads)
         with report.stages() as progress:

@@ -38,6 +38,7 @@ def identify_drive(
     *,
     columns: Sequence[str] = (),
     units: Sequence[str] = (),
+    shifts: Sequence[str] = (),
     fixed: Sequence[str] = (),
     bounds: Sequence[str] = (),
     loads: Sequence[str] = (),
@@ -48,10 +49,10 @@ def identify_drive(
 ) -> bool:
     """`diffdrive identify`; False if the search did not converge.
 
-    `columns`, `units`, `fixed`, `bounds` and `loads` are texts as on the command line. Raises `DriveFileError`,
+    `columns`, `units`, `shifts`, `fixed`, `bounds`, `loads` are texts as on the command line. Raises `DriveFileError`,
     `LogError` and `ParameterError`, one line each.
     """
-    description = described(drive, columns, units)
+    description = described(drive, columns, units, shifts)
     if effects := [effect.name for effect in description.drive.effects]:
         raise DriveFileError(
             f"{drive}: [effects] {', '.join(effects)}: identification knows no effects; take the table out, or diagnose"

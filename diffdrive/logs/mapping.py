@@ -1,4 +1,4 @@
-"""Which column of a log's file is which channel, in which unit: the tables [columns] and [units] of a drive file."""
+"""Which column of a log's file is which channel, in which unit and time: [columns], [units] and [shifts]."""
 
 import dataclasses
 import difflib
@@ -18,13 +18,15 @@ class Mapping:
 
     `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
     column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
-    in V or A into newtons. Raises `LogError` for a channel or unit that does not exist.
+    in V or A into newtons. `shifts` moves a channel that was recorded early or late by whole samples, positive to later
+    times. Raises `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
     """
 
     columns: dict[str, str] = dataclasses.field(default_factory=dict)
     units: dict[str, str] = dataclasses.field(default_factory=dict)
     force_per_volt: float | None = None
     force_per_ampere: float | None = None
+    shifts: dict[str, int] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for table in ("columns", "units"):
@@ -38,6 +40,12 @@ class Mapping:
             gain = getattr(self, key)
             if gain is not None and not (math.isfinite(gain) and gain != 0):
                 raise LogError(f"[units] {key}: must be a finite number of N/{electric} other than 0, got {gain!r}")
+        for channel, by in self.shifts.items():
+            if channel not in READABLE or channel == "time":
+                known = [one for one in READABLE if one != "time"]
+                raise LogError(f"[shifts] {channel}: no channel that can be moved; {_near(channel, known)}")
+            if isinstance(by, bool) or not isinstance(by, int):
+                raise LogError(f"[shifts] {channel}: must be a whole number of samples, such as -1, got {by!r}")
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
         held: dict[str, str] = {}
@@ -59,30 +67,35 @@ class Mapping:
         except ValueError as problem:
             raise LogError(f"{where}: {problem}") from None
 
-    def overridden(self, columns: Iterable[str] = (), units: Iterable[str] = ()) -> "Mapping":
-        """With a command line's `--column reference=qg` and `--unit command=V` put over it."""
+    def overridden(
+        self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()
+    ) -> "Mapping":
+        """With a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1` put over it."""
         more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
         gains = {key: _gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
         changed = {table: getattr(self, table) | more[table] for table in more}
-        return dataclasses.replace(self, **changed, **gains)
+        moved = {channel: _samples(channel, by) for channel, by in _assignments(shifts, "--shift").items()}
+        return dataclasses.replace(self, **changed, **gains, shifts=self.shifts | moved)
 
 
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
-def parse_mapping(columns: dict[str, Any], units: dict[str, Any]) -> Mapping:
-    """From the tables [columns] and [units] of a drive file; raises `LogError` naming the key and the mend."""
-    for name, table in (("columns", columns), ("units", units)):
+def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any] | None = None) -> Mapping:
+    """From the tables of a drive file; raises `LogError` naming the key and the mend."""
+    shifts = {} if shifts is None else shifts
+    for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {table!r}")
     gains = {key: _gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
-    return Mapping(dict(columns), {key: unit for key, unit in units.items() if key not in FORCE_PER}, **gains)
+    plain = {key: unit for key, unit in units.items() if key not in FORCE_PER}
+    return Mapping(dict(columns), plain, **gains, shifts=dict(shifts))
 
 
 def mapping_tables(mapping: Mapping) -> dict[str, dict[str, Any]]:
     """The tables of a drive file that `parse_mapping` reads back to the same mapping; none where it is empty."""
     gains = {key: getattr(mapping, key) for key in FORCE_PER if getattr(mapping, key) is not None}
-    tables = {"columns": dict(mapping.columns), "units": dict(mapping.units) | gains}
+    tables = {"columns": dict(mapping.columns), "units": dict(mapping.units) | gains, "shifts": dict(mapping.shifts)}
     return {name: table for name, table in tables.items() if table}
 
 
@@ -119,4 +132,11 @@ def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
     return given
 
 
-_EXAMPLE_OF = {"--column": "reference=qg", "--unit": "command=V"}
+def _samples(channel: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise LogError(f"--shift {channel}={text}: write a whole number of samples, such as {channel}=-1") from None
+
+
+_EXAMPLE_OF = {"--column": "reference=qg", "--unit": "command=V", "--shift": "command=-1"}

@@ -11,6 +11,7 @@ from diffdrive.logs.log import CHANNELS, Log
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.missing import without_missing
 from diffdrive.logs.select import missing, select
+from diffdrive.logs.shifts import shifted
 from diffdrive.logs.table import Table
 from diffdrive.logs.timing import in_order, on_uniform_clock
 
@@ -69,8 +70,8 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     """
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise LogError(f"{path}: the rate must be positive and finite, in Hz, got {rate!r}")
-    table = read_table(path)
-    signals, clock, notes = select(table, mapping or Mapping())
+    table, mapping = read_table(path), mapping or Mapping()
+    signals, clock, notes = select(table, mapping)
     if "time" not in signals:
         if rate is None:
             raise missing(table, "time")
@@ -82,6 +83,8 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     signals, said = without_missing(table.source, signals)
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate)
+    notes += said
+    signals, gaps, said = shifted(table.source, signals, gaps, mapping.shifts)
     if "injected" in signals:
         signals["disturbance"] = signals.get("disturbance", 0.0) + signals["injected"]
         signals["command"] = signals["command"] - signals["injected"]

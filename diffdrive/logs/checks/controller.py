@@ -51,6 +51,12 @@ def _samples(count: float) -> str:
     return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
 
 
+def _moved(channel: str, by: float) -> str:
+    """What mends it, and the option that does so, where whole samples do."""
+    option = "" if by % 1 else f" (--shift {channel}={by:+.0f}, or {channel} = {by:+.0f} in [shifts])"
+    return f"shift the {channel} by {by:+.2g} samples{option}"
+
+
 def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | None, float | None]:
     """Channel, finding, mend, what resembles it and how much of that, for C(reference[k - i], position[k - j]).
 
@@ -62,7 +68,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             "command",
             f"the recorded command is {_samples(i)} {way} (shift {i:+.2g}) against reference and position: the "
             f"controller gives it from the values of sample k{-i:+.2g} {numbers}",
-            f"shift the command by {back:+.2g} samples"
+            _moved("command", back)
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
             "loop_delay",
             -i,
@@ -85,7 +91,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             channel,
             f"the recorded {channel} is {_samples(shift)} {way} (shift {-shift:+.2g}) against the other channels{real}:"
             f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
-            f"shift the {channel} by {shift:+.2g} samples",
+            _moved(channel, shift),
             "loop_delay" if channel == "position" else None,
             -shift if channel == "position" else None,
         )
@@ -93,8 +99,8 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
         "command",
         f"reference and position are shifted against the command by different amounts, {-i:+.2g} and {-j:+.2g} samples "
         f"{numbers}",
-        f"shift the reference by {i:+.2g} and the position by {j:+.2g} samples (which channel is in time cannot be "
-        "told)",
+        f"{_moved('reference', i)} and {_moved('position', j).removeprefix('shift ')}; which channel is in time cannot "
+        "be told",
         "loop_delay",
         -j,
     )

@@ -1,0 +1,101 @@
+"""A channel that was recorded early or late is brought into time."""
+
+import re
+
+import numpy as np
+import pytest
+from sound_log import DRIVE, SOUND, but, moved
+from written_log import COLUMNS, NAMES, N, rows
+
+from diffdrive.drive_file import parse_drive, read_drive, write_drive
+from diffdrive.errors import LogError
+from diffdrive.logs import read_log
+from diffdrive.logs.mapping import Mapping, parse_mapping
+from diffdrive.logs.plausibility import examine
+from diffdrive.logs.shifts import shifted
+
+
+@pytest.fixture
+def written(tmp_path):
+    path = tmp_path / "late.csv"
+    path.write_text(f"{NAMES}\n{rows()}")
+    return path
+
+
+@pytest.mark.parametrize("shifts", [{"command": -1}, {"command": 3}, {"position": 2, "command": -2}])
+def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_theirs(written, shifts):
+    log = read_log(written, Mapping(shifts=shifts))
+    first = round(log.time[0] * 1e3)
+    for channel, values in COLUMNS.items():
+        begin = first - shifts.get(channel, 0)
+        np.testing.assert_allclose(log.channels[channel], values[begin : begin + len(log.time)], rtol=1e-12)
+    spread = max(0, *shifts.values()) - min(0, *shifts.values())
+    assert len(log.time) == N - spread
+    for channel, by in shifts.items():
+        assert f"the {channel} was moved by {by:+d} samples, as [shifts] asks" in log.notes
+
+
+def test_what_is_not_moved_is_as_it_was(written):
+    plain, none = read_log(written), read_log(written, Mapping(shifts={"command": 0}))
+    assert plain.notes == none.notes
+    for channel, values in plain.channels.items():
+        np.testing.assert_array_equal(none.channels[channel], values)
+
+
+def test_no_value_crosses_a_gap():
+    """Stretches of 6, 2 and 5 samples, moved by two: each loses two, the second is gone."""
+    place = np.arange(13.0)
+    signals, gaps, _ = shifted("log", {"position": place, "command": place}, (6, 8), {"command": 2})
+    np.testing.assert_array_equal(signals["position"], [2, 3, 4, 5, 10, 11, 12])
+    np.testing.assert_array_equal(signals["command"], [0, 1, 2, 3, 8, 9, 10])
+    assert gaps == (4,)
+
+
+@pytest.mark.parametrize("late", [-2, -1, 1, 2])
+def test_the_option_that_a_finding_names_mends_it(late):
+    log = but(command=moved(SOUND.command, late))
+    finding = next(one for one in examine(log, DRIVE) if one.channel == "command" and "shift" in one.found)
+    option = re.search(r"--shift (\S+?)[,)]", finding.mend)[1]
+    mapping = Mapping().overridden(shifts=[option])
+    signals, _, _ = shifted("log", dict(log.channels), (), mapping.shifts)
+    mended = but(**signals)
+    assert not [one for one in examine(mended, DRIVE) if one.severity != "note"]
+
+
+@pytest.mark.parametrize(
+    ("build", "says"),
+    [
+        (lambda: Mapping(shifts={"comand": -1}), r"\[shifts\] comand: .*did you mean 'command'"),
+        (lambda: Mapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
+        (lambda: Mapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
+        (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
+        (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
+        (lambda: Mapping().overridden(shifts=["command=half"]), r"--shift command=half: write a whole number"),
+        (lambda: Mapping().overridden(shifts=["command"]), r"--shift command: write CHANNEL=VALUE, such as command=-1"),
+    ],
+)
+def test_what_is_no_shift_is_refused(build, says):
+    with pytest.raises(LogError, match=says):
+        build()
+
+
+def test_a_shift_of_what_is_not_there_or_of_the_whole_log_is_refused(written):
+    with pytest.raises(LogError, match=r"late.csv: \[shifts\] load: the log has no such channel"):
+        read_log(written, Mapping(shifts={"load": 1}))
+    with pytest.raises(LogError, match=r"late.csv: \[shifts\] by 400 samples leave nothing"):
+        read_log(written, Mapping(shifts={"command": 200, "position": -200}))
+
+
+def test_a_drive_file_carries_it_and_the_command_line_overrides_it(tmp_path):
+    written = {"shifts": {"command": -1, "position": 2}} | {
+        "plant": {"mass": 140.0, "damping": 420.0},
+        "friction": {"coulomb_screw": 95.0, "load_coefficient": 0.0, "initial_load": 0.0, "breakaway_gap": 32.0,
+                     "stribeck_velocity": 1.2e-3, "viscous": 1900.0, "bristle_stiffness": 4e7, "bristle_damping": 5e3},
+        "controller": {"kind": "pd", "kp": 1.6e6, "kd": 9e3},
+        "sampling": {"rate": 2000.0},
+    }  # fmt: skip
+    described = parse_drive(written)
+    assert described.mapping.shifts == {"command": -1, "position": 2}
+    write_drive(tmp_path / "drive.toml", described)
+    assert read_drive(tmp_path / "drive.toml").mapping == described.mapping
+    assert described.mapping.overridden(shifts=["command=+3"]).shifts == {"command": 3, "position": 2}
