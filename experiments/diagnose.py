@@ -69,11 +69,10 @@ def diagnose_logs(
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = read(report, paths, description, loads)
         with report.stages() as progress:
-            found = diagnose(
-                description.drive, description.controller, logs,
+            found = asked(
+                description, logs, fatal,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        found = doubted(found, fatal)
         beside = {"logs": [log.name for log in logs], "findings": findings}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)
@@ -85,7 +84,7 @@ def diagnose_logs(
         if unstated := unstated_noise(description.drive, float(found.logged.noise)):
             report.say(unstated)
         if report.out is not None:
-            augmented = _write(report, description, found)
+            augmented = None if _voided(fatal) else _write(report, description, found)
             _write_reference(report, offer.reference)
             with report.working("drawing"):
                 draw(report, found, logs)
@@ -106,7 +105,8 @@ def read(
     )
     fatal = fatal_of(found)
     if fatal:
-        report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, and is believed accordingly.")
+        follows = "no cause is looked for" if _voided(fatal) else "and is believed accordingly"
+        report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, {follows}.")
     told = [(log, one.severity, one.channel, one.found, one.mend) for log, one in found if one.severity != "note"]
     return logs, [dict(zip(FINDING, row, strict=True)) for row in told], fatal
 
@@ -118,6 +118,19 @@ def _remove_stale(report: Report, drive: Path) -> None:
     for name in (*NOT_ALWAYS, *unwritten):
         if (report.out / name).resolve() != drive.resolve():
             (report.out / name).unlink(missing_ok=True)
+
+
+def asked(
+    description: DriveDescription, logs: Sequence[Log], fatal: Fatal, *, without: Sequence[str] = (), **more: Any
+) -> Diagnosis:
+    """The diagnosis, as sure as the checks of the logs allow; `more` is what `diagnose` takes."""
+    left_out = list(EFFECTS) if _voided(fatal) else without
+    return doubted(diagnose(description.drive, description.controller, logs, without=left_out, **more), fatal)
+
+
+def _voided(fatal: Fatal) -> bool:
+    """Whether a search for causes would be a waste of minutes, and its drive file a trap."""
+    return any(one.voids for _, one in fatal)
 
 
 def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
@@ -147,6 +160,9 @@ def doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     strange = _strange(found, fatal)
     log, first = (strange or fatal)[0]
     told = f"the log checks say of {log}: {first.found}"
+    if _voided(fatal):
+        says = f"no cause was looked for: {told}. Mend that first: {first.mend}"
+        return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
     if strange:
         told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(told))

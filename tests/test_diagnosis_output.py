@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
-from sound_log import DRIVE, described, logged, moved, two_sines
+from sound_log import DRIVE, SOUND, described, logged, moved, two_sines
 
 from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
@@ -366,6 +366,19 @@ def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_o
     assert len(_ladder(found).axes) == 1
 
 
+def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
+    """A rejected search of minutes, and a drive file that nobody should run."""
+    path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"
+    write_log(path, dataclasses.replace(SOUND, command=-SOUND.command))
+    write_drive(drive, DRIVE)
+    told = command.diagnose_logs([path], drive, out)
+    assert told["verdict"] == "unknown"
+    assert told["causes"] == []
+    assert told["says"].startswith("no cause was looked for: the log checks say of reversed")
+    assert "--unit command=-N" in told["next_experiment"]["says"]
+    assert not (out / "augmented.toml").exists()
+
+
 def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of, capsys):
     assert told_of(tilted)[0]["findings"] == []
     late = dataclasses.replace(log, command=moved(log.command, 1))
@@ -390,7 +403,7 @@ def test_the_withheld_check_doubts_what_the_command_doubts(log, tilted, told_of,
     place.mkdir()
     write_log(place / "log-a.parquet", late)
     write_drive(place / "drive.toml", DRIVE)
-    monkeypatch.setattr(answer, "diagnose", lambda *_, **__: tilted)
+    monkeypatch.setattr(command, "diagnose", lambda *_, **__: tilted)
     answered = answer.answer(place)
     assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
     assert answered["verdict"] == told["verdict"] == "unknown"

@@ -121,6 +121,7 @@ def unit_and_sign(log: Log, found: Comparison, description: DriveDescription) ->
             f"the command is {ratio:.4g} times what the drive file's controller gives: its sign is reversed{size}",
             'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '
             "and reference (the controller cannot tell which)",
+            voids=fit.error < ROUGH,
         )
         return
     large = not 1 / 3 < ratio < 3

@@ -21,6 +21,7 @@ class Finding:
     mend: str  # what to do
     resembles: str | None = None  # effect of the catalogue that would look alike, had the machine it and not the log
     amount: float | None = None  # of it: the gain, or the delay in samples
+    voids: bool = False  # whether nothing that is made of the log means anything before that is mended
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.channel}: {self.found}; {self.mend}"
