@@ -22,7 +22,8 @@ class Told(NamedTuple):
 
 
 def numbers(cause: dict[str, Any]) -> list[str]:
-    """Each number of a cause with its 95 % interval and unit; log by log where the logs differ in it.
+    """The numbers of a cause with their 95 % intervals and units, log by log where the logs differ in them; of waves
+    those that are told from none, and the largest.
 
     A wave is told by amplitude and phase, A cos(x - phase), x counted from where position or time is zero. The interval
     of its amplitude takes those of cosine and sine as independent, which makes it too wide where a period that is not

@@ -73,7 +73,7 @@ def diagnose_logs(
                 description, logs, fatal,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        beside = {"logs": [log.name for log in logs], "findings": findings}
+        beside = {"logs": [log.name for log in logs], "findings": findings, "searched": not _voided(fatal)}
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)
             _save(report, as_json(found, NOT_YET) | beside, None)
@@ -139,6 +139,12 @@ def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
     return [(log, one) for log, one in fatal if not _alike(one, sizes.get(one.resembles or ""))]
 
 
+def _foremost(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
+    """The one to be mended first: what voids the log, then what is nothing that was found."""
+    voiding = [(log, one) for log, one in fatal if one.voids]
+    return (voiding or _strange(found, fatal) or fatal)[0]
+
+
 def _amount_of(belief: Belief, thinning: int) -> float | None:
     """The gain, or the delay in control periods; None of other effects."""
     values = belief.fitted.model.values(belief.fitted.u)[-1]
@@ -158,7 +164,7 @@ def doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     if not fatal:
         return found
     strange = _strange(found, fatal)
-    log, first = (strange or fatal)[0]
+    log, first = _foremost(found, fatal)
     told = f"the log checks say of {log}: {first.found}"
     if _voided(fatal):
         says = f"no cause was looked for: {told}. Mend that first: {first.mend}"
@@ -172,7 +178,7 @@ def doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
 
 def _mended_first(found: Diagnosis, fatal: Fatal) -> Experiment:
     """No motion tells anything while what logs it is wrong."""
-    log, first = (_strange(found, fatal) or fatal)[0]
+    log, first = _foremost(found, fatal)
     return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.mend}")
 
 

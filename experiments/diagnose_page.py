@@ -23,6 +23,8 @@ td:first-child, th:first-child, .words td, .words th { text-align: left } img { 
 """
 REGIONS = 10  # that are shown, each with
 LEAST = 0.03  # of the gap and more; the JSON has all
+NOT_WORTH = "No effect of the catalogue was worth a fit."
+NOT_SEARCHED = "No cause was looked for: before the log is mended, no number of this page means anything."
 NOWHERE = f"nowhere in particular: no region with {100 * LEAST:.0f} % of it or more has more than chance would give it"
 
 SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
@@ -85,7 +87,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
         "<h2>3. Which unmodelled effect causes it?</h2>",
         _table(CAUSES, [_cause(one) for one in told["causes"]], words=True)
         if told["causes"]
-        else "<p>No effect of the catalogue was worth a fit.</p>",
+        else f"<p>{NOT_WORTH if told['searched'] else NOT_SEARCHED}</p>",
         _image(report, "causes"),
         _table(NOMINAL, [_recalibrated(one) for one in told["recalibrated"]], BOTH),
         "<h2>4. How far does the gap shrink once it is added?</h2>",

@@ -213,12 +213,15 @@ class Report:
 
     def _lines(self) -> Callable[[str, int, int], None]:
         """Progress as lines, one as a stage begins, one as it ends, and between them one now and then."""
-        began, told = time.perf_counter(), dict[str, tuple[float, bool]]()
+        began = time.perf_counter()
+        before, at, told = "", 0.0, 0  # the stage that was told last, when, and how far it had come
 
         def advance(stage: str, done: int, most: int) -> None:
-            now, (at, ended) = time.perf_counter() - began, told.get(stage, (-SELDOM, False))
-            if now - at >= SELDOM or (done == most and not ended):
-                told[stage] = now, done == most
+            nonlocal before, at, told
+            now = time.perf_counter() - began
+            begins = stage != before or done < told
+            if begins or now - at >= SELDOM or (done == most and told != most):
+                before, at, told = stage, now, done
                 self.console.print(f"{stage}: {done} of {most}, {now:.0f} s", markup=False)
 
         return advance

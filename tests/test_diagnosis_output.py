@@ -30,6 +30,7 @@ from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.setting import setting
+from tuning.diagnosis.threads import in_parallel
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 UNASKED = Experiment("", [], 0.0, "not asked")
@@ -216,14 +217,16 @@ def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_o
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_a_job_without_a_terminal_sees_each_stage_begin_and_end():
+def test_a_job_without_a_terminal_sees_each_stage_begin_and_end_each_time():
     written = io.StringIO()
     with Report("job", None, Console(file=written, width=120)) as report, report.stages() as progress:
-        for stage, most in (("screening", 3), ("fitting", 2)):
-            for done in range(most + 1):
-                progress(stage, done, most)
+        for stage, most in (("screening", 3), ("fitting", 2), ("screening", 3), ("screening", 3)):
+            in_parallel(
+                lambda item: item, range(most), lambda done, stage=stage, most=most: progress(stage, done, most)
+            )
     lines = [line.partition(",")[0] for line in written.getvalue().splitlines()[1:]]
-    assert lines == ["screening: 0 of 3", "screening: 3 of 3", "fitting: 0 of 2", "fitting: 2 of 2"]
+    screening, fitting = ["screening: 0 of 3", "screening: 3 of 3"], ["fitting: 0 of 2", "fitting: 2 of 2"]
+    assert lines == screening + fitting + screening + screening
 
 
 def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
@@ -369,14 +372,20 @@ def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_o
 def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
     """A rejected search of minutes, and a drive file that nobody should run."""
     path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"
-    write_log(path, dataclasses.replace(SOUND, command=-SOUND.command))
+    write_log(path, dataclasses.replace(SOUND, command=-moved(SOUND.command, 1)))  # late as well, which is said first
     write_drive(drive, DRIVE)
+    out.mkdir()
+    for stale in ("augmented.toml", "causes.csv"):
+        (out / stale).write_text("of an earlier diagnosis")
     told = command.diagnose_logs([path], drive, out)
     assert told["verdict"] == "unknown"
     assert told["causes"] == []
     assert told["says"].startswith("no cause was looked for: the log checks say of reversed")
     assert "--unit command=-N" in told["next_experiment"]["says"]
+    assert "reversed" in told["says"]
     assert not (out / "augmented.toml").exists()
+    assert not (out / "causes.csv").exists()
+    assert "No cause was looked for" in (out / "report.html").read_text()
 
 
 def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of, capsys):

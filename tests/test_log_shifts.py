@@ -1,15 +1,16 @@
 """A channel that was recorded early or late is brought into time."""
 
+import dataclasses
 import re
 
 import numpy as np
 import pytest
-from sound_log import DRIVE, SOUND, but, moved
-from written_log import COLUMNS, NAMES, N, rows
+from sound_log import DRIVE, RATE, SOUND, but, moved
+from written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, rows
 
 from diffdrive.drive_file import parse_drive, read_drive, write_drive
 from diffdrive.errors import LogError
-from diffdrive.logs import read_log
+from diffdrive.logs import read_log, write_log
 from diffdrive.logs.mapping import Mapping, parse_mapping
 from diffdrive.logs.plausibility import examine
 from diffdrive.logs.shifts import shifted
@@ -32,7 +33,7 @@ def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_the
     spread = max(0, *shifts.values()) - min(0, *shifts.values())
     assert len(log.time) == N - spread
     for channel, by in shifts.items():
-        assert f"the {channel} was moved by {by:+d} samples, as [shifts] asks" in log.notes
+        assert f"the {channel} was moved by {by:+d} samples, as asked" in log.notes
 
 
 def test_what_is_not_moved_is_as_it_was(written):
@@ -51,15 +52,38 @@ def test_no_value_crosses_a_gap():
     assert gaps == (4,)
 
 
-@pytest.mark.parametrize("late", [-2, -1, 1, 2])
-def test_the_option_that_a_finding_names_mends_it(late):
-    log = but(command=moved(SOUND.command, late))
-    finding = next(one for one in examine(log, DRIVE) if one.channel == "command" and "shift" in one.found)
-    option = re.search(r"--shift (\S+?)[,)]", finding.mend)[1]
-    mapping = Mapping().overridden(shifts=[option])
-    signals, _, _ = shifted("log", dict(log.channels), (), mapping.shifts)
-    mended = but(**signals)
-    assert not [one for one in examine(mended, DRIVE) if one.severity != "note"]
+@pytest.mark.parametrize("already", [0, 1, -2])
+@pytest.mark.parametrize(
+    "late", [{"command": -2}, {"command": 1}, {"position": 1}, {"position": -1}, {"reference": 2}, {"reference": -1}]
+)
+def test_the_options_that_a_finding_names_mend_it(late, already, tmp_path):
+    """Whatever [shifts] moved before, that it is out of time by so much more."""
+    (channel,) = late
+    drive = dataclasses.replace(DRIVE, mapping=Mapping(shifts={channel: already}))
+    path = tmp_path / "late.csv"
+    write_log(path, but(**{name: moved(SOUND.channels[name], by - already) for name, by in late.items()}))
+
+    def shifts_of(description):
+        found = examine(read_log(path, description.mapping, RATE), description)
+        return [one for one in found if one.severity != "note" and "shift" in one.found]
+
+    (finding,) = shifts_of(drive)
+    options = re.findall(r"--shift (\S+?)[,)]", finding.mend)
+    assert len(options) == 1
+    assert not shifts_of(dataclasses.replace(drive, mapping=drive.mapping.overridden(shifts=options)))
+
+
+def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
+    """A pulse of 8 N, recorded by the same late interrupt as the command that holds it."""
+    pulse = np.where((TIME > 0.1) & (TIME < 0.2), 8.0, 0.0)
+    path = tmp_path / "late.csv"
+    columns = (TIME, REFERENCE, POSITION, moved(COMMAND + pulse, 1), moved(pulse, 1))
+    path.write_text(f"{NAMES},injected\n{rows(columns=columns)}")
+    log = read_log(path, Mapping(shifts={"command": -1}))
+    np.testing.assert_allclose(log.command[1:], COMMAND[1:-1], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(log.disturbance[1:], pulse[1:-1])
+    apart = read_log(path, Mapping(shifts={"command": -1, "injected": 0}))
+    assert np.abs(apart.command[1:] - COMMAND[1:-1]).max() == pytest.approx(8.0)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +93,7 @@ def test_the_option_that_a_finding_names_mends_it(late):
         (lambda: Mapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
         (lambda: Mapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
         (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
+        (lambda: Mapping(shifts={"command": 10**20}), r"\[shifts\] command: .* at most 1000000 either way"),
         (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
         (lambda: Mapping().overridden(shifts=["command=half"]), r"--shift command=half: write a whole number"),
         (lambda: Mapping().overridden(shifts=["command"]), r"--shift command: write CHANNEL=VALUE, such as command=-1"),
@@ -80,9 +105,9 @@ def test_what_is_no_shift_is_refused(build, says):
 
 
 def test_a_shift_of_what_is_not_there_or_of_the_whole_log_is_refused(written):
-    with pytest.raises(LogError, match=r"late.csv: \[shifts\] load: the log has no such channel"):
+    with pytest.raises(LogError, match=r"late.csv: load is to be moved: the log has no such channel"):
         read_log(written, Mapping(shifts={"load": 1}))
-    with pytest.raises(LogError, match=r"late.csv: \[shifts\] by 400 samples leave nothing"):
+    with pytest.raises(LogError, match=r"late.csv: shifts by 400 samples leave nothing"):
         read_log(written, Mapping(shifts={"command": 200, "position": -200}))
 
 

@@ -57,11 +57,21 @@ def test_an_effect_that_takes_away_the_force_may_act_though_likelihood_leaves_mu
     leaving(share)
     told = verdict.judge(None, explained("constant_force"), closes=[closes])
     assert told.verdict == ("unknown" if share > 0.02 else "effect")
-    if most == 0.2 or share == 0.6:
-        assert told.beliefs[0].confidence == pytest.approx(most, abs=0.02)
-    else:
-        assert told.beliefs[0].confidence >= 0.5
+    assert told.beliefs[0].confidence == pytest.approx(most, abs=0.01)
     assert ("constant_force takes away 90 % and more" in told.says) == (share > 0.02 and most == 0.5)
+
+
+def test_a_rival_of_another_way_shares_the_belief_in_an_effect_that_takes_away_the_force(leaving):
+    leaving(0.6)
+    found = explained("constant_force")
+    alone = verdict.judge(None, found, closes=[0.95]).beliefs[0].confidence
+    told = {
+        one.effect: one
+        for one in verdict.judge(None, found._replace(other=explained("cogging")), closes=[0.95]).beliefs
+    }
+    assert alone == pytest.approx(0.5, abs=0.01)
+    assert told["constant_force"].confidence == pytest.approx(0.5 * alone)
+    assert told["constant_force"].alternatives == ["cogging"]
 
 
 def test_each_effect_is_believed_for_the_force_that_it_takes_away_itself(leaving):

@@ -11,6 +11,8 @@ from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
 from diffdrive.units import to_si
 
+FARTHEST = 1_000_000  # samples that a channel may be moved
+
 
 @dataclasses.dataclass(frozen=True)
 class Mapping:
@@ -19,7 +21,8 @@ class Mapping:
     `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
     column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
     in V or A into newtons. `shifts` moves a channel that was recorded early or late by whole samples, positive to later
-    times. Raises `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
+    times; what was injected into the command moves with it. Raises `LogError` for a channel or unit that does not
+    exist, and for a shift that is no whole number.
     """
 
     columns: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -44,8 +47,9 @@ class Mapping:
             if channel not in READABLE or channel == "time":
                 known = [one for one in READABLE if one != "time"]
                 raise LogError(f"[shifts] {channel}: no channel that can be moved; {_near(channel, known)}")
-            if isinstance(by, bool) or not isinstance(by, int):
-                raise LogError(f"[shifts] {channel}: must be a whole number of samples, such as -1, got {by!r}")
+            if isinstance(by, bool) or not isinstance(by, int) or abs(by) > FARTHEST:
+                most = f"at most {FARTHEST} either way"
+                raise LogError(f"[shifts] {channel}: must be a whole number of samples, {most}, such as -1, got {by!r}")
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
         held: dict[str, str] = {}

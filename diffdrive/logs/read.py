@@ -84,7 +84,10 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate)
     notes += said
-    signals, gaps, said = shifted(table.source, signals, gaps, mapping.shifts)
+    shifts = dict(mapping.shifts)
+    if "injected" in signals and "command" in shifts:  # of which it is a part
+        shifts.setdefault("injected", shifts["command"])
+    signals, gaps, said = shifted(table.source, signals, gaps, shifts)
     if "injected" in signals:
         signals["disturbance"] = signals.get("disturbance", 0.0) + signals["injected"]
         signals["command"] = signals["command"] - signals["injected"]

@@ -21,15 +21,17 @@ def shifted(
         return signals, gaps, []
     absent = [channel for channel in moves if channel not in signals]
     if absent:
-        raise LogError(f"{source}: [shifts] {absent[0]}: the log has no such channel; it has {', '.join(signals)}")
+        raise LogError(
+            f"{source}: {absent[0]} is to be moved: the log has no such channel; it has {', '.join(signals)}"
+        )
     latest, earliest = max(0, *moves.values()), min(0, *moves.values())
     edges = [0, *gaps, len(next(iter(signals.values())))]
     stretches = [np.arange(start + latest, stop + earliest) for start, stop in itertools.pairwise(edges)]
     stretches = [rows for rows in stretches if rows.size]
     if not stretches:
-        raise LogError(f"{source}: [shifts] by {latest - earliest} samples leave nothing of the log; correct them")
+        raise LogError(f"{source}: shifts by {latest - earliest} samples leave nothing of the log; correct them")
     rows = np.concatenate(stretches)
     brought = {channel: values[rows - moves.get(channel, 0)] for channel, values in signals.items()}
     between = tuple(int(k) for k in np.cumsum([len(one) for one in stretches[:-1]]))
-    notes = [f"the {channel} was moved by {by:+d} samples, as [shifts] asks" for channel, by in moves.items()]
+    notes = [f"the {channel} was moved by {by:+d} samples, as asked" for channel, by in moves.items()]
     return brought, between, notes

@@ -13,8 +13,12 @@ B = TypeVar("B")
 def in_parallel(
     function: Callable[[A], B], items: Sequence[A], say: Callable[[int], None] = lambda done: None
 ) -> list[B]:
-    """The function of each item, in their order; `say` is told how many are done. Give what takes longest first."""
-    found = []
+    """The function of each item, in their order; `say` is told how many are done, none at first.
+
+    Give what takes longest first.
+    """
+    found: list[B] = []
+    say(0)
     with ThreadPoolExecutor(THREADS) as pool:
         for one in pool.map(function, items):
             found.append(one)

@@ -106,8 +106,12 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
     ]
 
 
-def _shared(beliefs: list[Belief], found: Explanation, left: float, certain: float) -> list[Belief]:
-    """The beliefs with what the search found on its other way as a rival of what differs from it."""
+def _shared(
+    beliefs: list[Belief], found: Explanation, left: float, certain: float, surely: Sequence[float]
+) -> list[Belief]:
+    """The beliefs with what the search found on its other way as a rival of what differs from it; `surely` is how sure
+    the effects of its first rounds are before that, `certain` all others.
+    """
     if found.other is None or disbelieved(found.other.best, found.best):
         return beliefs
     mine, theirs = found.named - found.other.named, found.other.named - found.named
@@ -116,7 +120,9 @@ def _shared(beliefs: list[Belief], found: Explanation, left: float, certain: flo
     rivals = sorted(theirs) if shares[1] > DECLARED * shares[0] else []
     told = [
         one._replace(  # its own round may have shared with the same rival: the less counts, not both
-            confidence=min(one.confidence, float(certain * shares[0])),
+            confidence=min(
+                one.confidence, float((surely[one.round] if one.round < len(surely) else certain) * shares[0])
+            ),
             alternatives=[*dict.fromkeys([*one.alternatives, *rivals])],
         )
         if one.found and one.effect in mine
@@ -188,14 +194,14 @@ def judge(
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     sure = NEAREST + (1.0 - NEAREST) * known
     mostly = [known < 0.5 and one is not None and one >= MOSTLY for one in closes[:effects]]
+    surely = [max(sure, CLOSEST) if one else sure for one in mostly]
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
             continue
-        surely = max(sure, CLOSEST) if number < len(mostly) and mostly[number] else sure
-        certain = surely * _worth(looked.gain, looked.enough)
+        certain = (surely[number] if number < len(surely) else sure) * _worth(looked.gain, looked.enough)
         beliefs += _believed(looked, number, share, number < effects, certain)
-    beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, sure)))
+    beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, sure, surely)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
         return _nothing_found(base, beliefs, lacks)

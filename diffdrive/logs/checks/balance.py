@@ -113,5 +113,4 @@ def command_opposes_friction(log: Log) -> Iterator[Finding]:
             f"the command pushes against the motion, by {-loss:.4g} N both ways: its sign is reversed",
             'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '
             "and reference",
-            voids=True,
         )

@@ -44,20 +44,26 @@ def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding
     whole = best.reference % 1 == 0 and best.position % 1 == 0
     certain = whole and best.fit.error < EXACT and best.fit.error < BETTER * plain.fit.error
     numbers = f"({percent(best.fit.error)} % instead of {percent(plain.fit.error)} %)"
-    yield Finding("fatal" if certain else "warning", *_shift_told(best.reference, best.position, numbers))
+    yield Finding(
+        "fatal" if certain else "warning",
+        *_shift_told(best.reference, best.position, numbers, description.mapping.shifts),
+    )
 
 
 def _samples(count: float) -> str:
     return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
 
 
-def _moved(channel: str, by: float) -> str:
-    """What mends it, and the option that does so, where whole samples do."""
-    option = "" if by % 1 else f" (--shift {channel}={by:+.0f}, or {channel} = {by:+.0f} in [shifts])"
+def _moved(channel: str, by: float, already: dict[str, int]) -> str:
+    """What mends it, and the option that does so where whole samples do, in the place of what moves it already."""
+    whole = already.get(channel, 0) + by
+    option = "" if by % 1 else f" (--shift {channel}={whole:+.0f}, or {channel} = {whole:.0f} in [shifts])"
     return f"shift the {channel} by {by:+.2g} samples{option}"
 
 
-def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | None, float | None]:
+def _shift_told(
+    i: float, j: float, numbers: str, already: dict[str, int]
+) -> tuple[str, str, str, str | None, float | None]:
     """Channel, finding, mend, what resembles it and how much of that, for C(reference[k - i], position[k - j]).
 
     A table seems to answer so many samples sooner as its command is recorded late, or its position early.
@@ -68,7 +74,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             "command",
             f"the recorded command is {_samples(i)} {way} (shift {i:+.2g}) against reference and position: the "
             f"controller gives it from the values of sample k{-i:+.2g} {numbers}",
-            _moved("command", back)
+            _moved("command", back, already)
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
             "loop_delay",
             -i,
@@ -91,7 +97,7 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
             channel,
             f"the recorded {channel} is {_samples(shift)} {way} (shift {-shift:+.2g}) against the other channels{real}:"
             f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
-            _moved(channel, shift),
+            _moved(channel, shift, already),
             "loop_delay" if channel == "position" else None,
             -shift if channel == "position" else None,
         )
@@ -99,8 +105,8 @@ def _shift_told(i: float, j: float, numbers: str) -> tuple[str, str, str, str | 
         "command",
         f"reference and position are shifted against the command by different amounts, {-i:+.2g} and {-j:+.2g} samples "
         f"{numbers}",
-        f"{_moved('reference', i)} and {_moved('position', j).removeprefix('shift ')}; which channel is in time cannot "
-        "be told",
+        f"{_moved('reference', i, already)} and {_moved('position', j, already).removeprefix('shift ')}; which channel "
+        "is in time cannot be told",
         "loop_delay",
         -j,
     )
