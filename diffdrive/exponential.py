@@ -15,14 +15,21 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from diffdrive.parameters import Scalar
+from diffdrive.polynomial import polynomial
 
 FARTHEST = 670.0  # exp(-670) is 1e-291: as good as nothing, and still a normal number
 FARTHEST_SINGLE = 70.0  # the same for a float: exp(-70) is 4e-31
 LEAST_BASE = 1e-12  # below it a power is none
+MOST_RAISED = 40.0  # two to this is as much as a power is told
 LOG2_E, LN2 = math.log2(math.e), math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first has 20 trailing zero bits
 _LN2_HIGH_SINGLE, _LN2_LOW_SINGLE = 0.693359375, -2.12194440e-4  # the first has 14 trailing zero bits
 _MAGIC, _MAGIC_SINGLE = 1.5 * 2.0**52, 1.5 * 2.0**23  # beside it a number is rounded to a whole one, in its last bits
+
+# the bits of 1 / sqrt(2), and those beside which a whole number stands in the last bits of 1.5 2^52 and 1.5 2^23
+_ROOT_HALF, _WHOLE = 0x3FE6A09E667F3BCD, 0x4338000000000000
+_ROOT_HALF_SINGLE, _WHOLE_SINGLE = 0x3F3504F3, 0x4B400000
+_ARTANH = tuple(2.0 / (LN2 * (2 * k + 1)) for k in range(11))  # the first term left out is 1e-18 at s = 0.172
 
 # exp(r) = 1 + r + r^2 P(r); the first term left out is 3e-17 at |r| = ln 2 / 2
 _P = tuple(1.0 / math.factorial(k + 2) for k in range(12))
@@ -83,11 +90,40 @@ def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Sca
     return end, end * (-LN2 * along)
 
 
+@jax.custom_jvp
 def raised(y: Scalar, power: Scalar) -> Scalar:
-    """y^power of y >= 0, with slopes that are finite at y = 0 also where the power is below one."""
-    small = y < LEAST_BASE
+    """y^power of y >= 0, at most 2^40, with slopes that are finite at y = 0 also where the power is below one."""
+    told = y >= LEAST_BASE  # and no NaN, which stays one
+    above = jnp.minimum(power * _log2(jnp.where(told, y, 1.0)), MOST_RAISED)
+    return jnp.where(told, halving(-above), 0.0 * y)
+
+
+@raised.defjvp
+def _raised_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    (y, power), (along_y, along_power) = primals, tangents
+    end, small = raised(y, power), y < LEAST_BASE
     safe = jnp.where(small, 1.0, y)  # keeps the branch not taken, and its derivative, finite
-    return jnp.where(small, 0.0, jnp.exp(power * jnp.log(safe)))
+    relative = jnp.where(small, 0.0, power * along_y / safe + jnp.log(safe) * along_power)
+    return end, jnp.where(end < 2.0**MOST_RAISED, end * relative, 0.0 * relative)
+
+
+def _log2(y: Scalar) -> Scalar:
+    """The logarithm to base two of a normal number, to rounding: e + log2 m of y = m 2^e, m from 1/sqrt(2) to sqrt(2).
+
+    The whole part is told from the bits; log2 m = 2 / ln 2 artanh((m - 1) / (m + 1)) by its series.
+    """
+    if _single(y):
+        bits = lax.bitcast_convert_type(y, jnp.int32)
+        e = (bits - jnp.int32(_ROOT_HALF_SINGLE)) >> 23
+        m = lax.bitcast_convert_type(bits - (e << 23), jnp.float32)
+        whole = lax.bitcast_convert_type(e + jnp.int32(_WHOLE_SINGLE), jnp.float32) - jnp.float32(1.5 * 2.0**23)
+    else:
+        bits = lax.bitcast_convert_type(y, jnp.int64)
+        e = (bits - _ROOT_HALF) >> 52
+        m = lax.bitcast_convert_type(bits - (e << 52), jnp.float64)
+        whole = lax.bitcast_convert_type(e + _WHOLE, jnp.float64) - 1.5 * 2.0**52
+    s = (m - 1.0) / (m + 1.0)
+    return whole + s * polynomial(_ARTANH[:5] if _single(y) else _ARTANH, s * s)
 
 
 def _single(x: Scalar) -> bool:

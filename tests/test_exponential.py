@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.exponential import FARTHEST, FARTHEST_SINGLE, LN2, LOG2_E, faded, fading, halving
+from diffdrive.exponential import FARTHEST, FARTHEST_SINGLE, LN2, LOG2_E, faded, fading, halving, raised
 
 COMPILED, HALVED = jax.jit(fading), jax.jit(halving)
 
@@ -84,3 +84,28 @@ def test_its_derivatives_are_itself_by_turns(x):
     slope, bend = jax.grad(halving), jax.grad(jax.grad(halving))
     assert float(slope(x)) == -LN2 * float(halving(x))
     assert float(bend(x)) == pytest.approx(LN2**2 * float(halving(x)), rel=1e-15)
+
+
+@pytest.mark.parametrize("power", [0.1, 0.5, 1.0, 1.7, 2.0, 4.0])
+def test_a_power_is_right_to_rounding_and_so_are_its_slopes(power):
+    bases = np.r_[
+        1e-11, np.geomspace(1e-9, 1e5, 4001), np.sqrt(0.5), 1.0, np.nextafter(np.sqrt(2.0), 0.0), np.sqrt(2.0)
+    ]
+    exact = bases**power
+    counted = exact < 2.0**40
+    found = np.asarray(jax.vmap(raised, (0, None))(bases, power))
+    np.testing.assert_allclose(found, np.minimum(exact, 2.0**40), rtol=3e-14)
+    by_base, by_power = jax.vmap(jax.grad(raised, (0, 1)), (0, None))(bases, power)
+    np.testing.assert_allclose(by_base, np.where(counted, power * exact / bases, 0.0), rtol=1e-13)
+    np.testing.assert_allclose(by_power, np.where(counted, exact * np.log(bases), 0.0), rtol=1e-12, atol=1e-300)
+
+
+def test_a_power_in_single_precision_nothing_and_no_number():
+    bases = np.geomspace(1e-9, 1e3, 2001).astype(np.float32)
+    found = jax.vmap(raised, (0, None))(bases, np.float32(1.5))
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, bases.astype(float) ** 1.5, rtol=4e-6)
+    assert float(raised(0.0, 0.5)) == 0.0
+    assert np.isnan(float(raised(np.nan, 2.0)))
+    assert float(raised(np.inf, 2.0)) == 2.0**40
+    assert jax.hessian(raised)(0.3, 1.7) == pytest.approx(1.7 * 0.7 * 0.3**-0.3)

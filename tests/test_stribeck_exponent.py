@@ -136,6 +136,12 @@ def test_a_friction_shape_changes_the_exponent_that_there_is():
         np.testing.assert_allclose(simulate(shaped, CONTROLLER, inputs).position, expected.position, rtol=0, atol=1e-13)
 
 
+def test_a_friction_shape_without_one_asks_for_no_power():
+    shaped = FrictionShape(stribeck_velocity=0.1)
+    assert shaped.alter(curved(None)).friction.stribeck_exponent is None
+    assert shaped.alter(curved(2.0)).friction.stribeck_exponent == 2.0
+
+
 def test_a_curve_of_another_exponent_is_found_by_its_name():
     """A machine with the textbook's curve, a drive file with the paper's."""
     truth = replace(DRIVE, drive=curved(2.0, DRIVE.drive))

@@ -37,7 +37,11 @@ class FrictionShape(MachineEffect, TableEffect):
 
     name: ClassVar[str] = "friction_shape"
     stribeck_velocity: Scalar = quantity("1", "logarithm of the factor on the Stribeck velocity", default=0.0)
-    stribeck_exponent: Scalar = quantity("1", "logarithm of the factor on the Stribeck exponent", default=0.0)
+    stribeck_exponent: Scalar | None = quantity(
+        "1",
+        "logarithm of the factor on the Stribeck exponent; absent: 0, which costs no power",
+        default=None,
+    )
     breakaway_gap: Scalar = quantity("1", "logarithm of the factor on the breakaway gap", default=0.0)
     coulomb: Scalar = quantity("N", "more Coulomb friction, in both directions", default=0.0)
     viscous: Scalar = quantity("N*s/m", "more viscous friction, in both directions", default=0.0)
@@ -46,12 +50,14 @@ class FrictionShape(MachineEffect, TableEffect):
     def alter(self, drive: Drive) -> Drive:
         """The drive with its curve bent."""
         friction = drive.friction
-        exponent = 1.0 if friction.stribeck_exponent is None else friction.stribeck_exponent
+        exponent = friction.stribeck_exponent
+        if self.stribeck_exponent is not None:
+            exponent = (1.0 if exponent is None else exponent) * jnp.exp(self.stribeck_exponent)
         return dataclasses.replace(
             drive,
             friction=dataclasses.replace(
                 friction,
-                stribeck_exponent=exponent * jnp.exp(self.stribeck_exponent),
+                stribeck_exponent=exponent,
                 coulomb_screw=_raised(friction.coulomb_screw, self.coulomb),
                 stribeck_velocity=_scaled(friction.stribeck_velocity, self.stribeck_velocity),
                 breakaway_gap=_scaled(friction.breakaway_gap, self.breakaway_gap),

@@ -353,7 +353,7 @@ def given(effects: Sequence[Effect], at: Setting) -> list[tuple[Candidate, tuple
     return [
         (
             known[effect.name]._replace(parameters=()),
-            tuple((field.name, float(getattr(effect, field.name))) for field in dataclasses.fields(effect)),
+            tuple((field.name, float(getattr(effect, field.name) or 0.0)) for field in dataclasses.fields(effect)),
         )
         for effect in effects
     ]

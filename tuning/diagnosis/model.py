@@ -201,12 +201,14 @@ def stacked(trees: Sequence[A]) -> A:
 
 
 def effect_in_lanes(effect: type[Effect], values: dict[str, Vector], owner: tuple[int, ...]) -> Effect:
-    """An effect whose parameters, given for each log, are arrays over the lanes; those not given at their defaults."""
+    """An effect whose parameters, given for each log, are arrays over the lanes; those not given at their defaults, and
+    those that may be absent at zero.
+    """
     rows = list(owner)
     defaults = {field.name: field.default for field in dataclasses.fields(effect)}
 
     def in_lanes(value: Any) -> Any:
-        each = np.asarray(value, float)
+        each = np.asarray(0.0 if value is None else value, float)
         return each[rows] if each.ndim else np.full(len(rows), each)
 
     return effect(**{name: in_lanes(values.get(name, default)) for name, default in defaults.items()})

@@ -48,7 +48,7 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
     for effect in (*effects, ConstantForce(offset)):
         candidate, values = known[effect.name], {}
         for field in dataclasses.fields(effect):
-            values[field.name] = np.array([float(getattr(effect, field.name))])
+            values[field.name] = np.array([float(getattr(effect, field.name) or 0.0)])
         free = tuple(
             one
             for one in candidate.parameters
