@@ -275,7 +275,7 @@ def diagnose(
     the gap is judged on held-out data: with several logs the last that the others can spare. Writes diagnosis.json,
     report.html (one page, self-contained), figures, and augmented.toml: the drive with what was found, for `simulate`,
     `tune` and `sweep`. No log is refused for what it shows, but a fatal finding in one (volts for newtons, a shifted
-    command) leaves no confidence above 0.5.
+    command) leaves no confidence above 0.5, and in a command with a reversed sign no cause is looked for.
 
     Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
     """

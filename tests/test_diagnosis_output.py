@@ -1,53 +1,40 @@
 """What `diffdrive diagnose` tells: JSON, page, figures and augmented drive agree, and leave nothing out."""
 
 import dataclasses
-import io
 import json
 from types import SimpleNamespace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
+import tilted_log
 from rich.console import Console
-from sound_log import DRIVE, SOUND, described, logged, moved, two_sines
+from sound_log import DRIVE, described
 
-from diffdrive.drive_file import read_drive, write_drive
+from diffdrive.drive_file import read_drive
 from diffdrive.effects.forces import ConstantForce
-from diffdrive.logs import write_log
-from diffdrive.logs.plausibility import Finding
 from experiments import diagnose as command
-from experiments.cause_words import headline, numbers, parameter
 from experiments.diagnose_figures import _ladder
 from experiments.diagnosis_json import as_json
 from experiments.report import Report
-from experiments.withheld import answer
-from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
-from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.setting import setting
-from tuning.diagnosis.threads import in_parallel
 
-OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
-UNASKED = Experiment("", [], 0.0, "not asked")
-MASS = float(DRIVE.drive.plant.mass) * np.exp(OFF[NAMES.index("mass")])  # kg, the machine's
+UNASKED = tilted_log.UNASKED
+MASS = float(DRIVE.drive.plant.mass) * np.exp(tilted_log.OFF[NAMES.index("mass")])  # kg, the machine's
 
 
-@pytest.fixture(scope="module")
-def log():
-    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
-    return logged(
-        dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=(ConstantForce(6.0),))), two_sines()
-    )
+@pytest.fixture
+def tilted():
+    return tilted_log.diagnosis()
 
 
-@pytest.fixture(scope="module")
-def tilted(log):
-    return diagnose(DRIVE.drive, DRIVE.controller, [log])
+@pytest.fixture
+def told_of(tmp_path, monkeypatch):
+    return tilted_log.telling(tmp_path, monkeypatch)
 
 
 def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tmp_path):
@@ -68,21 +55,6 @@ def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tm
     assert float(written.controller.observer.plant.mass) == 123.0
     assert float(written.controller.tracking.feedforward.mass) == 123.0
     assert written.controller.tracking.gains == given.controller.tracking.gains
-
-
-@pytest.fixture
-def told_of(log, tmp_path, monkeypatch):
-    """The command on this log, as if it had found what it is given; and the folder that it wrote."""
-
-    def run(found, log=log, **options):
-        write_log(tmp_path / "lap.parquet", log)
-        write_drive(tmp_path / "drive.toml", DRIVE)
-        monkeypatch.setattr(command, "diagnose", lambda *_, **__: found)
-        monkeypatch.setattr(command, "next_experiment", lambda *_: UNASKED)
-        out = tmp_path / "out"
-        return command.diagnose_logs([tmp_path / "lap.parquet"], tmp_path / "drive.toml", out, **options), out
-
-    return run
 
 
 def with_rung(found, number, **changes):
@@ -186,14 +158,6 @@ def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(tilted, told_of, 
     assert "Simulations fail with the gains tuned on nominal." in says
 
 
-def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
-    fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
-    monkeypatch.setattr(command, "read", lambda *_: ((), [], fatal))
-    monkeypatch.setattr(command, "draw", lambda *_: None)
-    told, _ = told_of(tilted)
-    assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
-
-
 def test_the_diagnosis_is_there_whatever_fails_after_it(tilted, told_of, monkeypatch, tmp_path):
     def fails(*_):
         raise RuntimeError("no drawing")
@@ -215,78 +179,6 @@ def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_o
         told_of(tilted, tuned=True)
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["verdict"] == "effect"
     assert (tmp_path / "out" / "report.html").exists()
-
-
-def test_a_job_without_a_terminal_sees_each_stage_begin_and_end_each_time():
-    written = io.StringIO()
-    with Report("job", None, Console(file=written, width=120)) as report, report.stages() as progress:
-        for stage, most in (("screening", 3), ("fitting", 2), ("screening", 3), ("screening", 3)):
-            in_parallel(
-                lambda item: item, range(most), lambda done, stage=stage, most=most: progress(stage, done, most)
-            )
-    lines = [line.partition(",")[0] for line in written.getvalue().splitlines()[1:]]
-    screening, fitting = ["screening: 0 of 3", "screening: 3 of 3"], ["fitting: 0 of 2", "fitting: 2 of 2"]
-    assert lines == screening + fitting + screening + screening
-
-
-def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
-    cause = {
-        "parameters": {"sine": [1.0, -2.0], "period": 0.005, "rested": [0.3]},
-        "intervals": {"sine": ([0.9, -2.1], [1.1, -1.9]), "period": (0.004, 0.006), "rested": ([0.2], [0.4])},
-        "units": {"sine": "N", "period": "m", "rested": "s"},
-        "effect": "cogging",
-    }
-    assert parameter("sine", cause) == "sine log 1 1 (0.9 to 1.1), log 2 -2 (-2.1 to -1.9) N"
-    assert parameter("period", cause) == "period 0.005 (0.004 to 0.006) m"
-    assert parameter("rested", cause) == "rested 0.3 (0.2 to 0.4) s"
-    cause["intervals"]["period"] = (None, 0.006)
-    assert parameter("period", cause) == "period 0.005 (- to 0.006) m"
-
-
-def test_a_wave_is_told_by_its_amplitude_and_phase_and_what_is_none_not_at_all():
-    """3 cos x - 4 sin x = 5 cos(x + 53.13 deg); a second harmonic that its intervals do not tell from none."""
-    cause = {
-        "effect": "cogging",
-        "parameters": {"cosine": [3.0, 5.0], "sine": [-4.0, 0.0], "cosine2": 0.01, "sine2": -0.02, "period": 0.005},
-        "intervals": {
-            "cosine": ([2.7, 4.7], [3.3, 5.3]), "sine": ([-4.3, -0.3], [-3.7, 0.3]),
-            "cosine2": (-0.1, 0.12), "sine2": (-0.13, 0.09), "period": (0.0049, 0.0051),
-        },
-        "units": dict.fromkeys(("cosine", "sine", "cosine2", "sine2"), "N") | {"period": "m"},
-    }  # fmt: skip
-    first = "amplitude log 1 5 (4.7 to 5.3), log 2 5 (4.7 to 5.3) N, phase -53, 0 deg"
-    assert numbers(cause) == [first, "period 0.005 (0.0049 to 0.0051) m"]
-    found = cause | {"confidence": 0.97, "found": True}
-    assert (
-        headline([found, found | {"found": False}]) == f"cogging, 97 % sure: {first}; period 0.005 (0.0049 to 0.0051) m"
-    )
-
-
-def test_a_headline_shows_the_numbers_that_are_furthest_from_none():
-    """A share has no unit; of waves none of which is told from none the largest is shown all the same."""
-    cause = {
-        "effect": "position_friction", "confidence": 0.97, "found": True,
-        "parameters": {"slope": 0.01, "period": 0.1, "cosine": 0.03, "sine": 0.04},
-        "intervals": {"slope": (-0.1, 0.12), "period": (0.099, 0.101), "cosine": (0.029, 0.031),
-                      "sine": (0.039, 0.041)},
-        "units": {"slope": "1/m", "period": "m", "cosine": "1", "sine": "1"},
-    }  # fmt: skip
-    shown = "amplitude 0.05 (0.049 to 0.051), phase 53 deg; period 0.1 (0.099 to 0.101) m"
-    assert headline([cause]) == f"position_friction, 97 % sure: {shown}"
-    cause["intervals"] |= {"cosine": (-0.1, 0.2), "sine": (-0.2, 0.2)}
-    assert headline([cause]).startswith("position_friction, 97 % sure: amplitude 0.05 (0 to ")
-    cause["intervals"] |= {"cosine": (None, None)}
-    assert numbers(cause)[0] == "amplitude 0.05 (- to -), phase 53 deg"
-
-
-def test_what_a_friction_shape_holds_as_logarithms_is_told_as_factors():
-    cause = {
-        "effect": "friction_shape",
-        "parameters": {"stribeck_exponent": np.log(2.0), "coulomb": 0.5},
-        "intervals": {"stribeck_exponent": (np.log(1.9), np.log(2.1)), "coulomb": (0.4, 0.6)},
-        "units": {"stribeck_exponent": "1", "coulomb": "N"},
-    }
-    assert numbers(cause) == ["stribeck_exponent 2 (1.9 to 2.1) times the recalibrated", "coulomb 0.5 (0.4 to 0.6) N"]
 
 
 def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):
@@ -367,79 +259,3 @@ def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_o
     assert "controller" in told["ladder"][0]["loop_says"]
     assert told["ladder"][0]["loop_says"] in (out / "report.html").read_text()
     assert len(_ladder(found).axes) == 1
-
-
-def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
-    """A rejected search of minutes, and a drive file that nobody should run."""
-    path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"
-    write_log(path, dataclasses.replace(SOUND, command=-moved(SOUND.command, 1)))  # late as well, which is said first
-    write_drive(drive, DRIVE)
-    out.mkdir()
-    for stale in ("augmented.toml", "causes.csv"):
-        (out / stale).write_text("of an earlier diagnosis")
-    told = command.diagnose_logs([path], drive, out)
-    assert told["verdict"] == "unknown"
-    assert told["causes"] == []
-    assert told["says"].startswith("no cause was looked for: the log checks say of reversed")
-    assert "--unit command=-N" in told["next_experiment"]["says"]
-    assert "reversed" in told["says"]
-    assert not (out / "augmented.toml").exists()
-    assert not (out / "causes.csv").exists()
-    assert "No cause was looked for" in (out / "report.html").read_text()
-
-
-def test_a_fatal_finding_lowers_the_confidence_and_is_told(log, tilted, told_of, capsys):
-    assert told_of(tilted)[0]["findings"] == []
-    late = dataclasses.replace(log, command=moved(log.command, 1))
-    told, out = told_of(tilted, late)
-    printed = capsys.readouterr().out
-    assert "FORCED" not in printed
-    assert "1 fatal" in printed
-    finding = told["findings"][0]
-    assert (finding["severity"], finding["channel"]) == ("fatal", "command")
-    assert told["verdict"] == "unknown"
-    assert finding["found"] in told["says"]
-    assert all(one["confidence"] <= 0.5 for one in told["causes"])
-    page = (out / "report.html").read_text()
-    assert f"<td>{finding['mend']}</td>" in page
-    assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
-
-
-def test_the_withheld_check_doubts_what_the_command_doubts(log, tilted, told_of, tmp_path, monkeypatch):
-    late = dataclasses.replace(log, command=moved(log.command, 1))
-    told, _ = told_of(tilted, late)
-    place = tmp_path / "case"
-    place.mkdir()
-    write_log(place / "log-a.parquet", late)
-    write_drive(place / "drive.toml", DRIVE)
-    monkeypatch.setattr(command, "diagnose", lambda *_, **__: tilted)
-    answered = answer.answer(place)
-    assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
-    assert answered["verdict"] == told["verdict"] == "unknown"
-    assert answered["says"] == told["says"].replace("of lap:", "of log-a:")
-    assert answered["causes"] == told["causes"]
-
-
-@pytest.mark.parametrize(
-    ("resembles", "amount", "verdict"),
-    [
-        ("loop_delay", -1.0, "effect"),
-        ("loop_delay", -2.0, "unknown"),
-        ("loop_delay", 1.0, "unknown"),
-        ("force_gain", 1.0, "unknown"),
-        (None, None, "unknown"),
-    ],
-)
-def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps(tilted, resembles, amount, verdict):
-    """In kind and in size: what the log's fault would not look like is another matter."""
-    fatal = [("lap", Finding("fatal", "command", "one sample late", "shift it", resembles, amount))]
-    late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
-    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
-    found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
-    doubted = command.doubted(found, fatal).verdict
-    assert doubted.verdict == verdict
-    assert "one sample late" in doubted.says
-    assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
-    assert command.doubted(tilted, fatal).verdict.verdict == "unknown"
-    assert command.doubted(tilted, []) is tilted
-    assert "mend lap: shift it" in command._mended_first(found, fatal).says

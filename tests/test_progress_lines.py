@@ -1,0 +1,20 @@
+"""Progress of a job that no terminal watches."""
+
+import io
+
+from rich.console import Console
+
+from experiments.report import Report
+from tuning.diagnosis.threads import in_parallel
+
+
+def test_a_job_without_a_terminal_sees_each_stage_begin_and_end_each_time():
+    written = io.StringIO()
+    with Report("job", None, Console(file=written, width=120)) as report, report.stages() as progress:
+        for stage, most in (("screening", 3), ("fitting", 2), ("screening", 3), ("screening", 3)):
+            in_parallel(
+                lambda item: item, range(most), lambda done, stage=stage, most=most: progress(stage, done, most)
+            )
+    lines = [line.partition(",")[0] for line in written.getvalue().splitlines()[1:]]
+    screening, fitting = ["screening: 0 of 3", "screening: 3 of 3"], ["fitting: 0 of 2", "fitting: 2 of 2"]
+    assert lines == screening + fitting + screening + screening
