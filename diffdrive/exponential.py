@@ -70,7 +70,7 @@ def faded(x: Scalar) -> Faded:
 
 @jax.custom_jvp
 def halving(y: Scalar) -> Scalar:
-    """2^-y in the precision of y >= 0, or not far below; NaN stays NaN. Any order of derivative.
+    """2^-y in the precision of y, from -`MOST_RAISED` on; NaN stays NaN. Any order of derivative.
 
     A lane by itself waits for each result. So y is told from n by a subtraction, its bound is kept last, and 2^-n
     multiplies the parts of the polynomial while the rest of it is under way.
@@ -103,6 +103,7 @@ def _raised_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar
     (y, power), (along_y, along_power) = primals, tangents
     end, small = raised(y, power), y < LEAST_BASE
     safe = jnp.where(small, 1.0, y)  # keeps the branch not taken, and its derivative, finite
+    # XLA's logarithm, since a second derivative needs the slope of it
     relative = jnp.where(small, 0.0, power * along_y / safe + jnp.log(safe) * along_power)
     return end, jnp.where(end < 2.0**MOST_RAISED, end * relative, 0.0 * relative)
 
@@ -116,12 +117,12 @@ def _log2(y: Scalar) -> Scalar:
         bits = lax.bitcast_convert_type(y, jnp.int32)
         e = (bits - jnp.int32(_ROOT_HALF_SINGLE)) >> 23
         m = lax.bitcast_convert_type(bits - (e << 23), jnp.float32)
-        whole = lax.bitcast_convert_type(e + jnp.int32(_WHOLE_SINGLE), jnp.float32) - jnp.float32(1.5 * 2.0**23)
+        whole = lax.bitcast_convert_type(e + jnp.int32(_WHOLE_SINGLE), jnp.float32) - jnp.float32(_MAGIC_SINGLE)
     else:
         bits = lax.bitcast_convert_type(y, jnp.int64)
         e = (bits - _ROOT_HALF) >> 52
         m = lax.bitcast_convert_type(bits - (e << 52), jnp.float64)
-        whole = lax.bitcast_convert_type(e + _WHOLE, jnp.float64) - 1.5 * 2.0**52
+        whole = lax.bitcast_convert_type(e + _WHOLE, jnp.float64) - _MAGIC
     s = (m - 1.0) / (m + 1.0)
     return whole + s * polynomial(_ARTANH[:5] if _single(y) else _ARTANH, s * s)
 

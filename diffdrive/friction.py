@@ -125,7 +125,7 @@ def steepest_fall(friction: Friction, side: str) -> float:
     the chord from rest to where the gap is down by a factor e.
     """
     gap, width = (float(getattr(pair, side)) for pair in (friction.breakaway_gap, friction.stribeck_velocity))
-    d = 1.0 if friction.stribeck_exponent is None else float(friction.stribeck_exponent)
+    d = float(friction.exponent)
     share = (d - 1.0) / d
     steepest = d * share**share * math.exp(-share) if d > 1.0 else 1.0 if d == 1.0 else 1.0 - math.exp(-1.0)
     return gap / width * steepest

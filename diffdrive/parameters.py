@@ -139,6 +139,11 @@ class Friction(eqx.Module):
         default=None,
     )
 
+    @property
+    def exponent(self) -> Scalar:
+        """The exponent of the Stribeck curve, which the paper has not."""
+        return 1.0 if self.stribeck_exponent is None else self.stribeck_exponent
+
 
 class Actuator(eqx.Module):
     """Force limit and delay between the command and the force on the table.

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from diffdrive.effects.machine import FACTORS
+from diffdrive.effects.machine import AS_LOGARITHMS, FrictionShape
 
 HEAD = 2  # numbers in a headline
 PLAIN = 10.0  # half-widths of its interval off zero: a number that tells as much as any
@@ -32,19 +32,19 @@ def numbers(cause: dict[str, Any]) -> list[str]:
     return [one.says for one in _told(cause)]
 
 
-def headline(causes: list[dict[str, Any]]) -> str:
+def headlines(causes: list[dict[str, Any]]) -> list[str]:
     """What was found, how sure that is, and the numbers that are furthest from none: a line each."""
-    return "\n".join(
+    return [
         f"{one['effect']}, {100.0 * one['confidence']:.0f} % sure: {'; '.join(_foremost(one))}"
         for one in causes
         if one["found"]
-    )
+    ]
 
 
 def parameter(name: str, cause: dict[str, Any]) -> str:
     """A parameter of a cause with its interval and unit; log by log where the logs differ in it."""
     spans = _spans(name, cause)
-    if cause["effect"] == "friction_shape" and name in FACTORS:
+    if cause["effect"] == FrictionShape.name and name in AS_LOGARITHMS:
         return f"{name} {_listed([_factors(one) for one in spans])} times the recalibrated"
     return f"{name} {_listed(spans, cause['units'][name])}"
 

@@ -69,7 +69,7 @@ def diagnose_logs(
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = read(report, paths, description, loads)
         with report.stages() as progress:
-            found = asked(
+            found = diagnosed(
                 description, logs, fatal,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
@@ -120,12 +120,17 @@ def _remove_stale(report: Report, drive: Path) -> None:
             (report.out / name).unlink(missing_ok=True)
 
 
-def asked(
-    description: DriveDescription, logs: Sequence[Log], fatal: Fatal, *, without: Sequence[str] = (), **more: Any
+def diagnosed(
+    description: DriveDescription,
+    logs: Sequence[Log],
+    fatal: Fatal,
+    *,
+    most_effects: int = MOST_EFFECTS,
+    **more: Any,
 ) -> Diagnosis:
     """The diagnosis, as sure as the checks of the logs allow; `more` is what `diagnose` takes."""
-    left_out = list(EFFECTS) if _voided(fatal) else without
-    return doubted(diagnose(description.drive, description.controller, logs, without=left_out, **more), fatal)
+    most = 0 if _voided(fatal) else most_effects
+    return doubted(diagnose(description.drive, description.controller, logs, most_effects=most, **more), fatal)
 
 
 def _voided(fatal: Fatal) -> bool:
@@ -163,13 +168,12 @@ def doubted(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     """No sure verdict from logs with a fatal finding; where that explains what was found, it is told beside it."""
     if not fatal:
         return found
-    strange = _strange(found, fatal)
     log, first = _foremost(found, fatal)
     told = f"the log checks say of {log}: {first.found}"
-    if _voided(fatal):
+    if first.voids:
         says = f"no cause was looked for: {told}. Mend that first: {first.mend}"
         return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
-    if strange:
+    if _strange(found, [(log, first)]):
         told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(told))
     told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"

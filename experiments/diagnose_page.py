@@ -9,7 +9,7 @@ from html import escape
 from typing import Any
 
 from experiments import payoff
-from experiments.cause_words import headline, numbers
+from experiments.cause_words import headlines, numbers
 from experiments.report import Report
 from tuning.diagnosis.where import SIGNIFICANT
 
@@ -51,8 +51,8 @@ def tell(report: Report, told: dict[str, Any]) -> None:
     if not regions:
         report.say(f"  - {NOWHERE}")
     report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
-    if found := headline(told["causes"]):
-        report.say(found)
+    for line in headlines(told["causes"]):
+        report.say(f"  {line}")
     if told["causes"]:
         report.table(
             "causes",
@@ -104,7 +104,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
 
 
 def _found(told: dict[str, Any]) -> str:
-    return "".join(f"<br>{escape(line)}" for line in headline(told["causes"]).splitlines())
+    return "".join(f"<br>{escape(line)}" for line in headlines(told["causes"]))
 
 
 def _regions(told: dict[str, Any]) -> list[str]:

@@ -13,7 +13,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
-from tuning.diagnosis.ladder import Rung
+from tuning.diagnosis.ladder import Rung, known_floor
 from tuning.diagnosis.leftover import STRAINED, meant, strain
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.verdict import Belief
@@ -159,7 +159,7 @@ def _rung(found: Diagnosis, rung: Rung) -> dict[str, Any]:
         "model": rung.name,
         "force_rms_N": _force(rung),
         "force_interval_N": _span(rung),
-        "force_floor_N": found.floor_of(rung),
+        "force_floor_N": known_floor(found.rungs, rung),
         "shrink": shrink,
         "shrink_interval": span,
         "position_rms_m": _in_loop(rung, "position_rms"),

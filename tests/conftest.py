@@ -38,3 +38,19 @@ def drive():
     from diffdrive.presets import paper_drive
 
     return paper_drive(quantised=False)
+
+
+@pytest.fixture
+def tilted():
+    """The diagnosis of `tilted_log`."""
+    import tilted_log
+
+    return tilted_log.diagnosis()
+
+
+@pytest.fixture
+def told_of(tmp_path, monkeypatch):
+    """The command on that log, as if it had found what it is given."""
+    import tilted_log
+
+    return tilted_log.telling(tmp_path, monkeypatch)

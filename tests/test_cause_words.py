@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.cause_words import headline, numbers, parameter
+from experiments.cause_words import headlines, numbers, parameter
 
 
 def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
@@ -33,9 +33,8 @@ def test_a_wave_is_told_by_its_amplitude_and_phase_and_what_is_none_not_at_all()
     first = "amplitude log 1 5 (4.7 to 5.3), log 2 5 (4.7 to 5.3) N, phase -53, 0 deg"
     assert numbers(cause) == [first, "period 0.005 (0.0049 to 0.0051) m"]
     found = cause | {"confidence": 0.97, "found": True}
-    assert (
-        headline([found, found | {"found": False}]) == f"cogging, 97 % sure: {first}; period 0.005 (0.0049 to 0.0051) m"
-    )
+    line = f"cogging, 97 % sure: {first}; period 0.005 (0.0049 to 0.0051) m"
+    assert headlines([found, found | {"found": False}]) == [line]
 
 
 def test_a_headline_shows_the_numbers_that_are_furthest_from_none():
@@ -48,9 +47,9 @@ def test_a_headline_shows_the_numbers_that_are_furthest_from_none():
         "units": {"slope": "1/m", "period": "m", "cosine": "1", "sine": "1"},
     }  # fmt: skip
     shown = "amplitude 0.05 (0.049 to 0.051), phase 53 deg; period 0.1 (0.099 to 0.101) m"
-    assert headline([cause]) == f"position_friction, 97 % sure: {shown}"
+    assert headlines([cause]) == [f"position_friction, 97 % sure: {shown}"]
     cause["intervals"] |= {"cosine": (-0.1, 0.2), "sine": (-0.2, 0.2)}
-    assert headline([cause]).startswith("position_friction, 97 % sure: amplitude 0.05 (0 to ")
+    assert headlines([cause])[0].startswith("position_friction, 97 % sure: amplitude 0.05 (0 to ")
     cause["intervals"] |= {"cosine": (None, None)}
     assert numbers(cause)[0] == "amplitude 0.05 (- to -), phase 53 deg"
 

@@ -47,7 +47,7 @@ def test_to_first_order_it_is_what_those_commands_explain(late):
     """Against the filter itself, run with the commands added to what acts on the table."""
     best = late[1].best
     logged, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
-    added = command_left._last_commands(best, logged) @ amounts
+    added = command_left._last_commands(best) @ amounts
     lanes = logged.lanes._replace(disturbance=logged.lanes.disturbance + added)
     moved = Fitter(logged._replace(lanes=lanes)).at(best.model, best.u, best.process, best.track.course).track
     change = (np.asarray(moved.innovation) - np.asarray(best.track.innovation)) / np.asarray(best.track.scatter)
@@ -84,8 +84,10 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
     late = described(rate=4000.0, delay=3)
     both = logged_of(late.drive, [logged(late, two_sines(0.8, 4000.0), seed=k) for k in (1, 2)])
     assert both.thinning == 2
-    found = SimpleNamespace(model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),)), u=None)
-    asked = command_left._last_commands(found, both)
+    found = SimpleNamespace(
+        model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),), logged=both), u=None
+    )
+    asked = command_left._last_commands(found)
     assert asked.shape == (*both.lanes.command.shape, TAPS)
     for k in range(TAPS):
         assert np.array_equal(asked[:, 10:, k], both.lanes.command[:, 10 - 2 - k : -2 - k])

@@ -16,16 +16,6 @@ from experiments import diagnose as command
 from experiments.withheld import answer
 
 
-@pytest.fixture
-def tilted():
-    return tilted_log.diagnosis()
-
-
-@pytest.fixture
-def told_of(tmp_path, monkeypatch):
-    return tilted_log.telling(tmp_path, monkeypatch)
-
-
 def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
     fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
     monkeypatch.setattr(command, "read", lambda *_: ((), [], fatal))

@@ -23,18 +23,7 @@ from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.setting import setting
 
-UNASKED = tilted_log.UNASKED
 MASS = float(DRIVE.drive.plant.mass) * np.exp(tilted_log.OFF[NAMES.index("mass")])  # kg, the machine's
-
-
-@pytest.fixture
-def tilted():
-    return tilted_log.diagnosis()
-
-
-@pytest.fixture
-def told_of(tmp_path, monkeypatch):
-    return tilted_log.telling(tmp_path, monkeypatch)
 
 
 def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tmp_path):
@@ -88,7 +77,7 @@ def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_
     told, out = told_of(with_second(tilted))
     written = {one.name: one for one in read_drive(out / "augmented.toml").drive.effects}
     assert set(written) == {"friction_asymmetry", "constant_force"}
-    alone = as_json(tilted, UNASKED)["causes"][0]["parameters"]["force"]
+    alone = as_json(tilted, tilted_log.UNASKED)["causes"][0]["parameters"]["force"]
     for cause in told["causes"]:
         for name, value in cause["parameters"].items():
             assert float(getattr(written[cause["effect"]], name)) == pytest.approx(value)
@@ -121,7 +110,7 @@ def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
 
 
 def test_where_recalibration_hides_the_gap_it_is_said(tilted):
-    told = as_json(tilted, UNASKED)
+    told = as_json(tilted, tilted_log.UNASKED)
     closed, last = told["closed"], told["ladder"][-1]
     assert f"{1e6 * last['position_rms_m']:.3g} um with what was found" in closed["says"]
     assert closed["share"] is None

@@ -33,7 +33,7 @@ def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_the
     spread = max(0, *shifts.values()) - min(0, *shifts.values())
     assert len(log.time) == N - spread
     for channel, by in shifts.items():
-        assert f"the {channel} was moved by {by:+d} samples, as asked" in log.notes
+        assert f"the {channel} was moved by {by:+d} samples" in log.notes
 
 
 def test_what_is_not_moved_is_as_it_was(written):
@@ -93,7 +93,6 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
         (lambda: Mapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
         (lambda: Mapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
         (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
-        (lambda: Mapping(shifts={"command": 10**20}), r"\[shifts\] command: .* at most 1000000 either way"),
         (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
         (lambda: Mapping().overridden(shifts=["command=half"]), r"--shift command=half: write a whole number"),
         (lambda: Mapping().overridden(shifts=["command"]), r"--shift command: write CHANNEL=VALUE, such as command=-1"),
@@ -107,6 +106,8 @@ def test_what_is_no_shift_is_refused(build, says):
 def test_a_shift_of_what_is_not_there_or_of_the_whole_log_is_refused(written):
     with pytest.raises(LogError, match=r"late.csv: load is to be moved: the log has no such channel"):
         read_log(written, Mapping(shifts={"load": 1}))
+    with pytest.raises(LogError, match=r"late.csv: shifts by 1000+ samples leave nothing"):
+        read_log(written, Mapping(shifts={"command": 10**20}))
     with pytest.raises(LogError, match=r"late.csv: shifts by 400 samples leave nothing"):
         read_log(written, Mapping(shifts={"command": 200, "position": -200}))
 

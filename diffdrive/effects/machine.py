@@ -29,7 +29,7 @@ class PayloadMass(MachineEffect):
         return dataclasses.replace(drive, plant=dataclasses.replace(drive.plant, mass=drive.plant.mass + self.mass))
 
 
-FACTORS = ("stribeck_velocity", "stribeck_exponent", "breakaway_gap")  # of a friction shape, as logarithms
+AS_LOGARITHMS = ("stribeck_velocity", "stribeck_exponent", "breakaway_gap")  # of a friction shape
 
 
 class FrictionShape(MachineEffect, TableEffect):
@@ -52,7 +52,7 @@ class FrictionShape(MachineEffect, TableEffect):
         friction = drive.friction
         exponent = friction.stribeck_exponent
         if self.stribeck_exponent is not None:
-            exponent = (1.0 if exponent is None else exponent) * jnp.exp(self.stribeck_exponent)
+            exponent = friction.exponent * jnp.exp(self.stribeck_exponent)
         return dataclasses.replace(
             drive,
             friction=dataclasses.replace(

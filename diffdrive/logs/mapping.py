@@ -11,8 +11,6 @@ from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
 from diffdrive.units import to_si
 
-FARTHEST = 1_000_000  # samples that a channel may be moved
-
 
 @dataclasses.dataclass(frozen=True)
 class Mapping:
@@ -47,9 +45,8 @@ class Mapping:
             if channel not in READABLE or channel == "time":
                 known = [one for one in READABLE if one != "time"]
                 raise LogError(f"[shifts] {channel}: no channel that can be moved; {_near(channel, known)}")
-            if isinstance(by, bool) or not isinstance(by, int) or abs(by) > FARTHEST:
-                most = f"at most {FARTHEST} either way"
-                raise LogError(f"[shifts] {channel}: must be a whole number of samples, {most}, such as -1, got {by!r}")
+            if isinstance(by, bool) or not isinstance(by, int):
+                raise LogError(f"[shifts] {channel}: must be a whole number of samples, such as -1, got {by!r}")
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
         held: dict[str, str] = {}
@@ -85,9 +82,8 @@ class Mapping:
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
-def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any] | None = None) -> Mapping:
+def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any]) -> Mapping:
     """From the tables of a drive file; raises `LogError` naming the key and the mend."""
-    shifts = {} if shifts is None else shifts
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {table!r}")

@@ -1,7 +1,6 @@
 """Channels that were recorded some samples early or late, brought into time with the others."""
 
 import itertools
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from diffdrive.errors import LogError
 
 
 def shifted(
-    source: str, signals: dict[str, np.ndarray], gaps: tuple[int, ...], shifts: Mapping[str, int]
+    source: str, signals: dict[str, np.ndarray], gaps: tuple[int, ...], shifts: dict[str, int]
 ) -> tuple[dict[str, np.ndarray], tuple[int, ...], list[str]]:
     """The signals with some of them moved by whole samples, positive to later times; the gaps, and what to say of it.
 
@@ -26,12 +25,12 @@ def shifted(
         )
     latest, earliest = max(0, *moves.values()), min(0, *moves.values())
     edges = [0, *gaps, len(next(iter(signals.values())))]
-    stretches = [np.arange(start + latest, stop + earliest) for start, stop in itertools.pairwise(edges)]
-    stretches = [rows for rows in stretches if rows.size]
+    spans = [(start + latest, stop + earliest) for start, stop in itertools.pairwise(edges)]
+    stretches = [np.arange(start, stop) for start, stop in spans if start < stop]
     if not stretches:
         raise LogError(f"{source}: shifts by {latest - earliest} samples leave nothing of the log; correct them")
     rows = np.concatenate(stretches)
     brought = {channel: values[rows - moves.get(channel, 0)] for channel, values in signals.items()}
     between = tuple(int(k) for k in np.cumsum([len(one) for one in stretches[:-1]]))
-    notes = [f"the {channel} was moved by {by:+d} samples, as asked" for channel, by in moves.items()]
+    notes = [f"the {channel} was moved by {by:+d} samples" for channel, by in moves.items()]
     return brought, between, notes

@@ -24,7 +24,7 @@ from rich.console import Console
 
 from diffdrive.drive_file import read_drive
 from experiments.checked_logs import looked_over
-from experiments.diagnose import asked, read
+from experiments.diagnose import diagnosed, read
 from experiments.diagnosis_json import as_json
 from experiments.edition import edition
 from experiments.report import Report
@@ -44,7 +44,7 @@ def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     began = time.perf_counter()
     silent = Report(place.name, None, Console(quiet=True))
     logs, findings, fatal = read(silent, sorted(place.glob("log-*.parquet")), description, ())
-    found = asked(description, logs, fatal, without=without)
+    found = diagnosed(description, logs, fatal, without=without)
     return as_json(found, UNASKED) | {"findings": findings, "seconds": round(time.perf_counter() - began, 1)}
 
 
@@ -109,7 +109,7 @@ def question(place: Path, without: Sequence[str]) -> str:
 
 def _asked_of() -> str:
     """What the diagnosis is made of, and what tells it."""
-    return edition(answer.__module__, asked.__module__, as_json.__module__, looked_over.__module__)
+    return edition(answer.__module__, diagnosed.__module__, as_json.__module__, looked_over.__module__)
 
 
 def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:

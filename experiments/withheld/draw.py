@@ -41,7 +41,7 @@ def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
 
     friction, plant = drive.friction, drive.plant
     names = [one for one in vars(friction) if isinstance(getattr(friction, one), Directional)]
-    exponent, bent = friction.stribeck_exponent, factors.get("stribeck_exponent", 1.0)
+    bent = factors.get("stribeck_exponent", 1.0)
     return dataclasses.replace(
         drive,
         plant=dataclasses.replace(
@@ -50,7 +50,7 @@ def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
         friction=dataclasses.replace(
             friction,
             initial_load=float(friction.initial_load) * factors.get("initial_load", 1.0),
-            stribeck_exponent=exponent if bent == 1.0 else (1.0 if exponent is None else float(exponent)) * bent,
+            stribeck_exponent=friction.stribeck_exponent if bent == 1.0 else float(friction.exponent) * bent,
             **{name: pair(friction, name) for name in names},
         ),
     )

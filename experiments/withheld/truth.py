@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from diffdrive.effects.machine import FACTORS
+from diffdrive.effects.machine import AS_LOGARITHMS
 from diffdrive.parameters import Directional
 from experiments.withheld.draw import Case, of_log
 from experiments.withheld.faults import Fault
@@ -59,7 +59,7 @@ def _process_force(case: Case, fault: Fault) -> dict[str, Any]:
 
 def _friction_shape(case: Case, fault: Fault) -> dict[str, Any]:
     drive = case.true
-    told = {name: math.log(way) for name, way in fault.scaled.items() if name in FACTORS}
+    told = {name: math.log(way) for name, way in fault.scaled.items() if name in AS_LOGARITHMS}
     if "viscous" in fault.scaled:
         grown = _mean(drive.friction.viscous) + _mean(drive.plant.damping)
         told["viscous"] = grown * (1.0 - 1.0 / fault.scaled["viscous"])

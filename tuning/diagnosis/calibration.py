@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.parameters import Directional, Drive
 
-TOLERANCE = 0.02  # standard deviation of the logarithm of a nominal parameter; an engineer's 3 %
+TOLERANCE = 0.02  # standard deviation of the logarithm of a nominal parameter
 NAMES = (
     "mass",
     "coulomb_screw.positive",
@@ -38,8 +38,7 @@ def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
             return Directional(pair.positive * factor[name], pair.negative * factor[name])
         return Directional(pair.positive * factor[f"{name}.positive"], pair.negative * factor[f"{name}.negative"])
 
-    exponent = friction.stribeck_exponent
-    friction = dataclasses.replace(friction, stribeck_exponent=jnp.asarray(1.0) if exponent is None else exponent)
+    friction = dataclasses.replace(friction, stribeck_exponent=jnp.asarray(friction.exponent))
     names = dict.fromkeys(name.split(".")[0] for name in NAMES[1:])
     return dataclasses.replace(
         drive,

@@ -17,7 +17,6 @@ from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, answered
 from tuning.diagnosis.gap import sliding
-from tuning.diagnosis.model import Logged
 from tuning.diagnosis.verdict import Verdict
 
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
@@ -77,7 +76,7 @@ def doubted_by_command(verdict: Verdict, found: Explanation) -> Verdict:
 def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     """Of the residuals, to each of the last commands added to the force."""
     logged = fitted.model.logged
-    force = _last_commands(fitted, logged)
+    force = _last_commands(fitted)
     none = jnp.zeros_like(force)
     still = jnp.zeros((fitted.linear.machine.shape[-1], TAPS))
     pushed = Exposure(force, none, none, none, none, none, none)
@@ -85,8 +84,9 @@ def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     return found / jnp.sqrt(fitted.track.size)
 
 
-def _last_commands(fitted: Fitted, logged: Logged) -> Float[Array, "lanes n taps"]:
+def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     """From one sample sooner than the delay that the model has, if that is one or more, to older ones."""
+    logged = fitted.model.logged
     delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
     late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
     command = limited(logged.drive.actuator, logged.lanes.command)

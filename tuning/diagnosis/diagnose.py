@@ -64,11 +64,7 @@ class Diagnosis:
     @property
     def floor(self) -> float | None:
         """N: the force that the measuring noise alone would make, on what is held out; None where it cannot be told."""
-        return self.floor_of(self.rungs[-1])
-
-    def floor_of(self, rung: Rung) -> float | None:
-        """N: the same for one model; with effects within the filter it may be the recalibrated drive's."""
-        return known_floor(self.rungs, rung)
+        return known_floor(self.rungs, self.rungs[-1])
 
     @property
     def closed(self) -> Closed | None:

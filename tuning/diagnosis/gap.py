@@ -133,16 +133,14 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
     effects = [counted_in(one, 1.0 / thinning) for one in mine]
     apart = [one for one in effects if isinstance(one, LoopDelay) and not 0.0 <= one.delay <= LONGEST_DELAY]
     late = thinning * float(fitted.model.logged.delay) + sum(float(one.delay) for one in apart)
+    own, stated = fitted.own, fitted.model.logged.drive.friction.stribeck_exponent
     if apart:  # less delay than the drive file claims, or more than the effect can hold back
         whole, part = divmod(max(late, 0.0), 1.0)
-        actuator = dataclasses.replace(fitted.own.actuator, delay_samples=int(whole), delay_fraction=part)
-        fitted = fitted._replace(own=dataclasses.replace(fitted.own, actuator=actuator))
-    own = fitted.own
-    if (
-        fitted.model.logged.drive.friction.stribeck_exponent is None
-    ):  # which a hypothesis holds as a number all the same
-        own = dataclasses.replace(own, friction=dataclasses.replace(own.friction, stribeck_exponent=None))
-    return dataclasses.replace(own, effects=tuple(one for one in effects if one not in apart))
+        own = dataclasses.replace(
+            own, actuator=dataclasses.replace(own.actuator, delay_samples=int(whole), delay_fraction=part)
+        )
+    friction = dataclasses.replace(own.friction, stribeck_exponent=stated)  # which every fit holds as a number
+    return dataclasses.replace(own, friction=friction, effects=tuple(one for one in effects if one not in apart))
 
 
 @eqx.filter_jit

@@ -37,8 +37,8 @@ SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
 SUREST = 0.97  # the most that any is: fits end in false minima, and machines have what no catalogue lists
 NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
-CLOSEST = 0.5  # the same of one that surely takes away `MOSTLY` of the force that is missing in what is held out
-MOSTLY = 0.9
+CLOSEST = 0.5  # the same of one that surely takes away `TAKEN` of the force that is missing in what is held out
+TAKEN = 0.9
 
 
 class Belief(NamedTuple):
@@ -110,7 +110,7 @@ def _shared(
     beliefs: list[Belief], found: Explanation, left: float, certain: float, surely: Sequence[float]
 ) -> list[Belief]:
     """The beliefs with what the search found on its other way as a rival of what differs from it; `surely` is how sure
-    the effects of its first rounds are before that, `certain` all others.
+    each effect that was found is before that, `certain` all others.
     """
     if found.other is None or disbelieved(found.other.best, found.best):
         return beliefs
@@ -120,9 +120,7 @@ def _shared(
     rivals = sorted(theirs) if shares[1] > DECLARED * shares[0] else []
     told = [
         one._replace(  # its own round may have shared with the same rival: the less counts, not both
-            confidence=min(
-                one.confidence, float((surely[one.round] if one.round < len(surely) else certain) * shares[0])
-            ),
+            confidence=min(one.confidence, float(surely[one.round] * shares[0])),
             alternatives=[*dict.fromkeys([*one.alternatives, *rivals])],
         )
         if one.found and one.effect in mine
@@ -193,8 +191,9 @@ def judge(
     left = told / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
     sure = NEAREST + (1.0 - NEAREST) * known
-    mostly = [known < 0.5 and one is not None and one >= MOSTLY for one in closes[:effects]]
-    surely = [max(sure, CLOSEST) if one else sure for one in mostly]
+    much_left = known < 0.5
+    taking = [much_left and one is not None and one >= TAKEN for one in closes or [None] * effects]
+    surely = [max(sure, CLOSEST) if one else sure for one in taking]
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
         if not looked.fits:
@@ -206,22 +205,23 @@ def judge(
     if not effects:
         return _nothing_found(base, beliefs, lacks)
     if not known >= 0.5:
-        says = _closest(beliefs, mostly, f"{100 * told:.0f} % of {gap}")
+        says = _closest(beliefs, taking, f"{100 * told:.0f} % of {gap}")
         return Verdict("unknown", _unsure(beliefs), share, says)
     much = f"{gap}, but for {100 * told:.0f} % of it" if told >= TOLD else gap
     return _found(found, beliefs, lacks, share, much)
 
 
-def _closest(beliefs: list[Belief], mostly: Sequence[bool], rest: str) -> str:
+def _closest(beliefs: list[Belief], taking: Sequence[bool], rest: str) -> str:
     """What effects say that leave too much: in likelihood, but some of them not in force."""
     named = [one.effect for one in beliefs if one.found]
     comes, leaves = ("come", "leave") if len(named) > 1 else ("comes", "leaves")
     says = f"{', '.join(named)} {comes} closest, but {leaves} {rest} unexplained"
-    taking = " and ".join(name for name, takes in zip(named, mostly, strict=False) if takes)
-    if not taking:
+    most = [one.effect for one in beliefs if one.found and taking[one.round]]
+    if not most:
         return says
-    takes = f"{taking} {'take' if ' and ' in taking else 'takes'} away {100 * MOSTLY:.0f} % and more of its mean square"
-    return f"{says}; that is by likelihood, where small errors that last count most: of the missing force {takes}"
+    take = "take" if len(most) > 1 else "takes"
+    says = f"{says}; that is by likelihood, where small errors that last count most: of the missing force"
+    return f"{says} {' and '.join(most)} {take} away {100 * TAKEN:.0f} % and more of its mean square"
 
 
 def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:

@@ -55,10 +55,10 @@ def _samples(count: float) -> str:
 
 
 def _moved(channel: str, by: float, already: dict[str, int]) -> str:
-    """What mends it, and the option that does so where whole samples do, in the place of what moves it already."""
+    """Where to move a channel, and the option that does it: beyond what [shifts] moves it already."""
     whole = already.get(channel, 0) + by
     option = "" if by % 1 else f" (--shift {channel}={whole:+.0f}, or {channel} = {whole:.0f} in [shifts])"
-    return f"shift the {channel} by {by:+.2g} samples{option}"
+    return f"the {channel} by {by:+.2g} samples{option}"
 
 
 def _shift_told(
@@ -69,12 +69,12 @@ def _shift_told(
     A table seems to answer so many samples sooner as its command is recorded late, or its position early.
     """
     if i == j:
-        way, back = ("late", -i) if i > 0 else ("early", -i)
+        way = "late" if i > 0 else "early"
         return (
             "command",
             f"the recorded command is {_samples(i)} {way} (shift {i:+.2g}) against reference and position: the "
             f"controller gives it from the values of sample k{-i:+.2g} {numbers}",
-            _moved("command", back, already)
+            f"shift {_moved('command', -i, already)}"
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
             "loop_delay",
             -i,
@@ -97,7 +97,7 @@ def _shift_told(
             channel,
             f"the recorded {channel} is {_samples(shift)} {way} (shift {-shift:+.2g}) against the other channels{real}:"
             f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
-            _moved(channel, shift, already),
+            f"shift {_moved(channel, shift, already)}",
             "loop_delay" if channel == "position" else None,
             -shift if channel == "position" else None,
         )
@@ -105,7 +105,7 @@ def _shift_told(
         "command",
         f"reference and position are shifted against the command by different amounts, {-i:+.2g} and {-j:+.2g} samples "
         f"{numbers}",
-        f"{_moved('reference', i, already)} and {_moved('position', j, already).removeprefix('shift ')}; which channel "
+        f"shift {_moved('reference', i, already)} and {_moved('position', j, already)}; which channel "
         "is in time cannot be told",
         "loop_delay",
         -j,
