@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffdrive.effects.machine import AS_LOGARITHMS, FrictionShape
+from experiments.spans import Span, listed
 
 HEAD = 2  # numbers in a headline
 PLAIN = 10.0  # half-widths of its interval off zero: a number that tells as much as any
 WAVES = {"": "", "2": "second harmonic: ", "6": "sixth harmonic: "}  # as their cosines and sines are named
-
-Span = tuple[float, float | None, float | None]
 
 
 class Told(NamedTuple):
@@ -45,8 +44,8 @@ def parameter(name: str, cause: dict[str, Any]) -> str:
     """A parameter of a cause with its interval and unit; log by log where the logs differ in it."""
     spans = _spans(name, cause)
     if cause["effect"] == FrictionShape.name and name in AS_LOGARITHMS:
-        return f"{name} {_listed([_factors(one) for one in spans])} times the recalibrated"
-    return f"{name} {_listed(spans, cause['units'][name])}"
+        return f"{name} {listed([_factors(one) for one in spans], '1')} times the recalibrated"
+    return f"{name} {listed(spans, cause['units'][name])}"
 
 
 def _told(cause: dict[str, Any]) -> list[Told]:
@@ -83,13 +82,6 @@ def _factors(logarithm: Span) -> Span:
     return at, low, high
 
 
-def _listed(spans: list[Span], unit: str = "1") -> str:
-    shown = [f"{_number(at)} ({_number(low)} to {_number(high)})" for at, low, high in spans]
-    if len(shown) > 1:
-        shown = [f"log {k} {one}" for k, one in enumerate(shown, start=1)]
-    return f"{', '.join(shown)}{'' if unit == '1' else ' ' + unit}"
-
-
 def _wave(cause: dict[str, Any], harmonic: str) -> Told:
     """Amplitude and phase of one harmonic."""
     amplitudes, phases = list[Span](), []
@@ -105,9 +97,5 @@ def _wave(cause: dict[str, Any], harmonic: str) -> Told:
             continue
         half = float(np.hypot(c * half_c, s * half_s) / amplitude if amplitude else np.hypot(half_c, half_s))
         amplitudes.append((amplitude, max(0.0, amplitude - half), amplitude + half))
-    size = _listed(amplitudes, cause["units"][f"cosine{harmonic}"])
+    size = listed(amplitudes, cause["units"][f"cosine{harmonic}"])
     return Told(f"{WAVES[harmonic]}amplitude {size}, phase {', '.join(phases)} deg", _telling(amplitudes))
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"

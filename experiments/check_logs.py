@@ -27,7 +27,7 @@ def check_logs(
     `columns`, `units`, `shifts` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
     `ParameterError`, one line each.
     """
-    description = described(drive, columns, units, shifts)
+    description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
         logs, found = looked_over(
             paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA

@@ -9,6 +9,7 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription, read_drive
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
+from diffdrive.logs.log_names import means
 from diffdrive.logs.plausibility import Finding, examine
 from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
@@ -19,10 +20,17 @@ EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identif
 
 
 def described(
-    drive: Path, columns: Sequence[str], units: Sequence[str], shifts: Sequence[str] = ()
+    drive: Path, columns: Sequence[str], units: Sequence[str], shifts: Sequence[str], logs: Sequence[Path]
 ) -> DriveDescription:
-    """A drive file, its mapping of columns, units and shifts as texts on the command line override it."""
+    """A drive file, its mapping of columns, units and shifts as texts on the command line override it.
+
+    Raises `ParameterError` for a shift of none of the `logs`; one that the drive file has is of another day.
+    """
     description = read_drive(drive)
+    for text in shifts:
+        log, colon, _ = text.partition("=")[0].rpartition(":")
+        if colon and not any(means(log.strip(), one) for one in logs):
+            raise ParameterError(f"--shift {text}: no such log; the logs are {', '.join(one.name for one in logs)}")
     return replace(description, mapping=description.mapping.overridden(columns, units, shifts))
 
 

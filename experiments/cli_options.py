@@ -26,7 +26,8 @@ Shifts = Annotated[
     list[str] | None,
     typer.Option(
         "--shift",
-        help="CHANNEL=SAMPLES, over the drive file's \\[shifts]: `command=-1` for one recorded late; repeatable.",
+        help="CHANNEL=SAMPLES, over the drive file's \\[shifts]: `command=-1` for one recorded late in all logs, "
+        "`lap2:command=-1` in lap2 alone; repeatable.",
     ),
 ]
 Loads = Annotated[

@@ -34,7 +34,8 @@ from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.verdict import UNSURE, Belief
 
 SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
-NOT_ALWAYS = ("augmented.toml", "next_reference.csv", "causes.csv", "causes.png", "payoff.csv")
+NEXT = "next_reference.csv"
+NOT_ALWAYS = ("augmented.toml", NEXT, "causes.csv", "causes.png", "payoff.csv")
 NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
 FINDING = ("log", "severity", "channel", "found", "mend")
@@ -65,7 +66,7 @@ def diagnose_logs(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
-    description = described(drive, columns, units, shifts)
+    description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = read(report, paths, description, loads)
         with report.stages() as progress:
@@ -73,7 +74,10 @@ def diagnose_logs(
                 description, logs, fatal,
                 without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
             )  # fmt: skip
-        beside = {"logs": [log.name for log in logs], "findings": findings, "searched": not _voided(fatal)}
+        beside = {
+            "logs": [log.name for log in logs], "findings": findings, "searched": not _voided(fatal),
+            "scale_noise": unstated_noise(description.drive, float(found.logged.noise)),
+        }  # fmt: skip
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)
             _save(report, as_json(found, NOT_YET) | beside, None)
@@ -81,14 +85,15 @@ def diagnose_logs(
             offer = _mended_first(found, fatal) if fatal else next_experiment(found, description)
         told = as_json(found, offer) | beside
         tell(report, told)
-        if unstated := unstated_noise(description.drive, float(found.logged.noise)):
-            report.say(unstated)
+        if told["scale_noise"]:
+            report.say(told["scale_noise"])
         if report.out is not None:
-            augmented = None if _voided(fatal) else _write(report, description, found)
+            augmented = None if _voided(fatal) else _write(report, description, found, told["scale_noise"])
             _write_reference(report, offer.reference)
             with report.working("drawing"):
                 draw(report, found, logs)
             _save(report, told, augmented)
+            report.values("written", **_written(augmented, offer))
             if tuned:
                 heaviest = max((float(np.max(log.load)) for log in logs if log.load is not None), default=0.0)
                 told["payoff"] = _pay(report, told, description, augmented, heaviest)
@@ -230,14 +235,19 @@ def _write_reference(report: Report, motion: Motion | None) -> None:
     if motion is None:
         return
     assert report.out is not None
-    path = report.out / "next_reference.csv"
+    path = report.out / NEXT
     rows = np.stack([motion.time, motion.position], axis=1)
     np.savetxt(path, rows, delimiter=",", header="time_s,reference_m", comments="", fmt="%.9g")
-    report.values("next_motion", file=path.name, motion=motion.name)
 
 
-def _write(report: Report, description: DriveDescription, found: Diagnosis) -> str | None:
-    """augmented.toml, which `simulate`, `tune` and `sweep` take.
+def _written(augmented: str | None, offer: Experiment) -> dict[str, str]:
+    """What a reader opens, and what the next command takes."""
+    files = {"page": "report.html", "drive": augmented, "motion": NEXT if offer.reference is not None else None}
+    return {what: file for what, file in files.items() if file is not None}
+
+
+def _write(report: Report, description: DriveDescription, found: Diagnosis, beside: str) -> str | None:
+    """augmented.toml, which `simulate`, `tune` and `sweep` take, with what is to be said `beside` the verdict.
 
     The same gains; observers and feed-forwards, whose model is the file's own, get the recalibrated one.
     """
@@ -248,9 +258,9 @@ def _write(report: Report, description: DriveDescription, found: Diagnosis) -> s
         write_drive(path, parse_drive(drive_tables(augmented), str(path)))
         says = " ".join(found.verdict.says.split())  # in one line
         verdict = f"# the verdict of the diagnosis was {found.verdict.verdict}: {says}\n"
+        verdict += f"# {beside}\n" if beside else ""
         path.write_text(verdict + path.read_text(encoding="utf-8"), encoding="utf-8")
     except DiffdriveError as problem:
         report.say(f"augmented.toml is not written, since no drive file can say this: {problem}")
         return None
-    report.values("written", file=path.name)
     return path.name

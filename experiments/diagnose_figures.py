@@ -15,6 +15,7 @@ from tuning.diagnosis.where import SIGNIFICANT
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
 BEFORE, AFTER = "0.6", "C0"
+BLANK = "blank where the table rests, and where nothing is held out"
 ROOM = 1.8  # times the largest value, above it, and below the least
 
 
@@ -68,9 +69,11 @@ def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.nd
 
 
 def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
-    """The force that is missing over time and over position, recalibrated and with what was found."""
-    figure, axes = new_figure(2, 1, width=11.0, height=2.8, share_x=False)
-    lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == found.split.logs[-1]]
+    """The force that is missing over time and position, and within the period that was found; before and after."""
+    log = found.split.logs[-1]
+    period = _period(found, log)
+    figure, axes = new_figure(2 if period is None else 3, 1, width=11.0, height=2.8, share_x=False)
+    lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
     rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
     for rung, label, color in (one for one in _first_and_last(found.rungs) if one[0].force.told):
         for lane in lanes:
@@ -81,14 +84,23 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
             time = starts[lane] + np.arange(counts.size)[::every] / rate
             axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
             axes[1].plot(position, force, ".", color=color, markersize=1.5)
+            if period is not None:
+                axes[2].plot(np.mod(position, period), force, ".", color=color, markersize=1.5)
     axes[0].set_xlabel("time, s")
     axes[1].set_xlabel("position, mm")
+    if period is not None:
+        axes[2].set_xlabel(f"position within a period of {period:.5g} mm, mm")
     for axis in axes:
         axis.set_ylabel("missing force, N")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    name = logs[found.split.logs[-1]].name
-    figure.suptitle(f"Force that the model lacks while the table slides, {name}", x=0.01, ha="left")
+    figure.suptitle(f"Force that the model lacks, {logs[log].name}\n{BLANK}", x=0.01, ha="left")
     return figure
+
+
+def _period(found: Diagnosis, log: int) -> float | None:
+    """The travel (mm) after which what was found repeats, if any of it does."""
+    members = found.found.model.values(found.found.u)
+    return next((1e3 * float(one["period"][log]) for one in members if "period" in one), None)
 
 
 def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:

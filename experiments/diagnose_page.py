@@ -10,7 +10,9 @@ from typing import Any
 
 from experiments import payoff
 from experiments.cause_words import headlines, numbers
+from experiments.diagnose_figures import BLANK
 from experiments.report import Report
+from experiments.spans import spelled
 from tuning.diagnosis.where import SIGNIFICANT
 
 STYLE = """
@@ -19,6 +21,7 @@ h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem; border-botto
 table { border-collapse: collapse; margin: 1rem 0 } caption { text-align: left; padding-bottom: .3rem }
 td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee; vertical-align: top }
 td:first-child, th:first-child, .words td, .words th { text-align: left } img { max-width: 100% }
+figure { margin: 1rem 0 } caption, figcaption { color: #555; font-size: .9rem }
 .verdict { font-size: 1.15rem; padding: .7rem 1rem; background: #eef4fb; border-left: 4px solid #1f77b4 }
 """
 REGIONS = 10  # that are shown, each with
@@ -29,12 +32,24 @@ NOWHERE = f"nowhere in particular: no region with {100 * LEAST:.0f} % of it or m
 
 SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
 LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
-LOOP = "RMS of simulation against log, position and command in closed loop; low and high: 95 %"
-SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, against nominal"
+LOOP = (
+    "Missing force: what the model lacks while the table slides, RMS, low and high its 95 %; "
+    "position and command: the log against the simulation in closed loop, RMS"
+)
+SHRINK = f"{LOOP}. Shrink: of the missing force's mean square against nominal, floor and all"
 LEAST_CHANCE = 1e-3  # no smaller one means anything
-CAUSES = ("effect", "round", "confidence", "parameters with 95 % intervals", "not excluded in its place")
+CAUSES = ("effect", "round", "evidence", "confidence", "parameters with 95 % intervals", "not excluded in its place")
 NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
-FOUND_FIRST = "Causes: what was found, then what else was tried, the surest first"
+FOUND_FIRST = (
+    "Causes: what was found, then what else was fitted, the surest first; the rest of the catalogue promised less when "
+    "screened. Round 1: alone, 2: beside what the first found. Evidence: how much likelier it makes the logs, in -2 log"
+)
+PICTURES = {
+    "missing_force": f"The force that the model lacks, on held-out data ({BLANK}).",
+    "where": "Shares of the gap beside what chance would give.",
+    "causes": "How sure each cause is.",
+    "ladder": "The gap of each model on held-out data, against the noise floor; bars: 95 %.",
+}
 BOTH = "Nominal parameters; damping moves with viscous friction"
 
 Row = list[Any]
@@ -85,7 +100,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
         "<ul>" + "".join(f"<li>{escape(one)}</li>" for one in regions) + "</ul>" if regions else f"<p>{NOWHERE}.</p>",
         _image(report, "where"),
         "<h2>3. Which unmodelled effect causes it?</h2>",
-        _table(CAUSES, [_cause(one) for one in told["causes"]], words=True)
+        _table(CAUSES, [_cause(one) for one in told["causes"]], FOUND_FIRST, words=True)
         if told["causes"]
         else f"<p>{NOT_WORTH if told['searched'] else NOT_SEARCHED}</p>",
         _image(report, "causes"),
@@ -96,6 +111,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
         loop,
         _image(report, "ladder"),
         f"<p>Drive with what was found, as in log 1: <code>{escape(augmented)}</code></p>" if augmented else "",
+        f"<p>{escape(told['scale_noise'])}</p>" if told["scale_noise"] else "",
         _paid(told["payoff"]) if "payoff" in told else "",
         f"<h2>What next?</h2><p>{escape(told['next_experiment']['says'])}</p>",
         "</html>",
@@ -165,16 +181,17 @@ def _cause(one: dict[str, Any]) -> Row:
     return [
         one["effect"],
         one["round"],
+        f"{one['evidence']:.0f}",
         round(one["confidence"], 3),
         "; ".join(numbers(one)) if one["found"] else "",
-        ", ".join(one["indistinguishable_from"]) if one["found"] or round(one["confidence"], 3) > 0.0 else "",
+        ", ".join(one["indistinguishable_from"]),
     ]
 
 
 def _recalibrated(one: dict[str, Any]) -> Row:
     row = [one["parameter"], "" if one["unit"] == "1" else one["unit"], one["drive_file"]]
     for key in ("recalibrated", "with_effects"):
-        row += [one.get(key), *one.get(f"{key}_interval", (None, None))]
+        row += spelled((one[key], *one[f"{key}_interval"])) if key in one else ("-", "-", "-")
     return row
 
 
@@ -209,7 +226,8 @@ def _image(report: Report, name: str) -> str:
     if f"{name}.png" not in report.data.get("figures", []):
         return ""  # what lies there may be of an earlier diagnosis
     data = base64.b64encode((report.out / f"{name}.png").read_bytes()).decode("ascii")
-    return f"<img alt='{name}' src='data:image/png;base64,{data}'>"
+    picture = f"<img alt='{name}' src='data:image/png;base64,{data}'>"
+    return f"<figure>{picture}<figcaption>{escape(PICTURES[name])}</figcaption></figure>"
 
 
 def _table(columns: tuple[str, ...], rows: list[Row], caption: str = "", words: bool = False) -> str:

@@ -19,6 +19,7 @@ from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.verdict import Belief
 from tuning.estimates import NORMAL
 
+NOT_NOTHING = 5e-4  # of confidence: what has less has no rivals that anyone would ask for
 TOO_FAR = (
     "The drive file's drive is too far from the logs for the missing force to be told: the filter that would tell it "
     "is lost along them, or runs away. Look at units and signs"
@@ -111,7 +112,7 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
         "gap_before": before and _force(before),
         "gap_after": rung and _force(rung),
         "held_out": rung and before and _own_shrink(found, before, rung),
-        "indistinguishable_from": belief.alternatives,
+        "indistinguishable_from": belief.alternatives if belief.found or belief.confidence >= NOT_NOTHING else [],
     }
 
 

@@ -52,7 +52,7 @@ def identify_drive(
     `columns`, `units`, `shifts`, `fixed`, `bounds`, `loads` are texts as on the command line. Raises `DriveFileError`,
     `LogError` and `ParameterError`, one line each.
     """
-    description = described(drive, columns, units, shifts)
+    description = described(drive, columns, units, shifts, [*paths, *held_out])
     if effects := [effect.name for effect in description.drive.effects]:
         raise DriveFileError(
             f"{drive}: [effects] {', '.join(effects)}: identification knows no effects; take the table out, or diagnose"

@@ -12,11 +12,11 @@ def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():
         "units": {"sine": "N", "period": "m", "rested": "s"},
         "effect": "cogging",
     }
-    assert parameter("sine", cause) == "sine log 1 1 (0.9 to 1.1), log 2 -2 (-2.1 to -1.9) N"
-    assert parameter("period", cause) == "period 0.005 (0.004 to 0.006) m"
-    assert parameter("rested", cause) == "rested 0.3 (0.2 to 0.4) s"
+    assert parameter("sine", cause) == "sine log 1: 1.00 (0.90 to 1.10) N, log 2: -2.00 (-2.10 to -1.90) N"
+    assert parameter("period", cause) == "period 5.0 (4.0 to 6.0) mm"
+    assert parameter("rested", cause) == "rested 0.30 (0.20 to 0.40) s"
     cause["intervals"]["period"] = (None, 0.006)
-    assert parameter("period", cause) == "period 0.005 (- to 0.006) m"
+    assert parameter("period", cause) == "period 5 (- to 6) mm"
 
 
 def test_a_wave_is_told_by_its_amplitude_and_phase_and_what_is_none_not_at_all():
@@ -30,10 +30,10 @@ def test_a_wave_is_told_by_its_amplitude_and_phase_and_what_is_none_not_at_all()
         },
         "units": dict.fromkeys(("cosine", "sine", "cosine2", "sine2"), "N") | {"period": "m"},
     }  # fmt: skip
-    first = "amplitude log 1 5 (4.7 to 5.3), log 2 5 (4.7 to 5.3) N, phase -53, 0 deg"
-    assert numbers(cause) == [first, "period 0.005 (0.0049 to 0.0051) m"]
+    first = "amplitude log 1: 5.00 (4.70 to 5.30) N, log 2: 5.00 (4.70 to 5.30) N, phase -53, 0 deg"
+    assert numbers(cause) == [first, "period 5.00 (4.90 to 5.10) mm"]
     found = cause | {"confidence": 0.97, "found": True}
-    line = f"cogging, 97 % sure: {first}; period 0.005 (0.0049 to 0.0051) m"
+    line = f"cogging, 97 % sure: {first}; period 5.00 (4.90 to 5.10) mm"
     assert headlines([found, found | {"found": False}]) == [line]
 
 
@@ -46,10 +46,10 @@ def test_a_headline_shows_the_numbers_that_are_furthest_from_none():
                       "sine": (0.039, 0.041)},
         "units": {"slope": "1/m", "period": "m", "cosine": "1", "sine": "1"},
     }  # fmt: skip
-    shown = "amplitude 0.05 (0.049 to 0.051), phase 53 deg; period 0.1 (0.099 to 0.101) m"
+    shown = "amplitude 0.0500 (0.0490 to 0.0510), phase 53 deg; period 100.0 (99.0 to 101.0) mm"
     assert headlines([cause]) == [f"position_friction, 97 % sure: {shown}"]
     cause["intervals"] |= {"cosine": (-0.1, 0.2), "sine": (-0.2, 0.2)}
-    assert headlines([cause])[0].startswith("position_friction, 97 % sure: amplitude 0.05 (0 to ")
+    assert headlines([cause])[0].startswith("position_friction, 97 % sure: amplitude 0.05 (0.00 to ")
     cause["intervals"] |= {"cosine": (None, None)}
     assert numbers(cause)[0] == "amplitude 0.05 (- to -), phase 53 deg"
 
@@ -61,4 +61,7 @@ def test_what_a_friction_shape_holds_as_logarithms_is_told_as_factors():
         "intervals": {"stribeck_exponent": (np.log(1.9), np.log(2.1)), "coulomb": (0.4, 0.6)},
         "units": {"stribeck_exponent": "1", "coulomb": "N"},
     }
-    assert numbers(cause) == ["stribeck_exponent 2 (1.9 to 2.1) times the recalibrated", "coulomb 0.5 (0.4 to 0.6) N"]
+    assert numbers(cause) == [
+        "stribeck_exponent 2.00 (1.90 to 2.10) times the recalibrated",
+        "coulomb 0.50 (0.40 to 0.60) N",
+    ]

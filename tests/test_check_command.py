@@ -1,6 +1,7 @@
 """`diffdrive check`: what logs hold, and which finding of theirs is fatal."""
 
 import json
+import re
 
 import pytest
 from sound_log import DRIVE, RATE, SOUND, but, moved
@@ -37,6 +38,23 @@ def test_a_sound_log_is_said_to_be_so_and_what_it_holds(checked):
     # two sines: 20 mm at 0.6 Hz and 3 mm at 1.9 Hz, whose speeds add up nearly once
     assert 80.0 < held["fastest mm/s"] < 2 * 3.1416 * (20 * 0.6 + 3 * 1.9)
     assert held["channels"] == "reference position command"
+
+
+def test_the_option_that_a_finding_names_mends_that_log_and_no_other(tmp_path):
+    """Two logs of one call, one of them late; and a name that is none of theirs is refused."""
+    write_drive(tmp_path / "drive.toml", DRIVE)
+    write_log(tmp_path / "in_time.csv", SOUND)
+    write_log(tmp_path / "late.csv", but(command=moved(SOUND.command, 1)))
+    given = ["check", *(str(tmp_path / one) for one in ("in_time.csv", "late.csv")), "--drive"]
+    given += [str(tmp_path / "drive.toml"), "--out", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, given).exit_code == 3
+    rows = json.loads((tmp_path / "out" / "result.json").read_text())["tables"]["findings"]["rows"]
+    ((log, mend),) = [(row[0], row[4]) for row in rows if row[1] == "fatal"]
+    assert log == "late"
+    option = re.findall(r"--shift (\S+?)[,)]", mend)[0]
+    assert CliRunner().invoke(app, [*given, "--shift", option]).exit_code == 0
+    refused = CliRunner().invoke(app, [*given, "--shift", "later:command=-1"])
+    assert "later:command=-1: no such log; the logs are in_time.csv, late.csv" in str(refused.exception)
 
 
 def test_a_fatal_finding_is_named_with_its_mend_and_ends_with_3(checked):

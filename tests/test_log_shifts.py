@@ -36,6 +36,19 @@ def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_the
         assert f"the {channel} was moved by {by:+d} samples" in log.notes
 
 
+@pytest.mark.parametrize("key", ["late:command", "late.csv:command", "monday/late:command", " late : command"])
+def test_a_shift_of_one_log_goes_before_that_of_all(tmp_path, key):
+    """The log may be named with its extension and its folder, whatever else is called nearly alike."""
+    logs = ["monday/late.csv", "monday/later.csv", "monday/late.1.csv"]
+    (tmp_path / "monday").mkdir()
+    mapping = Mapping(shifts={"command": 1, key: -1})
+    for name, moved_by in zip(logs, (-1, 1, 1), strict=True):
+        path = tmp_path / name
+        path.write_text(f"{NAMES}\n{rows()}")
+        assert f"the command was moved by {moved_by:+d} samples" in read_log(path, mapping).notes
+        assert mapping.moves(path.stem if "/" not in key else f"monday/{path.stem}") == {"command": moved_by}
+
+
 def test_what_is_not_moved_is_as_it_was(written):
     plain, none = read_log(written), read_log(written, Mapping(shifts={"command": 0}))
     assert plain.notes == none.notes
@@ -90,6 +103,8 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
     ("build", "says"),
     [
         (lambda: Mapping(shifts={"comand": -1}), r"\[shifts\] comand: .*did you mean 'command'"),
+        (lambda: Mapping(shifts={"lap2:comand": -1}), r"\[shifts\] lap2:comand: .*did you mean 'command'"),
+        (lambda: Mapping(shifts={"lap2:command": 0.5}), r"\[shifts\] lap2:command: must be a whole number of samples"),
         (lambda: Mapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
         (lambda: Mapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
         (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),

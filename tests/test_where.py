@@ -40,6 +40,22 @@ def located(force, position, lost=0.0, **more):
     return localise(gap, lanes, (0,), RATE, **more)
 
 
+def test_of_a_table_that_rests_much_neither_way_has_more_than_its_share():
+    """As much is missing both ways, and nothing at rest: motion is where it lies, and no direction and no speed."""
+    time = np.arange(20_000) / RATE
+    moving = np.minimum(time % 2.0, 1.0)  # it goes for a second and rests for one
+    position = 0.01 * (1.0 - np.cos(2 * np.pi * (moving + 0.5 * np.floor(time / 2.0)))) / 2.0
+    force = np.random.default_rng(5).standard_normal(len(time)) * (np.abs(np.gradient(position)) > 0.0)
+    found = {(one.dimension, one.region): one for one in located(force, position)}
+    ways = [found["direction", way] for way in ("positive", "negative")]
+    assert sum(one.share for one in ways) == pytest.approx(1.0, abs=0.01)
+    assert sum(one.expected for one in ways) == pytest.approx(1.0, abs=0.01)
+    assert all(one.p_value > SIGNIFICANT for one in ways)
+    assert "of the gap in motion lies in positive direction" in ways[0].says
+    assert all(one.p_value > SIGNIFICANT for (dimension, _), one in found.items() if dimension == "speed")
+    assert found["phase", "rest"].share < 0.1 < found["phase", "rest"].expected
+
+
 def test_a_lost_filters_force_has_no_lines_to_tell():
     time = np.arange(20_000) / RATE
     position, ripple = triangle(time, 0.02, 0.03), np.sin(2 * np.pi * 83.0 * time)

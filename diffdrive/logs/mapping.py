@@ -4,11 +4,13 @@ import dataclasses
 import difflib
 import math
 from collections.abc import Iterable
+from pathlib import PurePath
 from typing import Any
 
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
+from diffdrive.logs.log_names import means
 from diffdrive.units import to_si
 
 
@@ -19,8 +21,8 @@ class Mapping:
     `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
     column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
     in V or A into newtons. `shifts` moves a channel that was recorded early or late by whole samples, positive to later
-    times; what was injected into the command moves with it. Raises `LogError` for a channel or unit that does not
-    exist, and for a shift that is no whole number.
+    times; what was injected into the command moves with it. A key such as "lap2:command" is of that log alone. Raises
+    `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
     """
 
     columns: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -41,12 +43,13 @@ class Mapping:
             gain = getattr(self, key)
             if gain is not None and not (math.isfinite(gain) and gain != 0):
                 raise LogError(f"[units] {key}: must be a finite number of N/{electric} other than 0, got {gain!r}")
-        for channel, by in self.shifts.items():
+        for key, by in self.shifts.items():
+            channel = _moved(key)[1]
             if channel not in READABLE or channel == "time":
                 known = [one for one in READABLE if one != "time"]
-                raise LogError(f"[shifts] {channel}: no channel that can be moved; {_near(channel, known)}")
+                raise LogError(f"[shifts] {key}: no channel that can be moved; {_near(channel, known)}")
             if isinstance(by, bool) or not isinstance(by, int):
-                raise LogError(f"[shifts] {channel}: must be a whole number of samples, such as -1, got {by!r}")
+                raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {by!r}")
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
         held: dict[str, str] = {}
@@ -60,6 +63,12 @@ class Mapping:
         """N per "V" and per "A", as far as they are known."""
         gains = {electric: getattr(self, key) for key, electric in FORCE_PER.items()}
         return {electric: gain for electric, gain in gains.items() if gain is not None}
+
+    def moves(self, log: str | PurePath) -> dict[str, int]:
+        """Samples by which each channel of a log is moved: for its file or its name, such as "lap2"."""
+        keys = [(*_moved(key), by) for key, by in self.shifts.items()]
+        every = {channel: by for owner, channel, by in keys if owner is None}
+        return every | {channel: by for owner, channel, by in keys if owner is not None and means(owner, log)}
 
     def conversion(self, channel: str, unit: str, where: str) -> Conversion:
         """How a column of `channel` in `unit` becomes SI; `where` begins the `LogError` if it cannot."""
@@ -77,6 +86,12 @@ class Mapping:
         changed = {table: getattr(self, table) | more[table] for table in more}
         moved = {channel: _samples(channel, by) for channel, by in _assignments(shifts, "--shift").items()}
         return dataclasses.replace(self, **changed, **gains, shifts=self.shifts | moved)
+
+
+def _moved(key: str) -> tuple[str | None, str]:
+    """The log, if it is of one alone, and the channel that a key of [shifts] moves."""
+    log, colon, channel = key.rpartition(":")
+    return (log.strip() if colon else None), channel.strip()
 
 
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}

@@ -8,6 +8,7 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs.log import CHANNELS, Log
+from diffdrive.logs.log_names import MAT, PARQUET, TEXT
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.missing import without_missing
 from diffdrive.logs.select import missing, select
@@ -35,10 +36,7 @@ def _parquet() -> Callable[[Path], Table]:
 
 
 # each imports its library only when a file needs it: they take longer than the rest of diffdrive
-READERS = {
-    ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
-    ".parquet": _parquet, ".pq": _parquet,
-}  # fmt: skip
+READERS = dict.fromkeys(TEXT, _csv) | dict.fromkeys(MAT, _mat) | dict.fromkeys(PARQUET, _parquet)
 
 
 def read_table(path: str | Path) -> Table:
@@ -84,7 +82,7 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate)
     notes += said
-    shifts = dict(mapping.shifts)
+    shifts = mapping.moves(path)
     if "injected" in signals and "command" in shifts:  # of which it is a part
         shifts.setdefault("injected", shifts["command"])
     signals, gaps, said = shifted(table.source, signals, gaps, shifts)

@@ -37,7 +37,7 @@ Labels = Bool[np.ndarray, "lanes n"]
 
 
 class Region(NamedTuple):
-    """A part of the logs and its share of the gap's energy."""
+    """A part of the logs and its share of the gap's energy; of what lies in motion, for a direction or a speed."""
 
     dimension: str
     region: str
@@ -119,9 +119,16 @@ class _Asked(NamedTuple):
 
 
 def _shares(
-    gap: ForceGap, every: Float[np.ndarray, "lanes n"], asked: list[_Asked], rate: float, seed: int
+    gap: ForceGap,
+    every: Float[np.ndarray, "lanes n"],
+    asked: list[_Asked],
+    rate: float,
+    seed: int,
+    of: tuple[str, str] = ("the gap", "the time"),
 ) -> list[Region]:
-    """The regions that are neither nothing nor everything; each p-value is how often chance does as well there."""
+    """The regions that are neither nothing nor everything of what counts; each p-value is how often chance does as well
+    there. `of` says what gap and what time that is.
+    """
     counted = every > 0
     asked = [one for one in asked if 0.005 < one.inside[counted].mean() < 0.995]
     energy = gap.surprise[counted]
@@ -141,7 +148,7 @@ def _shares(
     for one, chance in zip(asked, (1 + as_well) / (1 + LAID), strict=True):
         here = one.inside[counted]
         share, expected = float(energy[here].sum() / energy.sum()), float(here.mean())
-        says = f"{_percent(share)} of the gap lies {one.says}, in {_percent(expected)} of the time"
+        says = f"{_percent(share)} of {of[0]} lies {one.says}, in {_percent(expected)} of {of[1]}"
         found.append(Region(one.dimension, one.region, share, expected, float(chance), says, one.low, one.high))
     return found
 
@@ -182,10 +189,11 @@ def localise(
     }
     asked += [_Asked("phase", name, inside, words[name]) for name, inside in phases(motion, rate).items()]
     ahead, back = motion.velocity > SLOWEST, motion.velocity < -SLOWEST
-    asked.append(_Asked("direction", "positive", ahead, "in positive direction"))
-    asked.append(_Asked("direction", "negative", back, "in negative direction"))
-    speed = np.abs(motion.velocity)
-    asked += _bands("speed", speed, speed > SLOWEST, every, SPEEDS, 1e3, "mm/s", "at speeds of")
+    speed, ways = np.abs(motion.velocity), "in {} direction".format
+    moved = [
+        *(_Asked("direction", way, inside, ways(way)) for way, inside in (("positive", ahead), ("negative", back))),
+        *_bands("speed", speed, speed > SLOWEST, every, SPEEDS, 1e3, "mm/s", "at speeds of"),
+    ]
     asked += _bands("position", motion.position, every > 0, every, PLACES, 1e3, "mm", "at positions of")
     load = np.asarray(lanes.load)
     if np.ptp(load[every > 0]) > 0.0:
@@ -197,7 +205,9 @@ def localise(
             asked.append(_Asked("log", f"log {log + 1}", mine, f"in log {log + 1}"))
         named = f"in log {log + 1} at times of" if len(set(owner)) > 1 else "at times of"
         asked += _bands("time", time, mine, every, TIMES, 1.0, "s", named)
-    regions = _shares(gap, every, asked, rate, seed)
+    # held against motion alone: of a table that rests much, every direction and every speed would have more than chance
+    moving = _shares(gap, every * (speed > SLOWEST), moved, rate, seed, ("the gap in motion", "the time in motion"))
+    regions = [*_shares(gap, every, asked, rate, seed), *moving]
     if not gap.told:  # a lost filter's force has a spectrum, too
         return [*ranked(regions), *ranked(others)]
     bands = _frequencies(gap, rate, noise)

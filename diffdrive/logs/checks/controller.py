@@ -1,6 +1,8 @@
 """The logged command against the drive file's controller: its unit, its sign, its timing, and what was added to it."""
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -23,8 +25,8 @@ WRONG_UNIT, OFF = 0.1, 0.005
 REMEMBERED = 20.0
 
 
-def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding]:
-    """Shifts by whole samples; and that there is none."""
+def timing(log: str, found: Comparison, description: DriveDescription) -> Iterator[Finding]:
+    """Shifts by whole samples; and that there is none. `log` is its name."""
     best, plain = found.best, found.plain
     if (best.reference, best.position) == (0, 0):
         early, now, late = found.around
@@ -46,7 +48,7 @@ def timing(found: Comparison, description: DriveDescription) -> Iterator[Finding
     numbers = f"({percent(best.fit.error)} % instead of {percent(plain.fit.error)} %)"
     yield Finding(
         "fatal" if certain else "warning",
-        *_shift_told(best.reference, best.position, numbers, description.mapping.shifts),
+        *_shift_told(best.reference, best.position, numbers, partial(_moved, log, description.mapping.moves(log))),
     )
 
 
@@ -54,15 +56,23 @@ def _samples(count: float) -> str:
     return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
 
 
-def _moved(channel: str, by: float, already: dict[str, int]) -> str:
-    """Where to move a channel, and the option that does it: beyond what [shifts] moves it already."""
-    whole = already.get(channel, 0) + by
-    option = "" if by % 1 else f" (--shift {channel}={whole:+.0f}, or {channel} = {whole:.0f} in [shifts])"
-    return f"the {channel} by {by:+.2g} samples{option}"
+def _moved(log: str, already: dict[str, int], channel: str, by: float) -> str:
+    """Where to move a channel of a log, and the option that does it: beyond what [shifts] moves it already."""
+    mend = f"shift the {channel} by {by:+.2g} samples"
+    if by % 1:
+        return mend
+    before, whole = already.get(channel, 0), already.get(channel, 0) + by
+    option = (
+        f"--shift {shlex.quote(f'{log}:{channel}={whole:+.0f}')}, or {channel} = {whole:.0f} in [shifts] for all logs"
+    )
+    if whole == 0:
+        return f"do not shift the {channel} of this log, which [shifts] or --shift moves by {before:+d} ({option})"
+    more = f" more than the {before:+d} by which it is moved already" if before else ""
+    return f"{mend}{more} ({option})"
 
 
 def _shift_told(
-    i: float, j: float, numbers: str, already: dict[str, int]
+    i: float, j: float, numbers: str, moved: Callable[[str, float], str]
 ) -> tuple[str, str, str, str | None, float | None]:
     """Channel, finding, mend, what resembles it and how much of that, for C(reference[k - i], position[k - j]).
 
@@ -74,7 +84,7 @@ def _shift_told(
             "command",
             f"the recorded command is {_samples(i)} {way} (shift {i:+.2g}) against reference and position: the "
             f"controller gives it from the values of sample k{-i:+.2g} {numbers}",
-            f"shift {_moved('command', -i, already)}"
+            moved("command", -i)
             + ("; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""),
             "loop_delay",
             -i,
@@ -97,7 +107,7 @@ def _shift_told(
             channel,
             f"the recorded {channel} is {_samples(shift)} {way} (shift {-shift:+.2g}) against the other channels{real}:"
             f" the controller gives the command from its value of sample k{-shift:+.2g} {numbers}",
-            f"shift {_moved(channel, shift, already)}",
+            moved(channel, shift),
             "loop_delay" if channel == "position" else None,
             -shift if channel == "position" else None,
         )
@@ -105,8 +115,7 @@ def _shift_told(
         "command",
         f"reference and position are shifted against the command by different amounts, {-i:+.2g} and {-j:+.2g} samples "
         f"{numbers}",
-        f"shift {_moved('reference', i, already)} and {_moved('position', j, already)}; which channel "
-        "is in time cannot be told",
+        f"{moved('reference', i)} and {moved('position', j)}; which channel is in time cannot be told",
         "loop_delay",
         -j,
     )

@@ -1,0 +1,59 @@
+"""A number with its interval, in words: so many digits that the interval shows, in a unit that leaves few zeros."""
+
+import math
+from collections.abc import Sequence
+
+SHOWN = 2  # digits of half an interval's width (GUM, 7.2.6)
+WITHOUT = 4  # digits of a number without an interval
+MOST = 8  # digits of any number
+FIXED = (1e-4, 1e7)  # written without a power of ten
+SMALLER = {
+    "m": ((1e-4, 1e6, "um"), (1.0, 1e3, "mm")),
+    "m/s": ((1.0, 1e3, "mm/s"),),
+    "s": ((1e-4, 1e6, "us"), (0.1, 1e3, "ms")),
+}  # units that are taken below so much, and how many of them make one
+
+Span = tuple[float, float | None, float | None]  # a number, and its interval where one is known
+
+
+def spelled(span: Span) -> tuple[str, str, str]:
+    """The number and the ends of its interval, all to the same place; "-" for an end that is not known."""
+    _, low, high = span
+    half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{SHOWN - 1}e}")
+    if not half > 0.0:
+        at, low_said, high_said = ("-" if one is None else f"{one:.{WITHOUT}g}" for one in span)
+        return at, low_said, high_said
+    largest = max(abs(one) for one in span if one is not None)
+    last = max(_place(half) - SHOWN + 1, _place(largest) - MOST + 1)
+    fixed = FIXED[0] <= largest < FIXED[1]
+    at, low_said, high_said = ("-" if one is None else _to_place(one, last, fixed) for one in span)
+    return at, low_said, high_said
+
+
+def listed(spans: Sequence[Span], unit: str) -> str:
+    """Each number with its interval and the unit, log by log where there are several; unit "1" is none."""
+    spans, unit = scaled(spans, unit)
+    after = "" if unit == "1" else f" {unit}"
+    shown = ["{} ({} to {})".format(*spelled(one)) + after for one in spans]
+    return ", ".join(f"log {k}: {one}" for k, one in enumerate(shown, start=1)) if len(shown) > 1 else shown[0]
+
+
+def scaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:
+    """The same in millimetres, micrometres or milliseconds where the largest is small for its unit."""
+    largest = max(abs(one) for span in spans for one in span if one is not None)
+    for below, factor, smaller in SMALLER.get(unit, ()):
+        if 0.0 < largest < below:
+            return [tuple(None if one is None else factor * one for one in span) for span in spans], smaller  # type: ignore[misc]
+    return spans, unit
+
+
+def _place(number: float) -> int:
+    """The decimal place of its first digit: 0 for ones, 1 for tens, -1 for tenths."""
+    return math.floor(math.log10(number)) if number > 0.0 else 0
+
+
+def _to_place(number: float, last: int, fixed: bool) -> str:
+    """Rounded to a decimal place."""
+    if fixed:
+        return f"{round(number, -last) + 0.0:.{max(0, -last)}f}"
+    return f"{number:.{max(0, _place(abs(number)) - last)}e}"
