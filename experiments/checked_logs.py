@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription, read_drive
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
-from diffdrive.logs.log_names import means
+from diffdrive.logs.mapping import log_and_channel, means
 from diffdrive.logs.plausibility import Finding, examine
 from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
@@ -28,8 +28,8 @@ def described(
     """
     description = read_drive(drive)
     for text in shifts:
-        log, colon, _ = text.partition("=")[0].rpartition(":")
-        if colon and not any(means(log.strip(), one) for one in logs):
+        log, _ = log_and_channel(text.rpartition("=")[0])
+        if not any(means(log, one) for one in logs):
             raise ParameterError(f"--shift {text}: no such log; the logs are {', '.join(one.name for one in logs)}")
     return replace(description, mapping=description.mapping.overridden(columns, units, shifts))
 

@@ -76,7 +76,7 @@ def diagnose_logs(
             )  # fmt: skip
         beside = {
             "logs": [log.name for log in logs], "findings": findings, "searched": not _voided(fatal),
-            "scale_noise": unstated_noise(description.drive, float(found.logged.noise)),
+            "scale_noise": "" if _voided(fatal) else unstated_noise(description.drive, float(found.logged.noise)),
         }  # fmt: skip
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)

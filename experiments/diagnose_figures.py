@@ -71,8 +71,8 @@ def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.nd
 def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
     """The force that is missing over time and position, and within the period that was found; before and after."""
     log = found.split.logs[-1]
-    period = _period(found, log)
-    figure, axes = new_figure(2 if period is None else 3, 1, width=11.0, height=2.8, share_x=False)
+    repeats = _period(found, log)
+    figure, axes = new_figure(2 if repeats is None else 3, 1, width=11.0, height=2.8, share_x=False)
     lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
     rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
     for rung, label, color in (one for one in _first_and_last(found.rungs) if one[0].force.told):
@@ -84,12 +84,12 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
             time = starts[lane] + np.arange(counts.size)[::every] / rate
             axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
             axes[1].plot(position, force, ".", color=color, markersize=1.5)
-            if period is not None:
-                axes[2].plot(np.mod(position, period), force, ".", color=color, markersize=1.5)
+            if repeats is not None:
+                axes[2].plot(np.mod(position, repeats[0]), force, ".", color=color, markersize=1.5)
     axes[0].set_xlabel("time, s")
     axes[1].set_xlabel("position, mm")
-    if period is not None:
-        axes[2].set_xlabel(f"position within a period of {period:.5g} mm, mm")
+    if repeats is not None:
+        axes[2].set_xlabel("position within a period of {:.5g} mm ({}), mm".format(*repeats))
     for axis in axes:
         axis.set_ylabel("missing force, N")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
@@ -97,10 +97,15 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
     return figure
 
 
-def _period(found: Diagnosis, log: int) -> float | None:
-    """The travel (mm) after which what was found repeats, if any of it does."""
-    members = found.found.model.values(found.found.u)
-    return next((1e3 * float(one["period"][log]) for one in members if "period" in one), None)
+def _period(found: Diagnosis, log: int) -> tuple[float, str] | None:
+    """The travel (mm) after which the first effect found that repeats does so, and its name."""
+    model = found.found.model
+    added = list(zip(model.members, model.values(found.found.u), strict=True))[len(model.members) - model.added :]
+    for member, values in added:
+        for name in ("period", "lead"):
+            if name in values:
+                return 1e3 * float(values[name][log]), member.candidate.effect.name
+    return None
 
 
 def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:

@@ -36,13 +36,13 @@ LOOP = (
     "Missing force: what the model lacks while the table slides, RMS, low and high its 95 %; "
     "position and command: the log against the simulation in closed loop, RMS"
 )
-SHRINK = f"{LOOP}. Shrink: of the missing force's mean square against nominal, floor and all"
+SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, noise floor and all, against the nominal drive's"
 LEAST_CHANCE = 1e-3  # no smaller one means anything
 CAUSES = ("effect", "round", "evidence", "confidence", "parameters with 95 % intervals", "not excluded in its place")
 NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
 FOUND_FIRST = (
     "Causes: what was found, then what else was fitted, the surest first; the rest of the catalogue promised less when "
-    "screened. Round 1: alone, 2: beside what the first found. Evidence: how much likelier it makes the logs, in -2 log"
+    "screened. Round 1: alone, 2 and more: beside what was found before. Evidence: drop of -2 ln likelihood"
 )
 PICTURES = {
     "missing_force": f"The force that the model lacks, on held-out data ({BLANK}).",
@@ -181,7 +181,7 @@ def _cause(one: dict[str, Any]) -> Row:
     return [
         one["effect"],
         one["round"],
-        f"{one['evidence']:.0f}",
+        None if one["evidence"] is None else round(one["evidence"]),
         round(one["confidence"], 3),
         "; ".join(numbers(one)) if one["found"] else "",
         ", ".join(one["indistinguishable_from"]),

@@ -9,6 +9,7 @@ import numpy as np
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.parameters import Directional, Drive
 from experiments.report import null, plain
+from experiments.spans import spelled
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
@@ -195,8 +196,8 @@ def _closed(found: Diagnosis) -> dict[str, Any]:
         )
         says = f"{on}. {hides if moved >= STRAINED else 'Recalibration alone leaves nothing there to close'}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
-    percent = f"{100 * gone.share:.0f} % ({100 * gone.low:.0f} to {100 * gone.high:.0f})"
-    says = f"{on}: {percent} of what was left beyond the floor is gone"
+    share, low, high = spelled((100.0 * gone.share, 100.0 * gone.low, 100.0 * gone.high))
+    says = f"{on}: {share} % ({low} to {high}) of what was left beyond the floor is gone"
     return {"share": gone.share, "interval": [gone.low, gone.high], "says": says + _in_closed_loop(found)}
 
 

@@ -60,8 +60,9 @@ _OTHERS = (
     ("units", "", "force_per_volt", "N/V", "not 0", "absent", "for a command that is logged in V"),
     ("units", "", "force_per_ampere", "N/A", "not 0", "absent", "for a command that is logged in A"),
     (
-        "shifts", "", "a channel of a log", "-", "whole", "0",
-        "samples by which that channel is moved, positive to later times: `command = -1` for one recorded late",
+        "shifts", "", "a channel, of one log: LOG:CHANNEL", "-", "whole", "0",
+        "samples by which it is moved, positive to later times: `command = -1` for one recorded late, "
+        '`"lap2:command" = -1` in lap2 alone',
     ),
 )  # fmt: skip
 _FROM_THE_PLANT = {(DisturbanceObserver, "mass"), (DisturbanceObserver, "damping")}

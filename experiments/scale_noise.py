@@ -17,9 +17,9 @@ def unstated_noise(drive: Drive, shown: float) -> str:
     if not shown > NOTABLE * stated:
         return ""
     noise = 1e9 * float(np.sqrt(shown**2 - steps**2))
-    of_it = [f"the scale's steps are {1e9 * steps:.3g} nm of that"] if steps else []
-    of_it += [f"the drive file states {1e9 * float(drive.sensor.noise):.3g} nm of noise"]
+    of_steps = f"the scale's steps make {1e9 * steps:.3g} nm of it, added in squares, and " if steps else ""
+    states = f"{of_steps}the drive file states {1e9 * float(drive.sensor.noise):.3g} nm of noise"
     return (
-        f"The measured positions scatter by {1e9 * shown:.3g} nm (RMS; {', '.join(of_it)}): write "
+        f"The measured positions scatter by {1e9 * shown:.3g} nm RMS; {states}: write "
         f'[sensor] noise = "{noise:.3g} nm" before you tune, or the command noise will be more than is promised.'
     )

@@ -20,7 +20,7 @@ def spelled(span: Span) -> tuple[str, str, str]:
     """The number and the ends of its interval, all to the same place; "-" for an end that is not known."""
     _, low, high = span
     half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{SHOWN - 1}e}")
-    if not half > 0.0:
+    if not 0.0 < half < math.inf:
         at, low_said, high_said = ("-" if one is None else f"{one:.{WITHOUT}g}" for one in span)
         return at, low_said, high_said
     largest = max(abs(one) for one in span if one is not None)
@@ -40,7 +40,7 @@ def listed(spans: Sequence[Span], unit: str) -> str:
 
 def scaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:
     """The same in millimetres, micrometres or milliseconds where the largest is small for its unit."""
-    largest = max(abs(one) for span in spans for one in span if one is not None)
+    largest = max((abs(one) for span in spans for one in span if one is not None), default=0.0)
     for below, factor, smaller in SMALLER.get(unit, ()):
         if 0.0 < largest < below:
             return [tuple(None if one is None else factor * one for one in span) for span in spans], smaller  # type: ignore[misc]
@@ -54,6 +54,6 @@ def _place(number: float) -> int:
 
 def _to_place(number: float, last: int, fixed: bool) -> str:
     """Rounded to a decimal place."""
-    if fixed:
-        return f"{round(number, -last) + 0.0:.{max(0, -last)}f}"
+    if fixed or number == 0.0:
+        return f"{round(number, -last) + 0.0:.{max(0, -last) if fixed else 0}f}"
     return f"{number:.{max(0, _place(abs(number)) - last)}e}"

@@ -10,7 +10,7 @@ from written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, r
 
 from diffdrive.drive_file import parse_drive, read_drive, write_drive
 from diffdrive.errors import LogError
-from diffdrive.logs import read_log, write_log
+from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.mapping import Mapping, parse_mapping
 from diffdrive.logs.plausibility import examine
 from diffdrive.logs.shifts import shifted
@@ -39,14 +39,33 @@ def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_the
 @pytest.mark.parametrize("key", ["late:command", "late.csv:command", "monday/late:command", " late : command"])
 def test_a_shift_of_one_log_goes_before_that_of_all(tmp_path, key):
     """The log may be named with its extension and its folder, whatever else is called nearly alike."""
-    logs = ["monday/late.csv", "monday/later.csv", "monday/late.1.csv"]
+    logs = ["monday/late.csv", "monday/later.csv", "monday/late.1.csv", "monday/late.csv.csv"]
     (tmp_path / "monday").mkdir()
-    mapping = Mapping(shifts={"command": 1, key: -1})
-    for name, moved_by in zip(logs, (-1, 1, 1), strict=True):
+    mapping = Mapping(shifts={key: -1, "command": 1})
+    for name in logs:
+        moved_by = -1 if name == logs[0] or (name == logs[3] and ".csv" in key) else 1
         path = tmp_path / name
         path.write_text(f"{NAMES}\n{rows()}")
-        assert f"the command was moved by {moved_by:+d} samples" in read_log(path, mapping).notes
-        assert mapping.moves(path.stem if "/" not in key else f"monday/{path.stem}") == {"command": moved_by}
+        log = read_log(path, mapping)
+        assert f"the command was moved by {moved_by:+d} samples" in log.notes
+        assert log.moved == {"command": moved_by}
+
+
+def test_of_two_logs_of_one_name_the_folder_tells_which_and_goes_before_the_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mapping = Mapping(shifts={"monday/late:command": -2, "late:command": 1, "late:position": 3})
+    (tmp_path / "monday").mkdir()
+    for folder in (".", "monday"):
+        (tmp_path / folder / "late.csv").write_text(f"{NAMES}\n{rows()}")
+    here, there = read_logs(["late.csv", "monday/late.csv"], mapping)
+    assert (here.moved, there.moved) == ({"command": 1, "position": 3}, {"command": -2, "position": 3})
+    assert (here.name, there.name) == (f"{tmp_path.name}/late", "monday/late")
+
+
+def test_what_the_command_line_says_of_all_logs_goes_before_what_the_file_says_of_one():
+    file = Mapping(shifts={"lap=5:command": 1, "lap2:position": 2})
+    assert file.overridden(shifts=["command=0"]).shifts == {"lap2:position": 2, "command": 0}
+    assert file.overridden(shifts=["lap=5:command=-3"]).shifts == {"lap=5:command": -3, "lap2:position": 2}
 
 
 def test_what_is_not_moved_is_as_it_was(written):
@@ -65,15 +84,17 @@ def test_no_value_crosses_a_gap():
     assert gaps == (4,)
 
 
+@pytest.mark.parametrize("key", ["{}", "late:{}", "a folder/late:{}"])
 @pytest.mark.parametrize("already", [0, 1, -2])
 @pytest.mark.parametrize(
     "late", [{"command": -2}, {"command": 1}, {"position": 1}, {"position": -1}, {"reference": 2}, {"reference": -1}]
 )
-def test_the_options_that_a_finding_names_mend_it(late, already, tmp_path):
-    """Whatever [shifts] moved before, that it is out of time by so much more."""
+def test_the_options_that_a_finding_names_mend_it(late, already, key, tmp_path):
+    """Whatever [shifts] moved before, of all logs or of this one, that it is out of time by so much more."""
     (channel,) = late
-    drive = dataclasses.replace(DRIVE, mapping=Mapping(shifts={channel: already}))
-    path = tmp_path / "late.csv"
+    drive = dataclasses.replace(DRIVE, mapping=Mapping(shifts={key.format(channel): already}))
+    path = tmp_path / "a folder" / "late.csv"
+    path.parent.mkdir()
     write_log(path, but(**{name: moved(SOUND.channels[name], by - already) for name, by in late.items()}))
 
     def shifts_of(description):
@@ -83,7 +104,10 @@ def test_the_options_that_a_finding_names_mend_it(late, already, tmp_path):
     (finding,) = shifts_of(drive)
     options = re.findall(r"--shift (\S+?)[,)]", finding.mend)
     assert len(options) == 1
-    assert not shifts_of(dataclasses.replace(drive, mapping=drive.mapping.overridden(shifts=options)))
+    plain = {name: by for name, by in drive.mapping.shifts.items() if "/" not in name}  # which would go before it
+    assert not shifts_of(dataclasses.replace(drive, mapping=Mapping(shifts=plain).overridden(shifts=options)))
+    ((named, by),) = re.findall(r'"(\S+)" = (\S+) in \[shifts\]', finding.mend)
+    assert f"{named}={int(by):+d}" == options[0]
 
 
 def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
@@ -103,6 +127,7 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
     ("build", "says"),
     [
         (lambda: Mapping(shifts={"comand": -1}), r"\[shifts\] comand: .*did you mean 'command'"),
+        (lambda: Mapping(shifts={":command": -1}), r"\[shifts\] :command: names no log"),
         (lambda: Mapping(shifts={"lap2:comand": -1}), r"\[shifts\] lap2:comand: .*did you mean 'command'"),
         (lambda: Mapping(shifts={"lap2:command": 0.5}), r"\[shifts\] lap2:command: must be a whole number of samples"),
         (lambda: Mapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),

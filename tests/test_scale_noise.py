@@ -27,7 +27,7 @@ def test_the_noise_that_is_to_be_written_makes_up_what_the_logs_show(stated, res
     assert np.hypot(1e-9 * float(mend), steps) == pytest.approx(shown, rel=0.005)
     assert not unstated_noise(drive(1e-9 * float(mend), resolution), shown)
     assert f"states {1e9 * stated:.3g} nm of noise" in said
-    assert ("the scale's steps are 28.9 nm of that" in said) == (resolution is not None)
+    assert ("the scale's steps make 28.9 nm of it, added in squares" in said) == (resolution is not None)
 
 
 def test_what_is_stated_or_nearly_so_is_no_matter():

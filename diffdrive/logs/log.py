@@ -1,7 +1,8 @@
 """What a motion left behind, simulated or measured, in SI units on a uniform clock."""
 
 import itertools
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,8 @@ READABLE = CHANNELS | {
 class Log:
     """Signals of one motion; arrays of shape [n], None where the log has no such signal.
 
-    `gaps` are the indices k at which samples are missing between k - 1 and k; `notes` say what a reader repaired.
+    `gaps` are the indices k at which samples are missing between k - 1 and k; `notes` say what a reader repaired;
+    `moved` are the samples by which it moved channels, as it was asked to.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Log:
     temperature: Signal | None = None
     gaps: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
+    moved: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def rate(self) -> float:

@@ -4,13 +4,12 @@ import dataclasses
 import difflib
 import math
 from collections.abc import Iterable
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any
 
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
-from diffdrive.logs.log_names import means
 from diffdrive.units import to_si
 
 
@@ -44,7 +43,9 @@ class Mapping:
             if gain is not None and not (math.isfinite(gain) and gain != 0):
                 raise LogError(f"[units] {key}: must be a finite number of N/{electric} other than 0, got {gain!r}")
         for key, by in self.shifts.items():
-            channel = _moved(key)[1]
+            log, channel = log_and_channel(key)
+            if ":" in key and not log:
+                raise LogError(f"[shifts] {key}: names no log: write 'lap2:{channel}', or '{channel}' for all of them")
             if channel not in READABLE or channel == "time":
                 known = [one for one in READABLE if one != "time"]
                 raise LogError(f"[shifts] {key}: no channel that can be moved; {_near(channel, known)}")
@@ -64,11 +65,13 @@ class Mapping:
         gains = {electric: getattr(self, key) for key, electric in FORCE_PER.items()}
         return {electric: gain for electric, gain in gains.items() if gain is not None}
 
-    def moves(self, log: str | PurePath) -> dict[str, int]:
-        """Samples by which each channel of a log is moved: for its file or its name, such as "lap2"."""
-        keys = [(*_moved(key), by) for key, by in self.shifts.items()]
-        every = {channel: by for owner, channel, by in keys if owner is None}
-        return every | {channel: by for owner, channel, by in keys if owner is not None and means(owner, log)}
+    def moves(self, path: Path) -> dict[str, int]:
+        """Samples by which each channel of a log's file is moved: the key that names the log most closely counts."""
+        found = [(len(PurePath(log).parts), channel, by) for log, channel, by in self._shifts() if means(log, path)]
+        return {channel: by for _, channel, by in sorted(found, key=lambda one: one[0])}
+
+    def _shifts(self) -> list[tuple[str, str, int]]:
+        return [(*log_and_channel(key), by) for key, by in self.shifts.items()]
 
     def conversion(self, channel: str, unit: str, where: str) -> Conversion:
         """How a column of `channel` in `unit` becomes SI; `where` begins the `LogError` if it cannot."""
@@ -84,14 +87,22 @@ class Mapping:
         more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
         gains = {key: _gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
         changed = {table: getattr(self, table) | more[table] for table in more}
-        moved = {channel: _samples(channel, by) for channel, by in _assignments(shifts, "--shift").items()}
-        return dataclasses.replace(self, **changed, **gains, shifts=self.shifts | moved)
+        moved = {key: _samples(key, by) for key, by in _assignments(shifts, "--shift").items()}
+        # what the command line says of all logs is in the place of what the file says of one
+        kept = {key: by for key, by in self.shifts.items() if log_and_channel(key)[1] not in moved}
+        return dataclasses.replace(self, **changed, **gains, shifts=kept | moved)
 
 
-def _moved(key: str) -> tuple[str | None, str]:
-    """The log, if it is of one alone, and the channel that a key of [shifts] moves."""
-    log, colon, channel = key.rpartition(":")
-    return (log.strip() if colon else None), channel.strip()
+def log_and_channel(key: str) -> tuple[str, str]:
+    """The log, "" for all of them, and the channel that a key of [shifts] moves."""
+    log, _, channel = key.rpartition(":")
+    return log.strip(), channel.strip()
+
+
+def means(log: str, path: Path) -> bool:
+    """Whether "lap2", "lap2.csv" or "monday/lap2" means a log's file; "" means every one."""
+    wanted, file = PurePath(log).parts, path.resolve()
+    return any(one.parts[len(one.parts) - len(wanted) :] == wanted for one in (file, file.with_name(file.stem)))
 
 
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
@@ -138,13 +149,18 @@ def _gain(key: str, value: Any, where: str) -> float:
 def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
     given: dict[str, str] = {}
     for text in texts:
-        channel, equals, value = (part.strip() for part in text.partition("="))
+        channel, equals, value = (part.strip() for part in _parted(text, option))
         if not (channel and equals and value):
             raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
         if channel in given:
             raise LogError(f"{option} {text}: {channel} is given twice")
         given[channel] = value
     return given
+
+
+def _parted(text: str, option: str) -> tuple[str, str, str]:
+    """At the sign that is no part of a log's name, or of a unit or a column."""
+    return text.rpartition("=") if option == "--shift" else text.partition("=")
 
 
 def _samples(channel: str, text: str) -> int:

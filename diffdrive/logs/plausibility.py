@@ -94,7 +94,7 @@ def _command(log: Log, description: DriveDescription | None) -> list[Finding]:
     found = None if unknown else comparison.compare(log, description)
     if found is not None and found.related:
         return [
-            *controller.timing(log.name, found, description),
+            *controller.timing(log, found, description),
             *controller.unit_and_sign(log, found, description),
             *controller.disturbance(log, found),
             *controller.added(found),

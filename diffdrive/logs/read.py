@@ -8,7 +8,6 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs.log import CHANNELS, Log
-from diffdrive.logs.log_names import MAT, PARQUET, TEXT
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.missing import without_missing
 from diffdrive.logs.select import missing, select
@@ -36,7 +35,10 @@ def _parquet() -> Callable[[Path], Table]:
 
 
 # each imports its library only when a file needs it: they take longer than the rest of diffdrive
-READERS = dict.fromkeys(TEXT, _csv) | dict.fromkeys(MAT, _mat) | dict.fromkeys(PARQUET, _parquet)
+READERS = {
+    ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
+    ".parquet": _parquet, ".pq": _parquet,
+}  # fmt: skip
 
 
 def read_table(path: str | Path) -> Table:
@@ -82,7 +84,7 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate)
     notes += said
-    shifts = mapping.moves(path)
+    shifts = mapping.moves(Path(path))
     if "injected" in signals and "command" in shifts:  # of which it is a part
         shifts.setdefault("injected", shifts["command"])
     signals, gaps, said = shifted(table.source, signals, gaps, shifts)
@@ -91,7 +93,7 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
         signals["command"] = signals["command"] - signals["injected"]
         notes.append("the injected force was taken off the command and counted as a disturbance")
     ordered = {name: np.ascontiguousarray(signals[name]) for name in CHANNELS if name in signals}
-    return Log(Path(path).stem, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said))
+    return Log(Path(path).stem, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said), moved=shifts)
 
 
 def read_logs(
@@ -104,6 +106,6 @@ def read_logs(
         raise LogError("no log is named; give one or more files")
     alike = {path.stem for path in files if sum(other.stem == path.stem for other in files) > 1}
     return tuple(
-        dataclasses.replace(log, name=f"{path.parent.name}/{path.stem}") if path.stem in alike else log
+        dataclasses.replace(log, name=f"{path.resolve().parent.name}/{path.stem}") if path.stem in alike else log
         for path, log in zip(files, logs, strict=True)
     )

@@ -62,8 +62,8 @@ def split(fitter: Fitter, best: Fitted) -> Split:
         if np.all(told(best, counts * ~mine > 0) | session) and np.all(shown):
             return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
     fitted = (np.floor(travelled * TURNS) % 2 == 0) | ~np.isin(owner, going)[:, None]
-    held = "the log held out (no end" if logged.logs == 1 else "each log held out (no other part"
-    says = f"every other tenth of {held} of it could be spared: some number would not be told), {SESSION}the rest"
+    log, whole = ("the log", "its end or the rest") if logged.logs == 1 else ("each log", "any one log or the others")
+    says = f"every other tenth of {log} held out, since {whole} would tell too little, {SESSION}the rest"
     return Split(counts * fitted, counts * fitted, counts * ~fitted, going, [], says)
 
 

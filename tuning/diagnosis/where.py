@@ -37,12 +37,12 @@ Labels = Bool[np.ndarray, "lanes n"]
 
 
 class Region(NamedTuple):
-    """A part of the logs and its share of the gap's energy; of what lies in motion, for a direction or a speed."""
+    """A part of the logs and its share of the gap's energy."""
 
     dimension: str
     region: str
     share: float
-    expected: float  # share of the time; of the noise, for a band of frequencies; 0 for a line
+    expected: float  # by chance: see `_shares`; of the noise, for a band of frequencies; 0 for a line
     p_value: float  # that chance does as well in any of the regions looked at
     says: str
     low: float | None = None  # ends of a band, in SI units
@@ -124,12 +124,15 @@ def _shares(
     asked: list[_Asked],
     rate: float,
     seed: int,
-    of: tuple[str, str] = ("the gap", "the time"),
+    within: Labels | bool = True,
+    alike: str = "in {} of the time",
 ) -> list[Region]:
-    """The regions that are neither nothing nor everything of what counts; each p-value is how often chance does as well
-    there. `of` says what gap and what time that is.
+    """The regions that are neither nothing nor everything of what lies `within`; each p-value is how often chance does
+    as well there, which gives a region the same share of what lies within as of its time; `alike` says what that is.
     """
-    counted = every > 0
+    total, counted = gap.surprise[every > 0].sum(), (every > 0) & within
+    if not counted.any():
+        return []
     asked = [one for one in asked if 0.005 < one.inside[counted].mean() < 0.995]
     energy = gap.surprise[counted]
     if not asked or not energy.sum() > 0.0:
@@ -147,8 +150,8 @@ def _shares(
     found = []
     for one, chance in zip(asked, (1 + as_well) / (1 + LAID), strict=True):
         here = one.inside[counted]
-        share, expected = float(energy[here].sum() / energy.sum()), float(here.mean())
-        says = f"{_percent(share)} of {of[0]} lies {one.says}, in {_percent(expected)} of {of[1]}"
+        share, expected = float(energy[here].sum() / total), float(here.mean() * energy.sum() / total)
+        says = f"{_percent(share)} of the gap lies {one.says}, {alike.format(_percent(expected))}"
         found.append(Region(one.dimension, one.region, share, expected, float(chance), says, one.low, one.high))
     return found
 
@@ -206,7 +209,8 @@ def localise(
         named = f"in log {log + 1} at times of" if len(set(owner)) > 1 else "at times of"
         asked += _bands("time", time, mine, every, TIMES, 1.0, "s", named)
     # held against motion alone: of a table that rests much, every direction and every speed would have more than chance
-    moving = _shares(gap, every * (speed > SLOWEST), moved, rate, seed, ("the gap in motion", "the time in motion"))
+    alike = "where {} would, were it alike in all motion"
+    moving = _shares(gap, every, moved, rate, seed, within=speed > SLOWEST, alike=alike)
     regions = [*_shares(gap, every, asked, rate, seed), *moving]
     if not gap.told:  # a lost filter's force has a spectrum, too
         return [*ranked(regions), *ranked(others)]

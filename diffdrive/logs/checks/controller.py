@@ -1,6 +1,5 @@
 """The logged command against the drive file's controller: its unit, its sign, its timing, and what was added to it."""
 
-import shlex
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -25,8 +24,8 @@ WRONG_UNIT, OFF = 0.1, 0.005
 REMEMBERED = 20.0
 
 
-def timing(log: str, found: Comparison, description: DriveDescription) -> Iterator[Finding]:
-    """Shifts by whole samples; and that there is none. `log` is its name."""
+def timing(log: Log, found: Comparison, description: DriveDescription) -> Iterator[Finding]:
+    """Shifts by whole samples; and that there is none."""
     best, plain = found.best, found.plain
     if (best.reference, best.position) == (0, 0):
         early, now, late = found.around
@@ -48,7 +47,7 @@ def timing(log: str, found: Comparison, description: DriveDescription) -> Iterat
     numbers = f"({percent(best.fit.error)} % instead of {percent(plain.fit.error)} %)"
     yield Finding(
         "fatal" if certain else "warning",
-        *_shift_told(best.reference, best.position, numbers, partial(_moved, log, description.mapping.moves(log))),
+        *_shift_told(best.reference, best.position, numbers, partial(_moved, log)),
     )
 
 
@@ -56,19 +55,16 @@ def _samples(count: float) -> str:
     return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
 
 
-def _moved(log: str, already: dict[str, int], channel: str, by: float) -> str:
-    """Where to move a channel of a log, and the option that does it: beyond what [shifts] moves it already."""
+def _moved(log: Log, channel: str, by: float) -> str:
+    """Where to move a channel of a log, and the option that does it, beyond what it was moved by already."""
     mend = f"shift the {channel} by {by:+.2g} samples"
     if by % 1:
         return mend
-    before, whole = already.get(channel, 0), already.get(channel, 0) + by
-    option = (
-        f"--shift {shlex.quote(f'{log}:{channel}={whole:+.0f}')}, or {channel} = {whole:.0f} in [shifts] for all logs"
-    )
-    if whole == 0:
-        return f"do not shift the {channel} of this log, which [shifts] or --shift moves by {before:+d} ({option})"
-    more = f" more than the {before:+d} by which it is moved already" if before else ""
-    return f"{mend}{more} ({option})"
+    before = log.moved.get(channel, 0)
+    key, whole = f"{log.name}:{channel}", round(before + by)
+    given = f'"{key}={whole:+d}"' if " " in key else f"{key}={whole:+d}"
+    more = f" more than the {before:+d} by which it was moved" if before else ""
+    return f'{mend}{more} (--shift {given}, or "{key}" = {whole} in [shifts])'
 
 
 def _shift_told(
