@@ -64,7 +64,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         description = read_drive(PAPER_DRIVE)
         _simulate(report, description)
         _differentiate(report, description)
-        report.say("Tuning Kp, Kd, Q and R over loads from 0 to 12.6 kN, within stability margins.")
+        report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN, within stability margins.")
         tune_drive(description, report, starts=1 if quick else STARTS)
         folder = emps_folder or emps.find_folder()
         if folder is None:
