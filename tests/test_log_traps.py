@@ -244,8 +244,8 @@ CORRUPTED = {
     "motor copied": (but(motor_position=SOUND.position), "warning", "motor_position", r"is a copy of the position"),
     "motor in turns": (but(motor_position=MOTOR / 0.005), "fatal", "motor_position", r"200 times the position"),
     "load computed": (but(load=5 * SOUND.command + 9e3), "warning", "load", r"5 times the command plus 9000 N"),
-    "position copied": (but(position=SOUND.reference), "fatal", "position", r"follow-up error is zero"),
-    "reference copied": (but(reference=SOUND.position), "fatal", "position", r"follow-up error is zero"),
+    "position copied": (but(position=SOUND.reference), "fatal", "position", r"tracking error is zero"),
+    "reference copied": (but(reference=SOUND.position), "fatal", "position", r"tracking error is zero"),
     "feed-forward": (
         but(command=100 * np.gradient(SPEED, SOUND.time) + 2e3 * SPEED),
         "warning",

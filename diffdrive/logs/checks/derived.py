@@ -23,7 +23,7 @@ def copies(log: Log) -> Iterator[Finding]:
         yield Finding(
             "fatal",
             "position",
-            "the follow-up error is zero throughout: position and reference are one signal",
+            "the tracking error is zero throughout: position and reference are one signal",
             "one of them is a copy: log the measured position and the set-point",
         )
     if log.motor_position is not None and _same(log.motor_position, log.position):

@@ -14,7 +14,7 @@ from diffdrive.logs.log import Log, Signal
 LONG = 5
 # Samples at the extreme level, beside those at the next levels: a sine's crest in counts holds 2.4 times its neighbour.
 ATOM = 5.0
-# A follow-up error within a standing stretch that the rest of the log nowhere reaches.
+# A tracking error within a standing stretch that the rest of the log nowhere reaches.
 BEYOND = 5.0
 
 
