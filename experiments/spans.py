@@ -49,7 +49,7 @@ def scaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:
 
 def _place(number: float) -> int:
     """The decimal place of its first digit: 0 for ones, 1 for tens, -1 for tenths."""
-    return math.floor(math.log10(number)) if number > 0.0 else 0
+    return math.floor(math.log10(number))
 
 
 def _to_place(number: float, last: int, fixed: bool) -> str:

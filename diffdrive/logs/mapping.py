@@ -67,11 +67,9 @@ class Mapping:
 
     def moves(self, path: Path) -> dict[str, int]:
         """Samples by which each channel of a log's file is moved: the key that names the log most closely counts."""
-        found = [(len(PurePath(log).parts), channel, by) for log, channel, by in self._shifts() if means(log, path)]
-        return {channel: by for _, channel, by in sorted(found, key=lambda one: one[0])}
-
-    def _shifts(self) -> list[tuple[str, str, int]]:
-        return [(*log_and_channel(key), by) for key, by in self.shifts.items()]
+        keys = [(*log_and_channel(key), by) for key, by in self.shifts.items()]
+        own = [one for one in keys if means(one[0], path)]
+        return {channel: by for _, channel, by in sorted(own, key=lambda one: len(PurePath(one[0]).parts))}
 
     def conversion(self, channel: str, unit: str, where: str) -> Conversion:
         """How a column of `channel` in `unit` becomes SI; `where` begins the `LogError` if it cannot."""

@@ -192,9 +192,10 @@ def localise(
     }
     asked += [_Asked("phase", name, inside, words[name]) for name, inside in phases(motion, rate).items()]
     ahead, back = motion.velocity > SLOWEST, motion.velocity < -SLOWEST
-    speed, ways = np.abs(motion.velocity), "in {} direction".format
+    speed = np.abs(motion.velocity)
     moved = [
-        *(_Asked("direction", way, inside, ways(way)) for way, inside in (("positive", ahead), ("negative", back))),
+        _Asked("direction", "positive", ahead, "in positive direction"),
+        _Asked("direction", "negative", back, "in negative direction"),
         *_bands("speed", speed, speed > SLOWEST, every, SPEEDS, 1e3, "mm/s", "at speeds of"),
     ]
     asked += _bands("position", motion.position, every > 0, every, PLACES, 1e3, "mm", "at positions of")
