@@ -63,7 +63,8 @@ def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.nd
         axis.yaxis.set_minor_formatter(NullFormatter())
     for k, value in enumerate(values):
         if np.isfinite(value):
-            axis.annotate(f"{value:.3g}", (k, value), xytext=(0, 8), textcoords="offset points", ha="center")
+            text = axis.annotate(f"{value:.3g}", (k, value), xytext=(0, 8), textcoords="offset points", ha="center")
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # the floor may pass through it
         else:
             axis.text(k, 0.97, why, transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
 
