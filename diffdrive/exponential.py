@@ -86,7 +86,7 @@ def halving(y: Scalar) -> Scalar:
 @halving.defjvp
 def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     (y,), (along,) = primals, tangents
-    end = halving(y)
+    end = lax.optimization_barrier(halving(y))  # once, however many tangents there are
     return end, end * (-LN2 * along)
 
 
@@ -101,11 +101,13 @@ def raised(y: Scalar, power: Scalar) -> Scalar:
 @raised.defjvp
 def _raised_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
     (y, power), (along_y, along_power) = primals, tangents
-    end, small = raised(y, power), y < LEAST_BASE
+    small = y < LEAST_BASE
     safe = jnp.where(small, 1.0, y)  # keeps the branch not taken, and its derivative, finite
+    end = raised(y, power)
+    told = jnp.where(small | (end >= 2.0**MOST_RAISED), 0.0, end)
     # XLA's logarithm, since a second derivative needs the slope of it
-    relative = jnp.where(small, 0.0, power * along_y / safe + jnp.log(safe) * along_power)
-    return end, jnp.where(end < 2.0**MOST_RAISED, end * relative, 0.0 * relative)
+    end, by_y, by_power = lax.optimization_barrier((end, told * power / safe, told * jnp.log(safe)))
+    return end, by_y * along_y + by_power * along_power
 
 
 def _log2(y: Scalar) -> Scalar:

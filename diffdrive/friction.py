@@ -181,14 +181,17 @@ def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
     """In closed form: a tangent that went through the series term by term would cost as much as the series itself.
 
     The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives. The
-    decay is asked for by its name, so that a second derivative comes this way as well.
+    decay is asked for by its name, so that a second derivative comes this way as well. The barriers keep what every
+    tangent needs from being computed anew for each.
     """
-    (end, mean, again, x), (least, inverse, per_bottom) = decay_of(*primals), _divided(*primals)
-    along = (tangents[0] - x * tangents[1]) * per_bottom
+    found, divided = lax.optimization_barrier((decay_of(*primals), _divided(*primals)))
+    (end, mean, again, x), (least, inverse, per_bottom) = found, divided
     slope = jnp.where(least, again - mean, (end - mean) * inverse)
     near = jnp.where(least, x, 0.0)
     slope_again = jnp.where(least, 2.0 * polynomial(_THIRD, near) - again, -(slope + again) * inverse)
-    return Decay(end, mean, again, x), Decay(-end * along, slope * along, slope_again * along, along)
+    slope, slope_again = lax.optimization_barrier((slope, slope_again))
+    along = (tangents[0] - x * tangents[1]) * per_bottom
+    return found, Decay(-end * along, slope * along, slope_again * along, along)
 
 
 def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:

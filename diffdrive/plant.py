@@ -54,8 +54,20 @@ def _mean_velocity(table: _Table, state: PlantState, slip: Scalar, force: Scalar
     yielding = bristle.stiffness * step * fade.mean_of_mean + bristle.damping * fade.mean
     held = deflection * fade.mean * (bristle.stiffness - bristle.damping * (fade.x * (1.0 / step)))
     resistance = table.resistance.towards(slip)
-    mean = (table.momentum * velocity + force - held) / (table.momentum + resistance + yielding)
+    mean = _quotient(table.momentum * velocity + force - held, table.momentum + resistance + yielding)
     return mean, fade
+
+
+@jax.custom_jvp
+def _quotient(top: Scalar, bottom: Scalar) -> Scalar:
+    return top / bottom
+
+
+@_quotient.defjvp
+def _quotient_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    """By one further division, however many tangents there are."""
+    mean, inverse = lax.optimization_barrier((_quotient(*primals), 1.0 / primals[1]))
+    return mean, lax.optimization_barrier((tangents[0] - mean * tangents[1]) * inverse)
 
 
 def _first_slip(table: _Table, state: PlantState, force: Scalar) -> Scalar:
