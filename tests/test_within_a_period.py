@@ -150,6 +150,27 @@ def test_elements_move_the_table_as_the_equations_say(rate, longest):
     assert np.max(np.abs(ours(effect, rate) - truth)) < 7e-3 * np.max(np.abs(without - truth))
 
 
+@pytest.mark.parametrize(("rate", "allowed"), [(2_000.0, 0.01), (10_000.0, 3e-4)])
+def test_elements_stretch_alike_by_forces_and_by_a_known_travel(rate, allowed):
+    """What the forces make of them in steps within a period, and what the travel from one sample to the next does."""
+    effect, drive, period = PreslidingHysteresis(1.0, 5e-6, 0.2), as_arrays(DRIVE), 1.0 / rate
+
+    def body(carry, force):
+        table, state, other = carry
+        seen = acting.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
+        ahead, acts = effect.step(state, seen, drive, period)
+        moved = advance(acting.bent(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5))
+        moved = moved._replace(position=moved.position + acts.shift)
+        other = effect.along(other, seen, moved.position - table.position, drive, period)
+        return (moved, ahead, other), (jnp.stack(ahead), jnp.stack(other))
+
+    begin = (at_rest(0.0), effect.init(), effect.init())
+    by_forces, by_travel = jax.lax.scan(body, jax.tree.map(jnp.asarray, begin), jnp.asarray(forces(rate)))[1]
+    assert np.ptp(by_forces[:, 0]) > 1.9  # of the longest element, from one stop to the other
+    off = np.sqrt(np.mean(np.asarray(by_travel - by_forces) ** 2, axis=0)) / np.ptp(by_forces, axis=0)
+    assert np.all(off < allowed)
+
+
 @pytest.mark.parametrize("slip", [3e-6, 1e-5])
 def test_a_dwell_holds_the_table_as_the_equations_say(slip):
     effect, rate = FrictionDwell(1.0, 0.05, slip, 5.0), 2_000.0

@@ -123,6 +123,10 @@ class TableEffect(Effect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """State after the coming period (s), and what acts over it."""
 
+    def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
+        """State after a period over which the table is known to travel so far (m)."""
+        return self.step(state, seen, drive, period)[0]
+
 
 class ScaleEffect(Effect):
     """On the measured position."""

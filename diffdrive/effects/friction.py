@@ -142,22 +142,19 @@ class PreslidingHysteresis(TableEffect):
         *elements, deflection = state
         steps = max(1, round(period / FINE))
         duration, mass, friction = period / steps, drive.plant.mass, under(drive.friction, seen.load)
-        spread = [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
-        distances = [self.longest * part for part in spread]
 
         def held(speed: Scalar, stretched: Sequence[Scalar]) -> Scalar:
             level = friction.levels(speed)
-            return sum(one * level.towards(one) for one in stretched) / ELEMENTS
+            return lax.optimization_barrier(sum(one * level.towards(one) for one in stretched) / ELEMENTS)
 
         def body(carry: Any, _: None) -> Any:
             elements, bristle, velocity, impulse, travel = carry
-            at = friction.at(velocity, bristle)
+            at = lax.optimization_barrier(friction.at(velocity, bristle))
             more = held(velocity, elements) - at.stiffness * bristle
             resisting = at.stiffness * bristle + at.damping * (velocity - at.rate * bristle) + self.share * more
-            mean = velocity + 0.5 * duration * (pushed - resisting) / mass
-            at = friction.at(mean, bristle)
-            pairs = zip(elements, distances, strict=True)
-            ahead = tuple(jnp.clip(one + duration * mean / distance, -1.0, 1.0) for one, distance in pairs)
+            mean = lax.optimization_barrier(velocity + 0.5 * duration * (pushed - resisting) / mass)
+            at = lax.optimization_barrier(friction.at(mean, bristle))
+            ahead = self._stretched(elements, duration * mean)
             bent = slide(bristle, mean, at.rate, duration)
             midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]
             bending = at.stiffness * 0.5 * (bristle + bent)
@@ -175,3 +172,14 @@ class PreslidingHysteresis(TableEffect):
         (stretched, bent, _, impulse, travel), _ = lax.scan(body, begin, None, length=steps)
         shift = (0.5 * period * impulse - travel) / mass
         return (*stretched, bent), Acts(force=-self.share * impulse / period, shift=self.share * shift)
+
+    def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
+        """What stretches the elements and bends the bristle is the travel; no force has to be known."""
+        *elements, deflection = state
+        at = under(drive.friction, seen.load).at(travel / period, deflection)
+        return (*self._stretched(elements, travel), slide(deflection, travel / period, at.rate, period))
+
+    def _stretched(self, elements: Sequence[Scalar], travel: Scalar) -> tuple[Scalar, ...]:
+        spread = [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
+        pairs = zip(elements, spread, strict=True)
+        return tuple(jnp.clip(one + travel / (self.longest * part), -1.0, 1.0) for one, part in pairs)

@@ -96,18 +96,19 @@ def _begun(
 ) -> tuple[Any, ...]:
     """States, [s] each, of a lane's coupled effects at the samples where its segments begin.
 
-    What forgets within a segment's lead begins at rest; the others are where stepping them along `course` brings them.
+    What forgets within a segment's lead begins at rest; the others are where following `course` brings them.
     """
     rest = acting.at_rest(coupled, under.force[0])
 
     def step(states: Any, at: Any) -> tuple[Any, Any]:
-        count, acts, load, table = at
-        seen = acts.seen(count * period, table, load)
-        return acting.upon(lasting, states, seen, acting.bent(drive, acts), period)[0], states
+        count, acts, load, table, travel = at
+        seen, machine = acts.seen(count * period, table, load), acting.bent(drive, acts)
+        ahead = (one.along(state, seen, travel, machine, period) for one, state in zip(lasting, states, strict=True))
+        return tuple(ahead), states
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.remembers)
-    count = jnp.arange(len(load), dtype=load.dtype)
-    along = lax.scan(step, acting.at_rest(lasting, under.force[0]), (count, under, load, course))[1]
+    count, travel = jnp.arange(len(load), dtype=load.dtype), jnp.diff(course.position, append=course.position[-1:])
+    along = lax.scan(step, acting.at_rest(lasting, under.force[0]), (count, under, load, course, travel))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
     return tuple(
         next(found) if effect in lasting else jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, state)
@@ -195,20 +196,22 @@ def follow(
         along = (lane.position, lane.load, acts._replace(ripple=_in_substeps(acts, sampling)), time)
         return lax.scan(step, (begin, diagonal((measured_variance, *spread)), effects), along)[1]
 
-    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
+    def begun(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
         begins = pieces.samples[:, 0]
         if course is None:
             rest = acting.at_rest(coupled, acts.force[0])
-            states = jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
-        else:
-            states = _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
+            return jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
+        return _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
+
+    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], states: Any) -> Any:
         cut = jax.tree.map(pieces.cut, lane._replace(velocity=None))
         velocity = begin_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
         beside = (cut._replace(velocity=velocity), jax.tree.map(pieces.cut, acts), time, states)
         found = jax.vmap(segment, (0, 0, 0, 0, None))(*beside, coupled)
         return jax.tree.map(pieces.joined, found)
 
-    found = lax.map(lambda each: one(*each), (lanes, under, coupled, course))
+    states = jax.vmap(begun)(lanes, under, coupled, course)  # side by side: one after the other takes as long for each
+    found = lax.map(lambda each: one(*each), (lanes, under, coupled, states))
     course, innovation, scatter, pull, motor = found
     return Track(course, innovation, scatter, pull, *deviance_of(innovation, scatter, lanes.counts), motor)
 
