@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.effects.acting import Effects
@@ -29,6 +30,7 @@ from tuning.prediction import Lanes, begin_velocity
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
 SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 6  # at first, in all; members per number searched
+AT_ONCE = 12  # members that are filtered at once: more would not stay in cache
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 WHITE = 3.0  # times that in a period: a blow that is a little early or late is forgiven
@@ -92,7 +94,7 @@ def _deviances(
         innovation, scatter = jax.vmap(each)(stretches.lanes, pushed, coupled)
         return deviance_of(innovation, scatter, stretches.lanes.counts)[0]
 
-    return jax.vmap(one)(coupled, push, process)
+    return lax.map(lambda each: one(*each), (coupled, push, process), batch_size=AT_ONCE)
 
 
 def evolved(
