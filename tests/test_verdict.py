@@ -7,7 +7,6 @@ from imagined import hypothesis
 from tuning.diagnosis import verdict
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.search import Round
-from tuning.diagnosis.verdict import Belief, Verdict
 
 
 @pytest.fixture
@@ -153,17 +152,3 @@ def test_what_is_enough_is_no_step_where_it_is_much(leaving):
 def test_what_was_withdrawn_is_not_believed(leaving):
     leaving(0.0)
     assert second(500.0, np.inf) == 0.0
-
-
-def test_what_was_left_out_is_not_excluded_where_what_was_found_acts():
-    """A delay stands in for a lag that is not looked for; a cover of the scale says nothing of it."""
-    beliefs = [
-        Belief(name, 0.9, name == "loop_delay", 0, 50.0, None, ["cogging"]) for name in ("loop_delay", "backlash")
-    ]
-    found = Verdict("effect", beliefs, 0.0, "loop_delay explains the gap")
-    told = found.beside(("actuator_lag", "compliance", "cogging"))
-    assert told.beliefs[0].alternatives == ["cogging", "actuator_lag"]
-    assert told.beliefs[1] == beliefs[1]
-    assert told.says == "loop_delay explains the gap; not looked for, and so not excluded: actuator_lag"
-    assert found.beside(("lead_error",)) == found
-    assert found.beside(()) == found

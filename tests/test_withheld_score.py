@@ -278,8 +278,6 @@ def test_an_effect_is_removed_where_it_was_seen_best():
         (told("effect", cause("lead_error")), True),
         (told("effect", cause("backlash")), False),
         (told("effect", cause("lead_error"), cause("backlash")), False),
-        (told("effect", cause("backlash", others=["cogging"]), cause("lag")), True),
-        (told("effect", cause("backlash"), cause("lag", others=["cogging"])), False),
         (told("none"), False),
         (ERROR, False),
     ],

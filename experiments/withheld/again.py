@@ -1,8 +1,7 @@
 """The same machines asked again, once the key is open: with nothing but what is true, and without it.
 
 The first is the oracle: how far the gap shrinks when the true effects are fitted and nothing else. In the second the
-answer must become `unknown`, or a rival that the first answer had declared, or declare itself that what was left out is
-not excluded.
+answer must become `unknown`, or a rival that the first answer had declared.
 """
 
 import math
@@ -51,7 +50,6 @@ def without_it(answers: Answers, again: Answers, asked: dict[str, list[str]]) ->
             continue
         found = [one["effect"] for one in told["causes"] if one["found"]]
         declared = answers[name]["causes"][0]["indistinguishable_from"]
-        itself = {other for one in told["causes"][:1] if one["found"] for other in one["indistinguishable_from"]}
-        good = told["verdict"] == "unknown" or effect in itself or (found != [] and set(found) <= set(declared))
+        good = told["verdict"] == "unknown" or (found != [] and set(found) <= set(declared))
         rows.append([effect, name, told["verdict"], " + ".join(found), " ".join(declared), good])
     return sorted(rows)

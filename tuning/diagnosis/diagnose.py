@@ -161,7 +161,6 @@ def diagnose(
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
-    verdict = verdict.beside(without)
     base = found.base  # the search may have led the recalibration further
     trusting = comparing(fitter, base)
     gap = force_gap(fitter, base, base.model, base.u, trusting)

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from diffdrive.effects.catalogue import EFFECTS, PLACES
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.leftover import (
@@ -70,24 +69,6 @@ class Verdict(NamedTuple):
         """The same causes, none of them sure."""
         joined = "but" if self.verdict == "effect" else "and"
         return self._replace(verdict="unknown", beliefs=_unsure(self.beliefs)).and_says(f"{joined} {why}")
-
-    def beside(self, left_out: Sequence[str]) -> "Verdict":
-        """The same, with what was left out of the search as a rival of what was found in the same place of the machine.
-
-        Nobody looked whether it explains more: a delay stands in for a lag, a loose screw for an elastic one.
-        """
-        told = [one._replace(alternatives=_with_its_place(one, left_out)) if one.found else one for one in self.beliefs]
-        more = {name for one in told if one.found for name in one.alternatives}
-        more -= {name for one in self.beliefs if one.found for name in one.alternatives}
-        if not more:
-            return self
-        return self._replace(beliefs=told).and_says(f"not looked for, and so not excluded: {', '.join(sorted(more))}")
-
-
-def _with_its_place(belief: Belief, names: Sequence[str]) -> list[str]:
-    """The alternatives to an effect, and those of the names that act where it does."""
-    there = {one.name for place in PLACES.values() if EFFECTS[belief.effect] in place for one in place}
-    return [*dict.fromkeys([*belief.alternatives, *(name for name in names if name in there)])]
 
 
 def _at_most(most: float, beliefs: list[Belief]) -> list[Belief]:
