@@ -115,6 +115,7 @@ def test_an_effect_that_is_not_considered_is_not_named():
     assert moved["coulomb_screw.positive"] < 0.0 < moved["coulomb_screw.negative"]  # in its place, and as far
     assert abs(moved["coulomb_screw.negative"]) >= STRAINED
     assert "times its tolerance" in found.verdict.says
+    assert found.verdict.says.endswith("not looked for: constant_force, friction_asymmetry, position_spring")
 
 
 def test_parameters_come_with_intervals_that_hold_the_truth(tilted):

@@ -19,6 +19,7 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.curvature import FARTHEST
 from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.events import CHANCE, least_foreseen
 from tuning.diagnosis.explain import _further, explain
 from tuning.diagnosis.fitting import LEAST, Fitter
 from tuning.diagnosis.leftover import IMPOSSIBLE, LACKING, STRAINED, WORTH, lacking, strain
@@ -54,6 +55,7 @@ def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     assert base.process[0] < 0.01  # N
     assert lacking(sound[0], base) < LACKING
     assert float(base.track.size) == pytest.approx(1.0, abs=0.1)
+    assert least_foreseen(base).decades > CHANCE / 2
     mass = NAMES.index("mass")
     assert TOLERANCE * base.u[mass] == pytest.approx(OFF[mass], abs=5e-4)
 
@@ -273,6 +275,7 @@ def test_a_limit_is_found_that_few_samples_reach(reached):
     fitter = fitter_of(ForceLimit(limit))
     base = recalibrated(fitter, TOLERANCE)
     assert lacking(fitter, base) < LACKING
+    assert (least_foreseen(base).decades < CHANCE) == (reached > 10)  # though a moment goes wrong, if it lasts
     few = [one for one in catalogue(fitter, base) if one.name in ("force_limit", "force_gain", "payload_mass")]
     found = explain(fitter, base, few, lambda *_: None)
     assert found.named == {"force_limit"}

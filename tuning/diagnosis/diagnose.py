@@ -23,6 +23,7 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
+from tuning.diagnosis.events import doubted_by_event
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
@@ -157,10 +158,13 @@ def diagnose(
     share = _closed(rungs, logged.sampling.rate)
     verdict = judge(fitter, found, left_in_loop(rungs), closing(found, rungs, logged.sampling.rate))
     verdict = _credible(confirmed(verdict, rungs, share), found.best)
-    verdict = _within(doubted_by_command(verdict, found), lacks)
+    verdict = doubted_by_event(doubted_by_command(verdict, found), found.best)
+    verdict = _within(verdict, lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
+    if without:
+        verdict = verdict.and_says(f"not looked for: {', '.join(without)}")
     base = found.base  # the search may have led the recalibration further
     trusting = comparing(fitter, base)
     gap = force_gap(fitter, base, base.model, base.u, trusting)
