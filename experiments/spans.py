@@ -18,9 +18,9 @@ Span = tuple[float, float | None, float | None]  # a number, and its interval wh
 
 def spelled(span: Span) -> tuple[str, str, str]:
     """The number and the ends of its interval, all to the same place; "-" for an end that is not known."""
-    _, low, high = span
+    value, low, high = span
     half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{SHOWN - 1}e}")
-    if not 0.0 < half < math.inf:
+    if value is None or not (math.isfinite(value) and 0.0 < half < math.inf):
         at, low_said, high_said = ("-" if one is None else f"{one:.{WITHOUT}g}" for one in span)
         return at, low_said, high_said
     largest = max(abs(one) for one in span if one is not None)

@@ -29,6 +29,7 @@ from experiments.spans import listed, spelled
         ((5e-5, 0.0, 9e-5), "N", "5.0e-05 (0 to 9.0e-05) N"),
         ((1e-12, 0.0, 2e-12), "m", "1.0e-06 (0 to 2.0e-06) um"),
         ((None, None, None), "m", "- (- to -) m"),
+        ((math.nan, 0.0, 1.0), "N", "nan (0 to 1) N"),
     ],
 )
 def test_a_number_has_the_digits_that_its_interval_calls_for(span, unit, says):

@@ -62,6 +62,17 @@ def test_what_ends_early_is_judged_in_every_other_piece():
     assert 0.2 < np.mean(found.test[0, :800]) < 0.8
 
 
+@pytest.mark.parametrize("tenth", [2, 5])
+def test_what_acts_in_a_single_place_is_fitted_there(tenth):
+    """A limit that one stroke reaches: held out, nothing but the prior would say where it is."""
+    tells = np.zeros((1, 2_000, 1))
+    tells[0, 200 * tenth + 50 : 200 * tenth + 100] = 1.0
+    found = split(*of([moving()], tells, [(0, "limit", None)]))
+    assert np.all(found.train[0, 200 * tenth + 50 : 200 * tenth + 100] == 1.0)
+    assert (found.train + found.test == 1.0).all()
+    assert 0.4 < np.mean(found.test) < 0.6
+
+
 @pytest.mark.parametrize("shows", [0, 1])
 def test_an_effect_that_acts_in_one_log_alone_is_fitted_and_judged_there(shows):
     tells = np.zeros((2, 2_000, 1))

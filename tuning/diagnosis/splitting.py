@@ -61,10 +61,21 @@ def split(fitter: Fitter, best: Fitted) -> Split:
         shown = told(best, counts * mine > 0, TOLD / logged.logs) | session | ~_of_effects(best.model)
         if np.all(told(best, counts * ~mine > 0) | session) and np.all(shown):
             return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
-    fitted = (np.floor(travelled * TURNS) % 2 == 0) | ~np.isin(owner, going)[:, None]
+    fitted = _every_other(best, travelled, ~np.isin(owner, going)[:, None])
     log, whole = ("the log", "its end or the rest") if logged.logs == 1 else ("each log", "any one log or the others")
     says = f"every other tenth of {log} held out, since {whole} would tell too little, {SESSION}the rest"
     return Split(counts * fitted, counts * fitted, counts * ~fitted, going, [], says)
+
+
+def _every_other(best: Fitted, travelled: Weights, still: Bool[np.ndarray, "lanes 1"]) -> Bool[np.ndarray, "lanes n"]:
+    """Every other tenth, and all of what is `still`: the first of both choices that tells what was found.
+
+    What acts in a single place is not proved by what is held out. Were it held out itself, only its prior would say how
+    large it is, and what is foreseen with that is no evidence against it.
+    """
+    ways = [(np.floor(travelled * TURNS) % 2 == first) | still for first in (0, 1)]
+    needless = of_session(best.model) | ~_of_effects(best.model)
+    return next((way for way in ways if np.all(told(best, way) | needless)), ways[0])
 
 
 def _travelled(moves: Weights, owner: Int[np.ndarray, " lanes"]) -> Weights:
