@@ -88,11 +88,11 @@ def test_a_resonance_is_one_that_the_log_can_show():
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     screw = next(one for one in candidates(at) if one.name == "compliance")
-    calm = {"damping": np.full(2, 0.03)}
+    calm = {"damping": np.full(2, 0.03), "motor_share": np.full(2, 0.4)}
     both = [{"frequency": np.array([150.0, one])} for one in (0.39 * RATE, 0.43 * RATE, 0.9 * RATE)]
     found = [screw.plausible(calm | one, np.ones(2)) for one in both]
     assert found == [True, False, False]
-    slow = {"frequency": np.full(2, 150.0)}
+    slow = calm | {"frequency": np.full(2, 150.0)}
     assert [screw.plausible(slow | {"damping": np.full(2, one)}, np.ones(2)) for one in (0.3, 0.8)] == [True, False]
 
 
@@ -100,8 +100,27 @@ def test_a_screw_with_next_to_no_play_is_an_elastic_one():
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     screw = next(one for one in candidates(at) if one.name == "backlash")
-    calm = {"damping": np.array([0.08])}
+    calm = {"damping": np.array([0.08]), "motor_share": np.array([0.4])}
     assert [screw.plausible(calm | {"gap": np.array([one])}, np.ones(1)) for one in (3e-9, 3e-7)] == [False, True]
+
+
+@pytest.mark.parametrize("name", ["compliance", "backlash"])
+def test_neither_motor_nor_table_of_a_screw_is_next_to_nothing(name):
+    """A spring before a table with hardly any motor is a lag by another name."""
+    log = logged_of(DRIVE.drive, [SOUND])
+    screw = next(one for one in candidates(setting(log.drive, log.lanes, log.sampling.period)) if one.name == name)
+    usual = {one.name: np.array([one.middle]) for one in screw.parameters}
+    shares = [usual | {"motor_share": np.array([one])} for one in (0.016, 0.1, 0.9, 0.99)]
+    assert [screw.plausible(one, np.ones(1)) for one in shares] == [False, True, True, False]
+
+
+def test_a_base_that_does_not_swing_is_no_vibration():
+    log = logged_of(DRIVE.drive, [SOUND])
+    base = next(
+        one for one in candidates(setting(log.drive, log.lanes, log.sampling.period)) if one.name == "frame_vibration"
+    )
+    damped = [{"ratio": np.array([0.1]), "damping": np.array([one])} for one in (0.02, 0.3, 0.8)]
+    assert [base.plausible(one, np.ones(1)) for one in damped] == [True, True, False]
 
 
 @pytest.mark.parametrize(("effect", "name"), [("friction_dwell", "growth"), ("frame_vibration", "ratio")])
@@ -110,7 +129,8 @@ def test_what_cannot_be_less_than_nothing_is_not(effect, name):
     log = logged_of(DRIVE.drive, [SOUND])
     at = setting(log.drive, log.lanes, log.sampling.period)
     candidate = next(one for one in candidates(at) if one.name == effect)
-    assert [candidate.plausible({name: np.array([one])}, np.ones(1)) for one in (-0.1, 0.1)] == [False, True]
+    usual = {one.name: np.array([one.middle]) for one in candidate.parameters}
+    assert [candidate.plausible(usual | {name: np.array([one])}, np.ones(1)) for one in (-0.1, 0.1)] == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ DIVIDED = 5.0  # counts, into which a scale divides its signal period at least: 
 STAIRS = 0.4  # counts, more than what their staircase makes of both of a wave's harmonics: 1 / pi and half of that
 WHOLE = (0.1, 1.3)  # of the bristle that elements replace: hardly any of it is none, and more than all of it cannot be
 MUFFLED = 0.5  # damping ratio, above which nothing of steel swings
+MOTOR = (0.05, 0.95)  # of what moves: outside that, motor or table would be next to nothing
 TIGHT = 1e-7  # m: a screw with less play has none, and is but elastic
 FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
@@ -218,7 +219,7 @@ def _frame_vibration(at: Setting) -> Candidate:
         (_amplitude("ratio", 0.1), _positive("frequency", 25.0, 0.8), _positive("damping", 0.03, 0.8)),
         _grid(frequency=np.geomspace(4.0, min(150.0, top), 40), damping=np.array([0.03])),
         narrow="frequency",
-        bounds=(("ratio", 0.0, np.inf),),
+        bounds=(("ratio", 0.0, np.inf), ("damping", 0.0, MUFFLED)),
         coupled=True,
     )
 
@@ -235,7 +236,7 @@ def _compliance(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
-        bounds=(("frequency", 0.0, SHOWN / at.period), ("damping", 0.0, MUFFLED)),
+        bounds=(("frequency", 0.0, SHOWN / at.period), ("damping", 0.0, MUFFLED), ("motor_share", *MOTOR)),
     )
 
 
@@ -251,7 +252,7 @@ def _backlash(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
-        bounds=(("gap", TIGHT, np.inf), ("damping", 0.0, MUFFLED)),
+        bounds=(("gap", TIGHT, np.inf), ("damping", 0.0, MUFFLED), ("motor_share", *MOTOR)),
     )
 
 

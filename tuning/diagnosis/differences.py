@@ -17,7 +17,7 @@ from diffdrive.effects.acting import Effects
 from diffdrive.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.exposure import Course, Exposure
-from tuning.diagnosis.following import Process, Track, follow, numbers, with_numbers
+from tuning.diagnosis.following import Process, Track, followed, numbers, with_numbers
 from tuning.diagnosis.model import Logged, Model, Vector, exposed, machine, stacked
 
 DIFFERENCE = 0.02  # in units of the prior
@@ -63,7 +63,7 @@ def _innovations(
 
     def one(drive: Drive, acting: Exposure, coupled: Effects) -> Float[Array, "lanes n"]:
         given = (logged.noise, logged.lanes, logged.sampling, course)
-        return follow(drive, acting, coupled, process, *given).innovation
+        return followed(drive, acting, coupled, process, *given).innovation
 
     return jax.vmap(one)(drives, acting, coupled)
 

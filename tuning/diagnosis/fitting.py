@@ -19,7 +19,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_numbers
 from tuning.diagnosis.exposure import Course, Exposure
-from tuning.diagnosis.following import LOST, Process, Slopes, Track, answers, follow, slopes
+from tuning.diagnosis.following import LOST, Process, Slopes, Track, answers, followed, slopes
 from tuning.diagnosis.model import (
     Logged,
     Model,
@@ -73,7 +73,6 @@ class Fitted(NamedTuple):
         return found if np.isfinite(found) else np.inf
 
 
-_follow = eqx.filter_jit(follow)
 slopes_of = eqx.filter_jit(slopes)
 
 
@@ -83,7 +82,7 @@ def _deviances(
 ) -> Float[Array, " q"]:
     def one(process: Any) -> Any:
         given = (logged.noise, logged.lanes, logged.sampling, course)
-        return follow(drive, acting, coupled, Process(*process), *given).deviance
+        return followed(drive, acting, coupled, Process(*process), *given).deviance
 
     return jax.vmap(one)(processes)
 
@@ -148,7 +147,7 @@ class Fitter:
         loose, coupled = model.apart(effects)
         own, drive = machine(self.logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
         acting = exposed(self.logged, own, loose, course)
-        track = _follow(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given, course)
+        track = followed(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given, course)
         cost = float(track.deviance) + float(u @ u)
         return Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
 

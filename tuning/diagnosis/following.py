@@ -11,6 +11,7 @@ and that answer is a linear recursion along the log (`answers`), cheap enough fo
 import dataclasses
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -214,6 +215,9 @@ def follow(
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, states))
     course, innovation, scatter, pull, motor = found
     return Track(course, innovation, scatter, pull, *deviance_of(innovation, scatter, lanes.counts), motor)
+
+
+followed = eqx.filter_jit(follow)  # traced once, be it called by itself or within other programs
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:
