@@ -282,6 +282,24 @@ def test_a_limit_is_found_that_few_samples_reach(reached):
     assert found.best.model.values(found.best.u)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
 
 
+@pytest.mark.parametrize("astray", [1e-6, 1e-4])
+def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(astray):
+    """The filter begins again after it, and is off once more."""
+    logged = fitter_of().logged
+    resting = 16_000  # samples, before the motion
+    ahead = {"position": "edge", "command": "constant", "disturbance": "edge", "load": "edge", "counts": "edge"}
+    lanes = logged.lanes._replace(
+        **{
+            name: jnp.pad(getattr(logged.lanes, name), ((0, 0), (resting, 0)), mode=mode)
+            for name, mode in ahead.items()
+        }
+    )
+    lanes = lanes._replace(position=lanes.position.at[0, resting + 3000].add(astray), velocity=jnp.zeros(1))
+    base = recalibrated(Fitter(logged._replace(lanes=lanes)), TOLERANCE)
+    assert float(base.track.size) < 0.5
+    assert least_foreseen(base).decades > CHANCE / 2
+
+
 @pytest.mark.parametrize("rate", [2000.0, 10_000.0])
 def test_a_limit_beyond_all_commands_limits_nothing(rate):
     """Where a sample is several control periods, beyond the largest of these, not of their means."""

@@ -56,11 +56,23 @@ def test_one_sample_that_went_astray_is_none_nor_what_does_not_count():
     off[0, 700] = np.nan
     assert doubted_by_event(NONE, fitted(off)) == NONE
     off = NOISE.copy()
-    off[0, 700:720] = 50.0
+    off[0, 700:720] = 5.0
     counts = np.ones_like(off)
     counts[0, 700:720] = 0.0
     assert doubted_by_event(NONE, fitted(off, counts)) == NONE
     assert doubted_by_event(NONE, fitted(off)).verdict == "unknown"
+
+
+def test_a_table_that_rests_most_of_the_time_makes_no_event_of_its_motion():
+    """A scale of whole counts says the same number at rest: no noise there, and less than expected on the whole."""
+    off = NOISE.copy()
+    off[:, :16_000] = 0.0
+    quiet = fitted(off)
+    quiet.track.innovation /= 3.0  # as much as expected where it moves
+    quiet.track.size = 0.2
+    assert least_foreseen(quiet).decades > -3.0
+    quiet.track.innovation[0, 18_000:18_010] += 8e-6
+    assert least_foreseen(quiet).decades < CHANCE
 
 
 def test_a_log_shorter_than_a_moment_has_its_chance_too():

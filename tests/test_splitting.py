@@ -73,6 +73,18 @@ def test_what_acts_in_a_single_place_is_fitted_there(tenth):
     assert 0.4 < np.mean(found.test) < 0.6
 
 
+def test_rest_before_and_after_the_motion_is_never_judged():
+    """Whichever of the tenths are held out."""
+    velocity = np.r_[np.zeros(500), np.full(2_000, 0.05), np.zeros(500)]
+    for tenth in (2, 5):
+        tells = np.zeros((1, 3_000, 1))
+        tells[0, 500 + 200 * tenth + 50 : 500 + 200 * tenth + 100] = 1.0
+        found = split(*of([velocity], tells, [(0, "limit", None)]))
+        assert np.all(found.train[0, :400] == 1.0)
+        assert np.all(found.train[0, -400:] == 1.0)
+        assert np.all(found.train[tells[..., 0] > 0.0] == 1.0)
+
+
 @pytest.mark.parametrize("shows", [0, 1])
 def test_an_effect_that_acts_in_one_log_alone_is_fitted_and_judged_there(shows):
     tells = np.zeros((2, 2_000, 1))

@@ -217,7 +217,7 @@ def follow(
     return Track(course, innovation, scatter, pull, *deviance_of(innovation, scatter, lanes.counts), motor)
 
 
-followed = eqx.filter_jit(follow)  # traced once, be it called by itself or within other programs
+followed = eqx.filter_jit(follow)  # traced once for all programs that call this
 
 
 def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:

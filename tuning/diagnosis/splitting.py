@@ -68,11 +68,12 @@ def split(fitter: Fitter, best: Fitted) -> Split:
 
 
 def _every_other(best: Fitted, travelled: Weights, still: Bool[np.ndarray, "lanes 1"]) -> Bool[np.ndarray, "lanes n"]:
-    """Every other tenth, and all of what is `still`: the first of both choices that tells what was found.
+    """Every other tenth, and all of what is `still`: the first of both choices that tells what was found, if one does.
 
     What acts in a single place is not proved by what is held out. Were it held out itself, only its prior would say how
     large it is, and what is foreseen with that is no evidence against it.
     """
+    still = still | (travelled <= 0.0) | (travelled >= 1.0)  # before its motion and after it
     ways = [(np.floor(travelled * TURNS) % 2 == first) | still for first in (0, 1)]
     needless = of_session(best.model) | ~_of_effects(best.model)
     return next((way for way in ways if np.all(told(best, way) | needless)), ways[0])
