@@ -17,7 +17,7 @@ from tuning.diagnosis.verdict import Verdict
 
 MOMENT, SHORTEST = 5e-3, 3  # s, and samples at least
 SETTLED = 3  # samples after one at which the filter was lost
-CHANCE = -6.0  # decades: sound machines come to -2 at the least, a limit that ten samples reach to -40
+CHANCE = -6.0  # decades: sound machines come to -2 at the least, a limit that a dozen samples reach to -18
 
 
 class Event(NamedTuple):
