@@ -57,8 +57,10 @@ def _summed(each: Float[np.ndarray, "lanes n"], wide: int) -> Float[np.ndarray, 
 
 def doubted_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
     """`unknown` in the place of `none` where something happens that the drive does not foresee."""
+    if verdict.verdict != "none":
+        return verdict
     event = least_foreseen(fitted)
-    if verdict.verdict != "none" or event.decades > CHANCE:
+    if event.decades > CHANCE:
         return verdict
     logged = fitted.model.logged
     at = float(logged.starts[event.lane]) + event.begins * logged.sampling.period

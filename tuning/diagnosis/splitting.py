@@ -2,7 +2,8 @@
 
 What is held out has to move, since at rest the friction may be anything, and it has to hold what was found: where the
 effect does not act, nothing is proved. What is fitted has to tell every number that is carried over, the drive's own
-among them, or these would be what nothing but the prior gave them. What is of the session is registered on the first
+among them, or these would be what nothing but the prior gave them (of every other piece, at least those of what was
+found, where one choice does). What is of the session is registered on the first
 half of a log that is held out, and judged by the second, where the first tells it and the second shows it.
 """
 
