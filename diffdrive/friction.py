@@ -19,7 +19,8 @@ from jaxtyping import Array, Bool
 
 from diffdrive.exponential import LOG2_E, faded, halving, raised
 from diffdrive.parameters import Directional, Friction, Scalar
-from diffdrive.polynomial import polynomial
+from diffdrive.polynomial import inverse, polynomial
+from diffdrive.relaxation import relaxation
 
 
 class Bristle(NamedTuple):
@@ -61,16 +62,23 @@ class Loaded(NamedTuple):
 
     def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
         """The coefficients of eq. (4) at this velocity and bristle deflection."""
-        speed, stiffness = jnp.abs(velocity), self.stiffness.towards(deflection)
-        stribeck = self.gap.towards(velocity) * self.falling(speed * self.halvings.towards(velocity))
-        level = self.coulomb.towards(velocity) + stribeck
+        return self.under_level(self.level(velocity), velocity, deflection)
+
+    def under_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> Bristle:
+        """The same with a friction level (N) that is known already."""
+        stiffness = self.stiffness.towards(deflection)
         return Bristle(
             stiffness=stiffness,
             damping=self.damping.towards(velocity),
             viscous=self.viscous.towards(velocity),
             level=level,
-            rate=stiffness * speed / level,
+            rate=stiffness * jnp.abs(velocity) / level,
         )
+
+    def level(self, velocity: Scalar) -> Scalar:
+        """Friction level g(v), N."""
+        stribeck = self.gap.towards(velocity) * self.falling(jnp.abs(velocity) * self.halvings.towards(velocity))
+        return self.coulomb.towards(velocity) + stribeck
 
     def levels(self, velocity: Scalar) -> Directional:
         """Friction level g, N, at this speed in either direction."""
@@ -200,14 +208,22 @@ def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) 
     return fade.end * deflection + duration * fade.mean * velocity
 
 
+def relaxing(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
+    """`slide` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
+    level, bent = lax.optimization_barrier((level, duration * stiffness * jnp.abs(velocity)))
+    fade = relaxation(bent, level)
+    share = inverse(fade.whole)
+    return lax.optimization_barrier((fade.end * share, duration * fade.mean * share * velocity))
+
+
 def resisting_midway(
     friction: Loaded, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
 ) -> tuple[Scalar, Scalar]:
     """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
-    at = friction.at(velocity, bristle)
-    fade = lax.optimization_barrier(decay_of(0.5 * step * at.stiffness * jnp.abs(velocity), at.level))
-    shift = 0.5 * step * fade.mean * velocity
-    half = fade.end * bristle + shift
-    bristle_velocity = velocity - fade.x * (2.0 / step) * half
-    force = at.stiffness * half + at.damping * bristle_velocity + (at.viscous + damping.towards(velocity)) * velocity
-    return force, fade.end * half + shift
+    stiffness = friction.stiffness.towards(bristle)
+    stays, drawn = relaxing(stiffness, friction.level(velocity), velocity, 0.5 * step)
+    half = stays * bristle + drawn
+    end = stays * half + drawn
+    bending = friction.damping.towards(velocity) * ((end - bristle) * (1.0 / step))
+    force = stiffness * half + bending + (friction.viscous.towards(velocity) + damping.towards(velocity)) * velocity
+    return force, end

@@ -188,7 +188,7 @@ class Drive(eqx.Module):
 
 
 class Sampling(eqx.Module):
-    """Control rate, and plant substeps in each control period (`None`: as many as keep a substep within 12.5 us).
+    """Control rate, and plant substeps in each control period (`None`: as many as keep a substep within 20 us).
 
     At that substep the position error of the integrator stays below 0.1 nm (docs/numerics.md).
     """
@@ -211,7 +211,7 @@ class Sampling(eqx.Module):
     @property
     def plant_steps(self) -> int:
         """Substeps of the plant in one control period."""
-        return self.substeps or int(np.ceil(round(self.period / 12.5e-6, 6)))
+        return self.substeps or int(np.ceil(round(self.period / 20e-6, 6)))
 
 
 def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any]]:

@@ -4,9 +4,10 @@ One substep h solves the mean velocity w of the substep from the momentum balanc
 
     2 M (w - v0) / h + B w = u - mean(F) ,   v1 = 2 w - v0 ,   x1 = x0 + h w
 
-with the bristle solved exactly for the frozen velocity w: its mean deflection and its mean rate are linear in w, so the
-balance is one scalar division. In stick (r -> 0) this is the implicit midpoint rule, in fast sliding (r h >> 1) the
-bristle sits in its steady state; both limits, and everything between, are stable at any practical step. Second order
+with the bristle solved for the frozen velocity w (`relaxation`): its mean deflection and its mean rate are linear in w,
+so the balance is one scalar division. In stick (r -> 0) this is the implicit midpoint rule, in fast sliding (r h >> 1)
+the bristle sits in its steady state; both limits, and everything between, are stable at any practical step. The
+velocity at which a substep takes its friction is foretold by the balance of the substep before. Second order
 (docs/numerics.md).
 """
 
@@ -18,8 +19,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.friction import Decay, Loaded, decay_of, under
+from diffdrive.friction import Loaded, under
 from diffdrive.parameters import Directional, Drive, Scalar
+from diffdrive.polynomial import inverse
+from diffdrive.relaxation import relaxation
+
+UNROLLED = 5  # substeps in one piece: a lane by itself then takes a fifth less time (docs/performance.md)
 
 
 class PlantState(NamedTuple):
@@ -31,60 +36,92 @@ class PlantState(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """The plant under one load: what the substeps of a period share."""
+    """The plant under one load, by the momentum p = 2 M / h: what the substeps of a period share."""
 
     friction: Loaded
-    resistance: Directional  # viscous friction and damping, N s/m
-    momentum: Scalar  # 2 M / h, N s/m
+    stiffness: Directional  # s0 h / p
+    damping: Directional  # s1 / p
+    resistance: Directional  # 1 + (mu_v + B) / p
+    momentum: Scalar  # p, N s/m
+    give: Scalar  # 1 / p, m/s per newton
     step: float  # h, s
 
 
 def _table(drive: Drive, load: Scalar, step: float) -> _Table:
-    friction, damping = under(drive.friction, load), drive.plant.damping
-    viscous = friction.viscous
-    resistance = Directional(viscous.positive + damping.positive, viscous.negative + damping.negative)
-    return _Table(friction, resistance, 2.0 * drive.plant.mass / step, step)
+    friction, damping, mass = under(drive.friction, load), drive.plant.damping, drive.plant.mass
+    give = 0.5 * step / mass
 
+    def resisting(viscous: Scalar, damping: Scalar) -> Scalar:
+        return 1.0 + (viscous + damping) * give
 
-def _mean_velocity(table: _Table, state: PlantState, slip: Scalar, force: Scalar) -> tuple[Scalar, Decay]:
-    """Mean velocity over a substep with the friction coefficients taken at velocity `slip`, under all outer forces."""
-    _, velocity, deflection = state
-    bristle, step = table.friction.at(slip, deflection), table.step
-    fade = lax.optimization_barrier(decay_of(bristle.stiffness * jnp.abs(slip) * step, bristle.level))
-    yielding = bristle.stiffness * step * fade.mean_of_mean + bristle.damping * fade.mean
-    held = deflection * fade.mean * (bristle.stiffness - bristle.damping * (fade.x * (1.0 / step)))
-    resistance = table.resistance.towards(slip)
-    mean = _quotient(table.momentum * velocity + force - held, table.momentum + resistance + yielding)
-    return mean, fade
-
-
-@jax.custom_jvp
-def _quotient(top: Scalar, bottom: Scalar) -> Scalar:
-    return top / bottom
-
-
-@_quotient.defjvp
-def _quotient_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """By one further division, however many tangents there are."""
-    mean, inverse = lax.optimization_barrier((_quotient(*primals), 1.0 / primals[1]))
-    return mean, lax.optimization_barrier((tangents[0] - mean * tangents[1]) * inverse)
-
-
-def _first_slip(table: _Table, state: PlantState, force: Scalar) -> Scalar:
-    """The velocity at which the first substep takes the friction."""
-    return _mean_velocity(table, state, state.velocity, force)[0]
-
-
-def _substep(table: _Table, state: PlantState, slip: Scalar, force: Scalar) -> tuple[PlantState, Scalar]:
-    """The state, and the velocity at which the next substep takes the friction."""
-    (mean, fade), step = _mean_velocity(table, state, slip, force), table.step
-    ahead = PlantState(
-        position=state.position + step * mean,
-        velocity=2.0 * mean - state.velocity,
-        bristle=fade.end * state.bristle + step * fade.mean * mean,
+    # at once, or the compiler computes them anew in each substep
+    return lax.optimization_barrier(
+        _Table(
+            friction=friction,
+            stiffness=jax.tree.map(lambda one: one * (step * give), friction.stiffness),
+            damping=jax.tree.map(lambda one: one * give, friction.damping),
+            resistance=jax.tree.map(resisting, friction.viscous, damping),
+            momentum=2.0 * mass / step,
+            give=give,
+            step=step,
+        )
     )
-    # the next midpoint velocity is extrapolated: second order without a second pass
-    return lax.optimization_barrier((ahead, 3.0 * mean - 2.0 * state.velocity))
+
+
+class _Balance(NamedTuple):
+    """A substep whose friction is frozen: linear in the table's velocity and bristle and in what pushes it."""
+
+    moving: Scalar  # weight of the velocity at the beginning, and of the push
+    holding: Scalar  # 1/s, weight of the bristle's deflection
+    once: Scalar  # one over the weight of the mean velocity
+    stays: Scalar  # share of the bristle's deflection at the end
+    drawn: Scalar  # s, of deflection at the end per mean velocity
+
+    def mean_velocity(self, state: PlantState, push: Scalar) -> Scalar:
+        """Over the substep, m/s."""
+        return (self.moving * (state.velocity + push) - self.holding * state.bristle) * self.once
+
+
+def _balance(table: _Table, slip: Scalar, deflection: Scalar) -> _Balance:
+    """With the friction coefficients taken at velocity `slip`."""
+    stiffness, damping = table.stiffness.towards(deflection), table.damping.towards(slip)
+    # stages apart: what crosses is computed once, all else anew for each of its readers
+    level, bent = lax.optimization_barrier((table.friction.level(slip), stiffness * (table.momentum * jnp.abs(slip))))
+    fade = relaxation(bent, level)
+    yielding = stiffness * fade.mean_of_mean + damping * fade.mean
+    resisting = table.resistance.towards(slip) * fade.whole + yielding
+    holding = (stiffness * fade.mean - damping * fade.gone) * (1.0 / table.step)
+    holding, once = lax.optimization_barrier((holding, inverse(resisting)))
+    share = inverse(fade.whole)
+    return _Balance(fade.whole, holding, once, fade.end * share, table.step * fade.mean * share)
+
+
+class _Way(NamedTuple):
+    """The table on its way through a period."""
+
+    state: PlantState
+    expected: Scalar  # m/s, mean velocity of the substep ahead, if the friction stayed as it was
+    slip: Scalar  # m/s, at which it takes the friction
+
+
+def _begin(table: _Table, state: PlantState, push: Scalar) -> _Way:
+    expected = _balance(table, state.velocity, state.bristle).mean_velocity(state, push)
+    return _Way(state, expected, expected)
+
+
+def _substep(table: _Table, way: _Way, push: Scalar, push_ahead: Scalar) -> _Way:
+    """`push_ahead` is that of the substep after this one."""
+    state, expected, slip = way
+    balance = _balance(table, slip, state.bristle)
+    mean = lax.optimization_barrier(balance.mean_velocity(state, push))
+    ahead = PlantState(
+        position=state.position + table.step * mean,
+        velocity=2.0 * mean - state.velocity,
+        bristle=balance.stays * state.bristle + balance.drawn * mean,
+    )
+    further = balance.mean_velocity(ahead, push_ahead)
+    # friction will change the next mean velocity by about as much as it changed this one
+    return lax.optimization_barrier(_Way(ahead, further, further + (mean - expected)))
 
 
 def advance(
@@ -100,27 +137,32 @@ def advance(
 
     `ripple` (N) is by how much the force of each substep differs from `force`.
     """
-    table, force = _table(drive, load, period / substeps), force + drive.plant.constant_force
+    table = _table(drive, load, period / substeps)
+    push = table.give * (force + drive.plant.constant_force)
+    course = _course(table, ripple)
 
-    def body(carry: tuple[PlantState, Scalar], pushed: Any) -> tuple[tuple[PlantState, Scalar], None]:
-        state, slip = carry
-        return _substep(table, state, *_rippled(table, slip, force, pushed)), None
+    def body(way: _Way, rippling: Any) -> tuple[_Way, None]:
+        return _substep(table, way, *_pushes(push, rippling)), None
 
-    begin = (state, _first_slip(table, state, force))
-    return lax.scan(body, begin, _course(ripple), length=substeps)[0][0]
-
-
-def _course(ripple: Float[Array, " substeps"] | None) -> Any:
-    """The ripple of each substep, and by how much it differs from that of the one before."""
-    return None if ripple is None else (ripple, jnp.diff(ripple, prepend=0.0))
+    begin = _begin(table, state, _first(push, course))
+    return lax.scan(body, begin, course, length=substeps, unroll=min(UNROLLED, substeps))[0].state
 
 
-def _rippled(table: _Table, slip: Scalar, force: Scalar, pushed: Any) -> tuple[Scalar, Scalar]:
-    """Slip and force of a substep: the slip was extrapolated under the force of the substep before."""
-    if pushed is None:
-        return slip, force
-    ripple, jump = pushed
-    return slip + jump / table.momentum, force + ripple
+def _course(table: _Table, ripple: Float[Array, " substeps"] | None) -> Any:
+    """How the push of each substep, and of the one after it, differs from that of the period."""
+    if ripple is None:
+        return None
+    pushes = table.give * ripple
+    return pushes, jnp.concatenate([pushes[1:], pushes[-1:]])
+
+
+def _first(push: Scalar, course: Any) -> Scalar:
+    return push if course is None else push + course[0][0]
+
+
+def _pushes(push: Scalar, rippling: Any) -> tuple[Scalar, Scalar]:
+    """What pushes in a substep and in the one after it."""
+    return (push, push) if rippling is None else (push + rippling[0], push + rippling[1])
 
 
 def advance_along(
@@ -137,22 +179,23 @@ def advance_along(
 
     All tangents are carried through one loop; the derivative of the loop would run it anew for each direction.
     """
-    table, force = _table(drive, load, period / substeps), force + drive.plant.constant_force
+    table = _table(drive, load, period / substeps)
+    push = table.give * (force + drive.plant.constant_force)
+    course, pushed = _course(table, ripple), [table.give * more for _, more in directions]
 
     def along(function: Any, at: Any, tangents: Any) -> tuple[Any, Any]:
         value, slope = jax.linearize(function, *at)
         return value, tuple(slope(*one) for one in tangents)
 
-    def body(carry: Any, pushed: Any) -> tuple[Any, None]:
-        (state, slip), tangents = carry
-        at = (state, *_rippled(table, slip, force, pushed))
-        ahead = [(*tangent, push) for tangent, (_, push) in zip(tangents, directions, strict=True)]
-        return along(lambda *now: _substep(table, *now), at, ahead), None
+    def body(carry: Any, rippling: Any) -> tuple[Any, None]:
+        way, tangents = carry
+        ahead = [(tangent, more, more) for tangent, more in zip(tangents, pushed, strict=True)]
+        return along(lambda *now: _substep(table, *now), (way, *_pushes(push, rippling)), ahead), None
 
-    slip, slips = along(lambda *now: _first_slip(table, *now), (state, force), directions)
-    tangents = tuple((tangent, one) for (tangent, _), one in zip(directions, slips, strict=True))
-    ((state, _), tangents), _ = lax.scan(body, ((state, slip), tangents), _course(ripple), length=substeps)
-    return state, [tangent for tangent, _ in tangents]
+    ways = [(state, more) for (state, _), more in zip(directions, pushed, strict=True)]
+    begin = along(lambda *now: _begin(table, *now), (state, _first(push, course)), ways)
+    (way, tangents), _ = lax.scan(body, begin, course, length=substeps)
+    return way.state, [tangent.state for tangent in tangents]
 
 
 def at_rest(position: Scalar) -> PlantState:

@@ -13,7 +13,7 @@ from diffdrive.parameters import Sampling, as_arrays
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.simulate import inputs_of, rollout
 
-SUBSTEPS = (1, 2, 4, 8, 16, 32)
+SUBSTEPS = (1, 2, 3, 5, 8, 16)
 REFERENCE = 1024
 CASES = ((0.0002, 0.2), (0.010, 0.3), (0.200, 0.2))  # speed m/s, rounding of the reversal s
 

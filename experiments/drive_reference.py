@@ -45,7 +45,7 @@ _OTHERS = (
     ),
     ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
     ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),
-    ("sampling", "", "substeps", "-", ">= 1, whole", "of 12.5 us each at most", "plant steps a control period"),
+    ("sampling", "", "substeps", "-", ">= 1, whole", "of 20 us each at most", "plant steps a control period"),
     ("limits", "", "stroke", "m", "[lowest, highest]", "unlimited", "motions beyond are refused"),
     ("limits", "", "speed", "m/s", "> 0", "unlimited", "likewise"),
     ("limits", "", "acceleration", "m/s^2", "> 0", "unlimited", "likewise"),

@@ -60,7 +60,7 @@ def tune_drive(
     if friction and not isinstance(description.controller, FrictionCompensation):
         raise ParameterError("--friction: this controller observes no friction that could be tuned along")
     on, off = tuned_on(description, plan), held_out(description, plan)
-    coarse = Sampling(description.sampling.rate, max(2, description.sampling.plant_steps // 2))
+    coarse = Sampling(description.sampling.rate, max(2, -(-description.sampling.plant_steps // 2)))
     lanes = ensemble(on, coarse, settle=SETTLE)
     limits = _told(report, description, limits, on)
     speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]

@@ -18,11 +18,11 @@ from tuning.fit import lanes_of, noise_floor
 OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 
 
-def fitter_of(*effects):
-    """A log of a machine that is not quite as its file says, with these effects."""
+def fitter_of(*effects, seed=1):
+    """A log of a machine that is not quite as its file says, with these effects; `seed` is that of its noise."""
     machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
     truth = dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects))
-    lanes = lanes_of([logged(truth, two_sines())])
+    lanes = lanes_of([logged(truth, two_sines(), seed)])
     noise = jnp.asarray(noise_floor(DRIVE.drive, lanes, RATE))
     return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10), jnp.zeros(1)))
 

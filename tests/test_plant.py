@@ -126,14 +126,17 @@ def test_plant_in_the_loop_is_within_a_tenth_of_a_nanometre(drive, speed):
     assert error_in_the_loop(drive, speed, 0.5) <= 1e-10
 
 
-@pytest.mark.parametrize("speed", [2e-4, 0.01, 0.2])
-def test_second_order(drive, speed):
-    """From steady sliding, the force 10 N up: no reversal, so the order is the scheme's own."""
+@pytest.mark.parametrize(("speed", "coarsest"), [(2e-4, 64), (0.01, 16), (0.2, 16)])
+def test_second_order(drive, speed, coarsest):
+    """From steady sliding, the force 10 N up: no reversal, so the order is the scheme's own.
+
+    In creep the error of longer steps is smaller than their order lets expect, and above it finer ones meet rounding.
+    """
     duration, period = 0.02, 1e-3
     start = [0.0, speed, level(1, speed) / STIFFNESS]
     force = float(steady_friction(drive.friction, speed, LOAD)) + 380.0 * speed + 10.0
     exact, _ = reference_advance(np.array(start), 1, force, duration)
-    substeps, errors = np.array([16, 32, 64, 128, 256]), []
+    substeps, errors = coarsest * np.array([1, 2, 4, 8]), []
     for n in substeps:
 
         def body(state, _, n=int(n)):
@@ -142,7 +145,7 @@ def test_second_order(drive, speed):
         state, _ = jax.jit(lambda body=body: lax.scan(body, PlantState(*start), None, length=20))()
         errors.append(np.abs(np.array(state) - exact) / np.abs(exact))
     slopes = -np.polyfit(np.log(substeps), np.log(np.array(errors)), 1)[0]
-    assert np.all((slopes > 1.6) & (slopes < 2.6)), slopes
+    assert np.all((slopes > 1.7) & (slopes < 2.6)), slopes
 
 
 @partial(jax.jit, static_argnums=4)

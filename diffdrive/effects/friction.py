@@ -8,8 +8,10 @@ from jax import lax
 
 from diffdrive.effects.base import Acts, Place, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
-from diffdrive.friction import coulomb, decay_of, slide, under
-from diffdrive.parameters import Drive, Scalar, quantity
+from diffdrive.friction import coulomb, relaxing, slide, under
+from diffdrive.parameters import Directional, Drive, Scalar, quantity
+from diffdrive.polynomial import inverse
+from diffdrive.relaxation import relaxation
 from diffdrive.turning import cosine_sine
 
 ELEMENTS = 6  # Maxwell elements of presliding hysteresis
@@ -106,11 +108,12 @@ class FrictionDwell(TableEffect):
         """The gap grown with age."""
         half = 0.5 * period
         speed = _mean_speed(seen.velocity, ending(seen, drive, period))
-        fade = lax.optimization_barrier(decay_of(half * speed, self.slip))  # the age's equation is a bristle's
-        gained = half * fade.mean
-        middle = fade.end * state + gained
+        fade = relaxation(half * speed, self.slip)  # the age's equation is a bristle's
+        share = inverse(fade.whole)
+        left, gained = lax.optimization_barrier((fade.end * share, half * fade.mean * share))
+        middle = left * state + gained
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
-        return fade.end * middle + gained, Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
+        return left * middle + gained, Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
 
 
 class PreslidingHysteresis(TableEffect):
@@ -141,36 +144,39 @@ class PreslidingHysteresis(TableEffect):
         """
         *elements, deflection = state
         steps = max(1, round(period / FINE))
-        duration, mass, friction = period / steps, drive.plant.mass, under(drive.friction, seen.load)
+        duration, friction = period / steps, under(drive.friction, seen.load)
+        lightness = 1.0 / drive.plant.mass
 
-        def held(speed: Scalar, stretched: Sequence[Scalar]) -> Scalar:
-            level = friction.levels(speed)
-            return lax.optimization_barrier(sum(one * level.towards(one) for one in stretched) / ELEMENTS)
+        def held(levels: Directional, stretched: Sequence[Scalar]) -> Scalar:
+            return lax.optimization_barrier(sum(one * levels.towards(one) for one in stretched) * (1.0 / ELEMENTS))
 
         def body(carry: Any, _: None) -> Any:
             elements, bristle, velocity, impulse, travel = carry
-            at = lax.optimization_barrier(friction.at(velocity, bristle))
-            more = held(velocity, elements) - at.stiffness * bristle
-            resisting = at.stiffness * bristle + at.damping * (velocity - at.rate * bristle) + self.share * more
-            mean = lax.optimization_barrier(velocity + 0.5 * duration * (pushed - resisting) / mass)
-            at = lax.optimization_barrier(friction.at(mean, bristle))
-            ahead = self._stretched(elements, duration * mean)
-            bent = slide(bristle, mean, at.rate, duration)
+            stiffness = friction.stiffness.towards(bristle)
+            levels = lax.optimization_barrier(friction.levels(velocity))
+            at = friction.under_level(levels.towards(velocity), velocity, bristle)
+            more = held(levels, elements) - stiffness * bristle
+            resisting = stiffness * bristle + at.damping * (velocity - at.rate * bristle) + self.share * more
+            mean = lax.optimization_barrier(velocity + (pushed - resisting) * (0.5 * duration * lightness))
+            levels = lax.optimization_barrier(friction.levels(mean))
+            ahead = lax.optimization_barrier(self._stretched(elements, duration * mean))
+            stays, drawn = relaxing(stiffness, levels.towards(mean), mean, duration)
+            bent = stays * bristle + drawn
             midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]
-            bending = at.stiffness * 0.5 * (bristle + bent)
-            more = held(mean, midway) - bending
-            resisting = bending + at.damping * (bent - bristle) / duration + self.share * more
-            velocity = velocity + duration * (pushed - resisting) / mass
+            bending = stiffness * 0.5 * (bristle + bent)
+            more = held(levels, midway) - bending
+            damping = friction.damping.towards(mean)
+            resisting = bending + damping * (bent - bristle) * (1.0 / duration) + self.share * more
+            velocity = velocity + (pushed - resisting) * (duration * lightness)
             travel = travel + duration * (impulse + 0.5 * duration * more)
             return (ahead, bent, velocity, impulse + duration * more, travel), None
 
-        at = friction.at(seen.velocity, seen.bristle)
-        own = at.stiffness * seen.bristle + at.damping * (seen.velocity - at.rate * seen.bristle)
-        pushed = seen.resultant(drive) + own  # by all but the bristle
+        drag = friction.viscous.towards(seen.velocity) + drive.plant.damping.towards(seen.velocity)
+        pushed = seen.force + seen.pushes(drive) + seen.lacking - drag * seen.velocity  # by all but the bristle
         zero = jnp.zeros_like(seen.velocity)
         begin = (tuple(elements), deflection, seen.velocity, zero, zero)
         (stretched, bent, _, impulse, travel), _ = lax.scan(body, begin, None, length=steps)
-        shift = (0.5 * period * impulse - travel) / mass
+        shift = (0.5 * period * impulse - travel) * lightness
         return (*stretched, bent), Acts(force=-self.share * impulse / period, shift=self.share * shift)
 
     def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:

@@ -22,7 +22,7 @@ SAME = 1e-10  # m: the step by hand and ours
 LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
 MANY = 8192
 SWEPT = (128, 1024, 16384)
-SUBSTEPS = (8, 4, 2, 1)  # of one lane: the default, half of it as for tuning, and fewer
+SUBSTEPS = (10, 5, 3, 2, 1)  # of one lane: twice the default, the default, half of it as for tuning, and fewer
 
 
 @contextlib.contextmanager

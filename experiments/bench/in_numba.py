@@ -15,8 +15,6 @@ import numpy as np
 (RESOLUTION, KP, KD, FF_MASS, FF_DAMPING_P, _, Q_X, Q_V, Q_Z, R, KW, MIN_SPEED, FLOOR, LOAD_AMPLITUDE) = range(
     2 * MACHINE, 2 * MACHINE + 14
 )
-_TERMS = tuple((-1) ** n / math.factorial(n + 2) for n in range(8))
-T0, T1, T2, T3, T4, T5, T6, T7 = _TERMS
 
 _inline = numba.njit(inline="always", fastmath=False, error_model="numpy")
 
@@ -42,24 +40,26 @@ def _friction_force(p, v, z, load):
 
 
 @_inline
-def _decay(x):
-    end = math.exp(-x)
-    if x < 0.05:
-        series = T0 + x * (T1 + x * (T2 + x * (T3 + x * (T4 + x * (T5 + x * (T6 + x * T7))))))
-        return end, 1.0 - x * series, series
-    mean = (1.0 - end) / x
-    return end, mean, (1.0 - mean) / x
+def _balance(p, z, slip, load, h):
+    ahead, give = slip >= 0.0, 0.5 * h / p[MASS]
+    coulomb = _side(p, SCREW_P, ahead) + _side(p, GUIDE_P, ahead) * (p[PRELOAD] + load)
+    s0, s1, speed = _side(p, S0_P, z >= 0.0), _side(p, S1_P, ahead), abs(slip)
+    g = coulomb + _side(p, GAP_P, ahead) * math.exp(-speed / _side(p, STRIBECK_P, ahead))
+    q = s0 * h * speed
+    first = ((q * (1 / 24) + g * (1 / 6)) * q + 0.5 * g * g) * q + g * g * g
+    mean_of_mean = g * (((q * (1 / 24) + 0.125 * g) * q + (1 / 3) * g * g) * q + 0.5 * g * g * g)
+    mean, end, gone = g * first, g * g * g * g, q * first
+    whole = end + gone
+    resistance = 1.0 + (_side(p, VISCOUS_P, ahead) + _side(p, DAMPING_P, ahead)) * give
+    once = 1.0 / (resistance * whole + give * (s0 * h * mean_of_mean + s1 * mean))
+    holding = give * (s0 * mean - s1 * gone / h)
+    share = 1.0 / whole
+    return whole, holding, once, end * share, h * mean * share
 
 
 @_inline
-def _mean_velocity(p, v, z, slip, force, load, h):
-    s0, s1, viscous, rate = _bristle_at(p, slip, z, load)
-    end, mean, mean_of_mean = _decay(rate * h)
-    momentum = 2.0 * p[MASS] / h
-    resistance = viscous + _side(p, DAMPING_P, slip >= 0.0)
-    yielding = s0 * h * mean_of_mean + s1 * mean
-    held = z * mean * (s0 - s1 * rate)
-    return (momentum * v + force + p[CONSTANT] - held) / (momentum + resistance + yielding), end, mean
+def _mean_velocity(moving, holding, once, v, z, push):
+    return (moving * (v + push) - holding * z) * once
 
 
 @_inline
@@ -142,11 +142,15 @@ def _roll(p, reference, load, period, substeps, costs, position):
         if position.size:
             position[k] = x
 
-        slip = _mean_velocity(own, v, z, v, applied, now, h)[0]
+        push = (applied + own[CONSTANT]) * 0.5 * h / own[MASS]
+        moving, holding, once, stays, drawn = _balance(own, z, v, now, h)
+        slip = expected = _mean_velocity(moving, holding, once, v, z, push)
         for _ in range(substeps):
-            mean, end, held = _mean_velocity(own, v, z, slip, applied, now, h)
-            x, v, z = x + h * mean, 2.0 * mean - v, end * z + h * held * mean
-            slip = 2.0 * v - mean
+            moving, holding, once, stays, drawn = _balance(own, z, slip, now, h)
+            mean = _mean_velocity(moving, holding, once, v, z, push)
+            x, v, z = x + h * mean, 2.0 * mean - v, stays * z + drawn * mean
+            further = _mean_velocity(moving, holding, once, v, z, push)
+            slip, expected = further + mean - expected, further
     costs[0], costs[1], costs[2] = math.sqrt(square / n), peak, math.sqrt(missed / n)
 
 

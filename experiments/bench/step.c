@@ -1,7 +1,7 @@
 /* The closed loop PD+FC+LE of `diffdrive.simulate`, one lane after the other, as one would write it by hand in C.
 
    Equation for equation the step of diffdrive: scale, Kalman observer with the closed-form transition, eq. (20) load
-   estimator, PD with feed-forward, plant in substeps with an exact bristle. `tests/test_bench_steps.py` holds it to
+   estimator, PD with feed-forward, plant in substeps that foretell the velocity of the next. `tests/test_bench_steps.py` holds it to
    the JAX roll-out. The layout of `p` is that of `experiments/bench/parameters.py`. */
 
 #include <math.h>
@@ -16,7 +16,7 @@ enum {
 };
 
 typedef struct { double s0, s1, viscous, level, rate; } bristle;
-typedef struct { double end, mean, mean_of_mean; } fade;
+typedef struct { double moving, holding, once, stays, drawn; } balance;
 
 static inline double side(const double *p, int name, int ahead) { return p[name + 1 - ahead]; }
 
@@ -38,37 +38,27 @@ static inline double friction_force(bristle b, double v, double z)
     return b.s0 * z + b.s1 * (v - b.rate * z) + b.viscous * v;
 }
 
-static inline fade decay(double x)
-{
-    static const double term[8] = {1.0 / 2, -1.0 / 6, 1.0 / 24, -1.0 / 120, 1.0 / 720, -1.0 / 5040, 1.0 / 40320,
-                                   -1.0 / 362880};
-    fade f;
-    f.end = exp(-x);
-    if (x < 0.05) {
-        double series = term[7];
-        for (int k = 6; k >= 0; k--) series = term[k] + x * series;
-        f.mean = 1.0 - x * series;
-        f.mean_of_mean = series;
-    } else {
-        f.mean = (1.0 - f.end) / x;
-        f.mean_of_mean = (1.0 - f.mean) / x;
-    }
-    return f;
-}
-
-typedef struct { double velocity; fade fade; } slid;
-
-static inline slid mean_velocity(const double *p, double v, double z, double slip, double force, double load, double h)
+/* A substep whose friction is taken at `slip`: the weights of the balance for the mean velocity, and the bristle's. */
+static inline balance balance_at(const double *p, double z, double slip, double load, double h)
 {
     bristle b = bristle_at(p, slip, z, load);
-    slid found;
-    found.fade = decay(b.rate * h);
-    double momentum = 2.0 * p[MASS] / h;
-    double resistance = b.viscous + side(p, DAMPING_P, slip >= 0.0);
-    double yielding = b.s0 * h * found.fade.mean_of_mean + b.s1 * found.fade.mean;
-    double held = z * found.fade.mean * (b.s0 - b.s1 * b.rate);
-    found.velocity = (momentum * v + force + p[CONSTANT] - held) / (momentum + resistance + yielding);
+    balance found;
+    double give = 0.5 * h / p[MASS], g = b.level, q = b.s0 * h * fabs(slip);
+    double first = ((q * (1.0 / 24) + g * (1.0 / 6)) * q + 0.5 * g * g) * q + g * g * g;
+    double mean_of_mean = g * (((q * (1.0 / 24) + 0.125 * g) * q + (1.0 / 3) * g * g) * q + 0.5 * g * g * g);
+    double mean = g * first, end = g * g * g * g, gone = q * first, whole = end + gone, share = 1.0 / whole;
+    double resistance = 1.0 + (b.viscous + side(p, DAMPING_P, slip >= 0.0)) * give;
+    found.moving = whole;
+    found.holding = give * (b.s0 * mean - b.s1 * gone / h);
+    found.once = 1.0 / (resistance * whole + give * (b.s0 * h * mean_of_mean + b.s1 * mean));
+    found.stays = end * share;
+    found.drawn = h * mean * share;
     return found;
+}
+
+static inline double mean_velocity(balance b, double v, double z, double push)
+{
+    return (b.moving * (v + push) - b.holding * z) * b.once;
 }
 
 static inline void transition(const double *p, bristle b, double v, double T, double ad[3][3], double bd[3])
@@ -151,13 +141,17 @@ void roll(const double *p, const double *reference, const double *load, long n, 
         missed += (estimate - now) * (estimate - now);
         if (position) position[k] = x;
 
-        double slip = mean_velocity(own, v, z, v, applied, now, h).velocity;
+        double push = (applied + own[CONSTANT]) * 0.5 * h / own[MASS];
+        double expected = mean_velocity(balance_at(own, z, v, now, h), v, z, push), slip = expected;
         for (int j = 0; j < substeps; j++) {
-            slid one = mean_velocity(own, v, z, slip, applied, now, h);
-            x += h * one.velocity;
-            v = 2.0 * one.velocity - v;
-            z = one.fade.end * z + h * one.fade.mean * one.velocity;
-            slip = 2.0 * v - one.velocity;
+            balance b = balance_at(own, z, slip, now, h);
+            double mean = mean_velocity(b, v, z, push);
+            x += h * mean;
+            v = 2.0 * mean - v;
+            z = b.stays * z + b.drawn * mean;
+            double further = mean_velocity(b, v, z, push);
+            slip = further + mean - expected;
+            expected = further;
         }
     }
     costs[0] = sqrt(square / n);

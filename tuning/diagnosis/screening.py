@@ -36,7 +36,7 @@ from tuning.diagnosis.model import (
 from tuning.diagnosis.priors import Parameter
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
-BEST = 3  # of a grid, under other process forces too
+BEST = 3  # of a grid, whose way is made, and that are tried under other process forces too
 LIKELY, BETWEEN = 2, 8  # points of a grid about which it is refined, and how many are tried there
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
@@ -163,7 +163,8 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
 
     found = [tried_from(fitted.u, values) for values in points]
     if not model.coupled:
-        found.append(_made_way(fitter, fitted, model, min(found, key=lambda one: one[0].cost)))
+        best = sorted(found, key=lambda one: one[0].cost)[:BEST]  # not all lie where a fit finds down
+        found += [_made_way(fitter, fitted, model, one) for one in best]
     if astray:
         found += [tried_from(before, values) for values in points]
     found.sort(key=lambda one: one[0].cost)

@@ -1,0 +1,92 @@
+"""What a bristle forgets over a short step, and the homogeneous polynomials that it is made of."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive.friction import relaxing, slide
+from diffdrive.polynomial import homogeneous, inverse, polynomial
+from diffdrive.relaxation import relaxation
+
+speeds = st.floats(0.0, 1e6)
+levels = st.floats(1e-3, 1e5)
+
+
+@given(top=speeds, bottom=levels)
+def test_means_are_those_of_what_is_left(top, bottom):
+    """m1 = (1 - e) / x and m2 = (1 - m1) / x, from stick to any traverse: nothing cancels."""
+    whole, end, gone, mean, mean_of_mean = (float(one) for one in relaxation(jnp.asarray(top), jnp.asarray(bottom)))
+    x = top / bottom
+    assert whole == pytest.approx(end + gone, rel=1e-15)
+    assert 0.0 <= end / whole <= 1.0
+    assert 0.0 < mean_of_mean / whole <= 0.5 * (1.0 + 1e-15)
+    assert x * mean == pytest.approx(gone, rel=1e-14)
+    # against sums in which nothing cancels: 1 - m1 over the polynomial is x m2
+    assert mean + x * mean_of_mean == pytest.approx(whole, rel=1e-14)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-12, 1e-6, 1e-3, 0.03, 0.1, 0.3])
+def test_it_is_the_exponential_to_the_fifth_order(x):
+    found = relaxation(jnp.asarray(70.0 * x), jnp.asarray(70.0))
+    off = float(found.end / found.whole) / np.exp(-x) - 1.0
+    assert abs(off - x**5 / 120.0) < 0.35 * x**6 + 1e-15  # the first term left out, and what follows it
+
+
+@given(velocity=st.floats(1e-9, 1.0), bent=st.floats(-2.0, 2.0), duration=st.floats(1e-7, 1e-2))
+def test_a_bristle_ends_where_it_does_however_long_the_step(velocity, bent, duration):
+    """In its steady state v / r it stays, and it comes no further from it."""
+    stiffness, level = 3e7, 80.0
+    steady = level / stiffness
+    stays, drawn = relaxing(stiffness, jnp.asarray(level), jnp.asarray(velocity), duration)
+    assert float(stays * steady + drawn) == pytest.approx(steady, rel=1e-13)
+    after = float(stays * bent * steady + drawn)
+    assert abs(after - steady) <= abs(bent * steady - steady) * (1.0 + 1e-12) + 1e-13 * steady
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-6, 1e-3, 0.01])
+def test_a_short_slide_is_the_exact_one(velocity):
+    stiffness, level, duration, bristle = 3e7, 80.0, 2e-5, 1.3e-6
+    stays, drawn = relaxing(stiffness, jnp.asarray(level), jnp.asarray(velocity), duration)
+    exact = slide(jnp.asarray(bristle), jnp.asarray(velocity), stiffness * velocity / level, duration)
+    assert float(stays * bristle + drawn) == pytest.approx(float(exact), rel=1e-7)
+
+
+@given(x=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0))
+def test_a_homogeneous_polynomial_is_one_of_the_ratio(x, y):
+    terms = (1.0, -0.5, 2.0, 0.25)
+    exact = sum(term * x**k * y ** (3 - k) for k, term in enumerate(terms))
+    assert float(homogeneous(terms, x, y)) == pytest.approx(exact, abs=1e-12)
+    if y > 0.1:
+        assert float(homogeneous(terms, x, y)) == pytest.approx(float(y**3 * polynomial(terms, x / y)), abs=1e-10)
+
+
+@pytest.mark.parametrize("at", [(0.0, 1.0), (1e-9, 80.0), (0.3, 0.7), (50.0, 2.0)])
+@pytest.mark.parametrize("part", range(5))
+def test_slopes_of_first_and_second_order_are_those_of_differences(at, part):
+    """At rest, in stick, in sliding and at traverse, in forward and in reverse mode."""
+
+    def ratio(pair):
+        found = relaxation(pair[0], pair[1])
+        return found[part] * inverse(found.whole)
+
+    size = max(at)
+    at, step = jnp.asarray(at), 1e-5 * size
+    forward, backward = jax.jacfwd(ratio)(at), jax.grad(ratio)(at)
+    np.testing.assert_allclose(forward, backward, rtol=1e-12, atol=1e-14 / size)
+    curved = jax.hessian(ratio)(at)
+    for k in range(2):
+        way = step * jnp.eye(2)[k]
+        slope = (ratio(at + way) - ratio(at - way)) / (2.0 * step)
+        np.testing.assert_allclose(forward[k], slope, rtol=1e-6, atol=1e-9 / size)
+        along = (jax.grad(ratio)(at + way) - jax.grad(ratio)(at - way)) / (2.0 * step)
+        np.testing.assert_allclose(curved[k], along, rtol=1e-5, atol=1e-8 / size**2)
+
+
+def test_single_precision_holds_for_a_stiff_bristle_at_traverse():
+    """Nothing overflows where x = 1e5: 1 m/s, 1 ms, 1e9 N/m, 10 N."""
+    found = relaxation(jnp.asarray(1e6, jnp.float32), jnp.asarray(10.0, jnp.float32))
+    assert all(np.isfinite(np.asarray(one)) for one in found)
+    assert float(found.mean * inverse(found.whole)) == pytest.approx(1e-5, rel=1e-4)
