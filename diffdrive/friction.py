@@ -1,4 +1,4 @@
-"""LuGre friction (paper, eqs. (4) to (6)), with the bristle stepped exactly.
+"""LuGre friction (paper, eqs. (4) to (6)), and its bristle after a while at one velocity.
 
     F     = s0 z + s1 dz/dt + mu_v v
     dz/dt = v - r z ,   r = s0 |v| / g(v)
@@ -12,15 +12,13 @@ deflection: then force and bristle rate stay continuous through v = 0 and z = 0 
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool
 
-from diffdrive.exponential import LOG2_E, faded, halving, raised
+from diffdrive.exponential import LOG2_E, halving, raised
 from diffdrive.parameters import Directional, Friction, Scalar
-from diffdrive.polynomial import inverse, polynomial
-from diffdrive.relaxation import relaxation
+from diffdrive.polynomial import inverse
+from diffdrive.relaxation import decay, relaxation
 
 
 class Bristle(NamedTuple):
@@ -137,69 +135,6 @@ def steepest_fall(friction: Friction, side: str) -> float:
     share = (d - 1.0) / d
     steepest = d * share**share * math.exp(-share) if d > 1.0 else 1.0 if d == 1.0 else 1.0 - math.exp(-1.0)
     return gap / width * steepest
-
-
-class Decay(NamedTuple):
-    """What the bristle forgets over a step: exp(-x) and its first two running means, x = r h."""
-
-    end: Scalar  # exp(-x)
-    mean: Scalar  # (1 - exp(-x)) / x
-    mean_of_mean: Scalar  # (1 - mean) / x
-    x: Scalar
-
-
-# 1/3! - x/4! + x^2/5! - ...: eight terms leave 1e-18 at x = 0.05
-_THIRD = tuple((-1) ** n / math.factorial(n + 3) for n in range(8))
-
-
-def decay(x: Scalar) -> Decay:
-    """`Decay` at x >= 0, exact to rounding from x = 0 (stick) to any x (traverse), differentiable throughout."""
-    return decay_of(x, 1.0)
-
-
-@jax.custom_jvp
-def decay_of(top: Scalar, bottom: Scalar) -> Decay:
-    """`Decay` at x = top / bottom, where top >= 0 and bottom > 0: one division for x and 1 / x."""
-    _, inverse, per_bottom = _divided(top, bottom)
-    x = top * per_bottom
-    end, small, series = faded(x)
-    square = inverse * inverse
-    mean = jnp.where(small, 1.0 - x * series, inverse - inverse * end)
-    again = jnp.where(small, series, (inverse - square) + square * end)
-    return Decay(end, mean, again, x)
-
-
-class _Divided(NamedTuple):
-    """Of x = top / bottom, by one division."""
-
-    least: Bool[Array, ""]  # where 1 / x would be too large, and slopes are those of series
-    inverse: Scalar  # 1 / x elsewhere
-    per_bottom: Scalar  # 1 / bottom
-
-
-def _divided(top: Scalar, bottom: Scalar) -> _Divided:
-    least = top < 0.05 * bottom
-    safe = jnp.where(least, 1.0, top)  # keeps the branch not taken, and its derivative, finite
-    once = 1.0 / (safe * bottom)
-    return _Divided(least, bottom * bottom * once, safe * once)
-
-
-@decay_of.defjvp
-def _decay_along(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Decay, Decay]:
-    """In closed form: a tangent that went through the series term by term would cost as much as the series itself.
-
-    The means are integrals of exp(-x s) and (1 - s) exp(-x s) over s from 0 to 1, and so are their derivatives. The
-    decay is asked for by its name, so that a second derivative comes this way as well. The barriers keep what every
-    tangent needs from being computed anew for each.
-    """
-    found, divided = lax.optimization_barrier((decay_of(*primals), _divided(*primals)))
-    (end, mean, again, x), (least, inverse, per_bottom) = found, divided
-    slope = jnp.where(least, again - mean, (end - mean) * inverse)
-    near = jnp.where(least, x, 0.0)
-    slope_again = jnp.where(least, 2.0 * polynomial(_THIRD, near) - again, -(slope + again) * inverse)
-    slope, slope_again = lax.optimization_barrier((slope, slope_again))
-    along = (tangents[0] - x * tangents[1]) * per_bottom
-    return found, Decay(-end * along, slope * along, slope_again * along, along)
 
 
 def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:

@@ -1,7 +1,6 @@
 """The plant and its friction against an independent reference solution, conservation laws and known steady states."""
 
 from dataclasses import replace
-from decimal import Decimal, localcontext
 from functools import partial
 from types import SimpleNamespace
 
@@ -12,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 
 from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
-from diffdrive.friction import decay, steady_friction
+from diffdrive.friction import steady_friction
 from diffdrive.parameters import Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.plant import PlantState, advance
 from diffdrive.presets import PAPER_KD, PAPER_KP
@@ -243,57 +242,3 @@ def test_mirrored_motion_gives_the_mirrored_result(drive):
     for signal in ("table_position", "velocity", "command", "friction"):
         a, b = getattr(run, signal), getattr(mirrored, signal)
         np.testing.assert_allclose(a, -b, atol=1e-12 * np.abs(a).max())
-
-
-DECAY_POINTS = np.concatenate(
-    [
-        [0.0],
-        np.logspace(-12, 5, 120),
-        np.nextafter(0.05, [0, 1]),
-        [0.05],
-        np.log(2.0) / 2 * np.array([1.0 - 1e-15, 1.0, 1.0 + 1e-15]),
-    ]
-)
-
-
-def exact_decay(x):
-    """The three functions and their derivatives in 60 digits."""
-    with localcontext() as context:
-        context.prec = 60
-        x = Decimal(float(x))
-        if x == 0:
-            return [1.0, 1.0, 0.5], [-1.0, -0.5, -1 / 6]
-        end = (-x).exp()
-        mean = (1 - end) / x
-        again = (1 - mean) / x
-        slopes = [-end, (end - mean) / x, -((end - mean) / x + again) / x]
-        return [float(q) for q in (end, mean, again)], [float(q) for q in slopes]
-
-
-def test_decay_and_its_derivative():
-    values = jax.vmap(decay)(jnp.asarray(DECAY_POINTS))
-    slopes = jax.vmap(jax.jacfwd(decay))(jnp.asarray(DECAY_POINTS))
-    reverse = [jax.vmap(jax.grad(lambda x, i=i: decay(x)[i]))(jnp.asarray(DECAY_POINTS)) for i in range(3)]
-    exact = [exact_decay(x) for x in DECAY_POINTS]
-    for i, tolerance in enumerate((1e-14, 1e-14, 1e-13)):
-        np.testing.assert_allclose(values[i], [e[0][i] for e in exact], rtol=tolerance, atol=1e-30)
-    for i, tolerance in enumerate((1e-14, 1e-12, 1e-10)):
-        np.testing.assert_allclose(slopes[i], [e[1][i] for e in exact], rtol=tolerance, atol=1e-30)
-        np.testing.assert_allclose(reverse[i], slopes[i], rtol=tolerance, atol=1e-30)
-
-
-@pytest.mark.parametrize("x", [0.0, 1e-3, 0.049, 0.051, 0.3, 0.4, 3.0, 30.0])
-def test_second_derivatives_of_the_decay(x):
-    """The means are integrals of exp(-x s) and (1 - s) exp(-x s): twice differentiated, of s^2 times these."""
-    end, mean, again, _ = jax.jacfwd(jax.jacfwd(decay))(jnp.asarray(x))
-    assert float(end) == pytest.approx(np.exp(-x), rel=1e-13)
-    assert float(mean) == pytest.approx(quad(lambda s: s**2 * np.exp(-x * s), 0, 1)[0], rel=1e-7)
-    assert float(again) == pytest.approx(quad(lambda s: (1 - s) * s**2 * np.exp(-x * s), 0, 1)[0], rel=1e-6)
-
-
-def test_the_decay_in_single_precision():
-    x = jnp.asarray(DECAY_POINTS, jnp.float32)
-    found, exact = jax.vmap(decay)(x), [exact_decay(one)[0] for one in np.asarray(x)]
-    for i, tolerance in enumerate((1e-6, 1e-6, 3e-6)):
-        assert found[i].dtype == jnp.float32
-        np.testing.assert_allclose(found[i], [one[i] for one in exact], rtol=tolerance, atol=1e-30)

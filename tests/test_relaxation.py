@@ -1,4 +1,6 @@
-"""What a bristle forgets over a short step, and the homogeneous polynomials that it is made of."""
+"""What a bristle forgets, over any time and over a short step, and the polynomials that this is made of."""
+
+from decimal import Decimal, localcontext
 
 import jax
 import jax.numpy as jnp
@@ -6,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 
 from diffdrive.friction import relaxing, slide
 from diffdrive.polynomial import homogeneous, inverse, polynomial
-from diffdrive.relaxation import relaxation
+from diffdrive.relaxation import decay, relaxation
 
 speeds = st.floats(0.0, 1e6)
 levels = st.floats(1e-3, 1e5)
@@ -90,3 +93,53 @@ def test_single_precision_holds_for_a_stiff_bristle_at_traverse():
     found = relaxation(jnp.asarray(1e6, jnp.float32), jnp.asarray(10.0, jnp.float32))
     assert all(np.isfinite(np.asarray(one)) for one in found)
     assert float(found.mean * inverse(found.whole)) == pytest.approx(1e-5, rel=1e-4)
+
+
+DECAY_POINTS = np.concatenate(
+    [
+        [0.0],
+        np.logspace(-12, 5, 120),
+        np.nextafter(0.05, [0, 1]),
+        [0.05],
+        np.log(2.0) / 2 * np.array([1.0 - 1e-15, 1.0, 1.0 + 1e-15]),
+    ]
+)
+
+
+def exact_decay(x):
+    """Both functions and their derivatives in 60 digits."""
+    with localcontext() as context:
+        context.prec = 60
+        x = Decimal(float(x))
+        if x == 0:
+            return [1.0, 1.0], [-1.0, -0.5]
+        end = (-x).exp()
+        mean = (1 - end) / x
+        return [float(q) for q in (end, mean)], [float(q) for q in (-end, (end - mean) / x)]
+
+
+def test_decay_and_its_derivative():
+    values = jax.vmap(decay)(jnp.asarray(DECAY_POINTS))
+    slopes = jax.vmap(jax.jacfwd(decay))(jnp.asarray(DECAY_POINTS))
+    reverse = [jax.vmap(jax.grad(lambda x, i=i: decay(x)[i]))(jnp.asarray(DECAY_POINTS)) for i in range(2)]
+    exact = [exact_decay(x) for x in DECAY_POINTS]
+    for i, tolerance in enumerate((1e-14, 1e-12)):
+        np.testing.assert_allclose(values[i], [e[0][i] for e in exact], rtol=1e-14, atol=1e-30)
+        np.testing.assert_allclose(slopes[i], [e[1][i] for e in exact], rtol=tolerance, atol=1e-30)
+        np.testing.assert_allclose(reverse[i], slopes[i], rtol=tolerance, atol=1e-30)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-3, 0.049, 0.051, 0.3, 0.4, 3.0, 30.0])
+def test_second_derivatives_of_the_decay(x):
+    """The mean is an integral of exp(-x s): twice differentiated, of s^2 times it."""
+    end, mean = jax.jacfwd(jax.jacfwd(decay))(jnp.asarray(x))
+    assert float(end) == pytest.approx(np.exp(-x), rel=1e-13)
+    assert float(mean) == pytest.approx(quad(lambda s: s**2 * np.exp(-x * s), 0, 1)[0], rel=1e-7)
+
+
+def test_the_decay_in_single_precision():
+    x = jnp.asarray(DECAY_POINTS, jnp.float32)
+    found, exact = jax.vmap(decay)(x), [exact_decay(one)[0] for one in np.asarray(x)]
+    for one, right in zip(found, zip(*exact, strict=True), strict=True):
+        assert one.dtype == jnp.float32
+        np.testing.assert_allclose(one, right, rtol=1e-6, atol=1e-30)

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from diffdrive.effects.base import Acts, Place, Seen, TableEffect
-from diffdrive.effects.oscillator import Oscillator, swinging
+from diffdrive.effects.oscillator import Oscillator, Swinging, swinging
 from diffdrive.friction import coulomb, resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
 
@@ -34,7 +34,7 @@ LONGEST_SUBSTEP = 50e-6  # s
 class Screw(NamedTuple):
     """An elastic screw between two masses."""
 
-    gap: Scalar  # m, full width of the dead zone
+    gap: Scalar | None  # m, full width of the dead zone; None: there is none
     frequency: Scalar  # Hz, free resonance of motor against table in contact
     damping: Scalar  # of it
     motor_share: Scalar
@@ -44,7 +44,8 @@ class Screw(NamedTuple):
         """How far (m) the motor may be off under a force (N) of its own, or held by friction."""
         reduced = self.motor_share * (1.0 - self.motor_share) * drive.plant.mass
         stiffness = reduced * (2.0 * jnp.pi * self.frequency) ** 2
-        return 0.5 * self.gap + jnp.maximum(jnp.abs(force), coulomb(drive.friction, 1.0, 0.0)) / stiffness
+        gap = 0.0 if self.gap is None else self.gap
+        return 0.5 * gap + jnp.maximum(jnp.abs(force), coulomb(drive.friction, 1.0, 0.0)) / stiffness
 
 
 class Motor(NamedTuple):
@@ -104,7 +105,7 @@ class _Period(NamedTuple):
 
 def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> _Period:
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
-    angular, half, reduced = 2.0 * jnp.pi * screw.frequency, 0.5 * screw.gap, s * (1.0 - s) * mass
+    angular, reduced = 2.0 * jnp.pi * screw.frequency, s * (1.0 - s) * mass
     parts = 1 if seen.ripple is None else len(seen.ripple)
     count = parts * max(1, round(period / (parts * LONGEST_SUBSTEP)))
     h = period / count
@@ -121,19 +122,12 @@ def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float)
         own, bristle = resisting_midway(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
         force = seen.force if ripple is None else seen.force + ripple
         push = (force - (1.0 - r) * own) * per_motor + (r * table - pushed) * per_table
-        midway = q.deflection + 0.5 * h * q.rate
-        inside = jnp.clip(midway, -half, half)
-        # exact where it touches: the dead zone's wall moves the point of rest
-        there = contact.step(Oscillator(q.deflection - inside, q.rate), push)
-        pressed = reduced * (push - (there.rate - q.rate) * (1.0 / h))
-        # the sides of a gap push, they do not hold on
-        touching = (half <= 0.0) | ((midway - inside) * pressed > 0.0)
-        free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
-        deflected = jnp.where(touching, there.deflection + inside, free.deflection)
-        ahead = Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
+        ahead = contact.step(q, push) if screw.gap is None else _loose(contact, 0.5 * screw.gap, q, push, h)
+        push, ahead = lax.optimization_barrier((push, ahead))
         swing = (ahead.rate - q.rate) * (1.0 / h)
         pull = reduced * (push - swing)
         rising = (pull - r * table + pushed) * per_table
+        rising = lax.optimization_barrier(rising)
         velocity = velocity + h * rising
         more = (pull - r * table) * per_share + table
         impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
@@ -143,6 +137,20 @@ def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float)
     begin = _Pair(motor, seen.velocity, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
     return _Period(begin, substep, count, ripple, pushed * per_share - seen.force - pushed)
+
+
+def _loose(contact: Swinging, half: Scalar, q: Oscillator, push: Scalar, h: float) -> Oscillator:
+    """A motor with a dead zone of `half` to either side, a substep later."""
+    midway = q.deflection + 0.5 * h * q.rate
+    inside = jnp.clip(midway, -half, half)
+    # exact where it touches: the dead zone's wall moves the point of rest
+    there = contact.step(Oscillator(q.deflection - inside, q.rate), push)
+    pressed = push - (there.rate - q.rate) * (1.0 / h)
+    # the sides of a gap push, they do not hold on
+    touching = (half <= 0.0) | ((midway - inside) * pressed > 0.0)
+    free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
+    deflected = jnp.where(touching, there.deflection + inside, free.deflection)
+    return Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
 
 
 def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
@@ -220,7 +228,7 @@ class Compliance(Transmission):
     @property
     def screw(self) -> Screw:
         """No dead zone."""
-        return Screw(0.0 * self.frequency, self.frequency, self.damping, self.motor_share, self.table_friction)
+        return Screw(None, self.frequency, self.damping, self.motor_share, self.table_friction)
 
 
 class Backlash(Transmission):

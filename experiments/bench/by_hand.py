@@ -23,6 +23,7 @@ LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
 MANY = 8192
 SWEPT = (128, 1024, 16384)
 SUBSTEPS = (10, 5, 3, 2, 1)  # of one lane: twice the default, the default, half of it as for tuning, and fewer
+FAST = 2  # substeps whose error is below a hundredth of the scale's count (docs/numerics.md)
 
 
 @contextlib.contextmanager
@@ -67,8 +68,11 @@ def one_lane(report: Report) -> dict[str, float]:
         for name, timing in told.items():
             each = nanoseconds(timing, steps)
             rows.append([substeps, name, each, None if numba is None else timing.best / numba.best, 1e9 / RATE / each])
+        factor = 1e9 / RATE / nanoseconds(told["ours"], steps)
+        if substeps == FAST:
+            reached[f"real-time factor, {FAST} substeps"] = factor
         if substeps == Sampling(RATE).plant_steps:
-            reached = {"real-time factor": 1e9 / RATE / nanoseconds(told["ours"], steps)}
+            reached["real-time factor"] = factor
             if numba is not None:
                 reached["one lane over numba"] = told["ours"].best / numba.best
     report.table(

@@ -7,6 +7,7 @@ from experiments import paper
 from experiments.bench import clock
 
 RATE = 10_000.0
+COARSE = 3  # substeps, as the tuner takes them
 
 
 def nominal() -> tuple[Drive, Controller]:

@@ -2,13 +2,13 @@
 
 from diffdrive.parameters import Sampling
 from experiments.bench import clock, loops
-from experiments.bench.common import RATE, nanoseconds, nominal
+from experiments.bench.common import COARSE, RATE, nanoseconds, nominal
 from experiments.report import Report
 
 
 def gradients(report: Report) -> dict[str, float]:
     """Forward and reverse mode over one lane."""
-    steps, sampling = 20_000, Sampling(RATE, 4)
+    steps, sampling = 20_000, Sampling(RATE, COARSE)
     drive, controller = nominal()
     with report.working("derivatives"):
         compiled = loops.derivatives(drive, controller, loops.inputs(steps), sampling)
@@ -23,14 +23,14 @@ def gradients(report: Report) -> dict[str, float]:
     ]  # fmt: skip
     report.table(
         "gradients", ("what", "ns a step", "over forward", "MiB at 50,000 steps", "compile s", "one kernel"), rows,
-        "One lane of PD+FC+LE, 4 substeps, eight parameters",
+        f"One lane of PD+FC+LE, {COARSE} substeps, eight parameters",
     )  # fmt: skip
     return {"jacfwd over forward": told["jacfwd, 8 parameters"].best / base}
 
 
 def reverse(report: Report) -> dict[str, float]:
     """Reverse mode over a block of lanes: time, and what it keeps."""
-    steps, sampling, count = 5_000, Sampling(RATE, 4), 64
+    steps, sampling, count = 5_000, Sampling(RATE, COARSE), 64
     drive, controller = nominal()
     with report.working("reverse mode over lanes"):
         compiled = loops.reverse(drive, controller, loops.inputs(steps), sampling, count)
@@ -44,14 +44,14 @@ def reverse(report: Report) -> dict[str, float]:
     ]  # fmt: skip
     report.table(
         "reverse", ("what", "ns a lane-step", "over forward", "MB a lane at 50,000 steps", "one kernel"), rows,
-        f"{count} lanes of PD+FC+LE, 4 substeps: the mean error, and its gradient by eight parameters",
+        f"{count} lanes of PD+FC+LE, {COARSE} substeps: the mean error, and its gradient by eight parameters",
     )  # fmt: skip
     return {"reverse over forward, 64 lanes": ratio, "reverse, MB a lane at 50,000 steps": kept[loops.PAIRS]}
 
 
 def tuner(report: Report) -> dict[str, float]:
     """An iteration of the search that `diffdrive tune` makes, beside one pass for residuals and Jacobian."""
-    steps, sampling = 50_000, Sampling(RATE, 4)
+    steps, sampling = 50_000, Sampling(RATE, COARSE)
     drive, controller = nominal()
     with report.working("the tuner's iteration"):
         given = loops.inputs(steps)

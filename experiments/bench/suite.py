@@ -13,8 +13,8 @@ from experiments import paper
 from experiments.accuracy import REFERENCE, SUBSTEPS, integrator_errors
 from experiments.bench import clock, cold, loops, roof
 from experiments.bench.arithmetic import of_step
-from experiments.bench.by_hand import lanes_of_one_core, one_lane, swept_lanes
-from experiments.bench.common import RATE, nanoseconds, nominal
+from experiments.bench.by_hand import FAST, lanes_of_one_core, one_lane, swept_lanes
+from experiments.bench.common import COARSE, RATE, nanoseconds, nominal
 from experiments.bench.derivatives import gradients, reverse, tuner
 from experiments.bench.figures import drawn
 from experiments.report import Report
@@ -26,6 +26,7 @@ CONTROLLERS = ("PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS")
 BARS = {
     "one lane over numba": ("at most", 1.0),
     "real-time factor": ("at least", 600.0),
+    f"real-time factor, {FAST} substeps": ("at least", 600.0),
     "lanes, numba prange over ours": ("at least", 9.0),
     "the same, ours in single precision": ("at least", 17.0),
     "jacfwd over forward": ("at most", 1.7),
@@ -149,14 +150,14 @@ def _growth(report: Report) -> dict[str, float]:
     for n, one in compiled.items():
         rows.append([n, nanoseconds(told[str(n)], n), one.compile_seconds, one.memory / 2**20])
     report.table("growth", ("steps", "ns a step", "compile s", "MiB"), rows, "One lane of PD+FC+LE, costs only")
-    steps, coarse = 20_000, Sampling(RATE, 4)
+    steps, coarse = 20_000, Sampling(RATE, COARSE)
     with report.working("growth with parameters"):
         by = loops.by_parameters(drive, controller, loops.inputs(steps), coarse, PARAMETERS)
         told = clock.by_turns({str(n): one.run for n, one in by.items()}, rounds=5)
     report.table(
         "growth_with_parameters", ("parameters", "ns a step", "over forward", "compile s"),
         [[n, nanoseconds(told[str(n)], steps), told[str(n)].best / told["0"].best, by[n].compile_seconds] for n in by],
-        "One lane of PD+FC+LE in forward mode, 4 substeps",
+        f"One lane of PD+FC+LE in forward mode, {COARSE} substeps",
     )  # fmt: skip
     return {}
 
