@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -28,7 +29,7 @@ EIGHT = (
     lambda c: c.observer.friction.coulomb_screw.positive,
 )
 
-PAIRS = "reverse, every second step kept"
+KEPT = {1: "reverse", 2: "reverse, every second step kept", 4: "reverse, every fourth step kept"}
 
 AWAY = 0.2  # of a logarithm, how far from there a search begins
 
@@ -131,8 +132,7 @@ def reverse(drive: Drive, controller: Controller, given: Inputs, sampling: Sampl
     def backwards(kept: int) -> Loop:
         return loop(jax.grad(lambda y: jnp.mean(each(y, kept))), eight.at)
 
-    forward = loop(lambda y: each(y, 1), eight.at)
-    return {"forward": forward, "reverse": backwards(1), PAIRS: backwards(2)}
+    return {"forward": loop(lambda y: each(y, 1), eight.at)} | {name: backwards(kept) for kept, name in KEPT.items()}
 
 
 def tuner(
@@ -195,6 +195,4 @@ def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: S
         "jacfwd, 8 parameters": loop(jax.jacfwd(rms), at),
         "Jacobian of residuals": loop(jax.jacfwd(residuals), at),
         "Gauss-Newton": loop(normal, at),
-        "reverse": loop(jax.grad(rms), at),
-        PAIRS: loop(jax.grad(lambda y: rms(y, 2)), at),
-    }
+    } | {name: loop(jax.grad(partial(rms, kept=kept)), at) for kept, name in KEPT.items()}
