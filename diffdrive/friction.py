@@ -143,9 +143,14 @@ def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) 
     return fade.end * deflection + duration * fade.mean * velocity
 
 
+def sound(level: Scalar) -> Scalar:
+    """A friction level (N), or NaN where it is not above zero, as an effect may make it: no bristle holds then."""
+    return jnp.where(level > 0.0, level, jnp.nan)
+
+
 def relaxing(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
     """`slide` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
-    level, bent = lax.optimization_barrier((level, duration * stiffness * jnp.abs(velocity)))
+    level, bent = lax.optimization_barrier((sound(level), duration * stiffness * jnp.abs(velocity)))
     fade = relaxation(bent, level)
     share = inverse(fade.whole)
     return lax.optimization_barrier((fade.end * share, duration * fade.mean * share * velocity))

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.friction import Loaded, under
+from diffdrive.friction import Loaded, sound, under
 from diffdrive.parameters import Directional, Drive, Scalar
 from diffdrive.polynomial import inverse
 from diffdrive.relaxation import relaxation
@@ -86,7 +86,9 @@ def _balance(table: _Table, slip: Scalar, deflection: Scalar) -> _Balance:
     """With the friction coefficients taken at velocity `slip`."""
     stiffness, damping = table.stiffness.towards(deflection), table.damping.towards(slip)
     # stages apart: what crosses is computed once, all else anew for each of its readers
-    level, bent = lax.optimization_barrier((table.friction.level(slip), stiffness * (table.momentum * jnp.abs(slip))))
+    level, bent = lax.optimization_barrier(
+        (sound(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip)))
+    )
     fade = relaxation(bent, level)
     yielding = stiffness * fade.mean_of_mean + damping * fade.mean
     resisting = table.resistance.towards(slip) * fade.whole + yielding

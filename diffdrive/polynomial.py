@@ -35,8 +35,8 @@ def _homogeneous_slope(
 ) -> tuple[Scalar, Scalar]:
     """By two slopes, computed once however many tangents there are."""
     degree = len(coefficients) - 1
-    by_x = tuple(k * term for k, term in enumerate(coefficients))[1:]
-    by_y = tuple((degree - k) * term for k, term in enumerate(coefficients))[:-1]
+    by_x = tuple(k * term for k, term in enumerate(coefficients))[1:] or (0.0,)
+    by_y = tuple((degree - k) * term for k, term in enumerate(coefficients))[:-1] or (0.0,)
     found = (homogeneous(coefficients, *primals), homogeneous(by_x, *primals), homogeneous(by_y, *primals))
     value, along_x, along_y = lax.optimization_barrier(found)
     return value, along_x * tangents[0] + along_y * tangents[1]
@@ -52,4 +52,4 @@ def inverse(bottom: Scalar) -> Scalar:
 def _inverse_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     """Without a further division."""
     found = lax.optimization_barrier(inverse(*primals))
-    return found, -(found * found) * tangents[0]
+    return found, -found * (found * tangents[0])  # the square of a small number is none in single precision

@@ -41,7 +41,10 @@ class Relaxation(NamedTuple):
 
 
 def relaxation(top: Scalar, bottom: Scalar) -> Relaxation:
-    """`Relaxation` at x = top / bottom, where top >= 0 and bottom > 0; any order of derivative."""
+    """`Relaxation` at x = top / bottom, where top >= 0 and bottom > 0; any order of derivative.
+
+    A `bottom` that is not above zero gives numbers that look like others: ask for it first (`friction.sound`).
+    """
     mean = lax.optimization_barrier(homogeneous(_MEAN, top, bottom))
     square = bottom * bottom
     end, gone = square * square, top * mean

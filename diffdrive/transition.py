@@ -69,14 +69,12 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     fast = mean_rate * time + jnp.where(apart, root, 0.0)
     slow_or_mean = fading(jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
     fast_end = fading(fast)
-    slow_or_mean, fast_end = lax.optimization_barrier((slow_or_mean, fast_end))
-    slow_or_mean, fast_end = lax.optimization_barrier((slow_or_mean, fast_end))
+    # both stages apart: cosh and sinh each read them, and would compute them anew
     slow_or_mean, fast_end = lax.optimization_barrier((slow_or_mean, fast_end))
     # the rest: half the angle, or q itself, into the series; then double once
     angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)
     p = jnp.where(apart, 0.0, jnp.where(turning, -(angle**2), q)) / 4
     half_even, half_odd = _even_odd(p)
-    half_even, half_odd = lax.optimization_barrier((half_even, half_odd))
     half_even, half_odd = lax.optimization_barrier((half_even, half_odd))
     even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle * per_root, 1.0)
     cosh = jnp.where(apart, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)

@@ -24,18 +24,19 @@ from tuning.diagnosis.verdict import Belief, Verdict
 LATE = {"actuator_lag": ActuatorLag(6e-4), "loop_delay": LoopDelay(1.2)}
 
 
-@pytest.fixture(scope="module", params=sorted(LATE))
-def late(request):
-    """A machine whose actuator is late: explained as it is, and as what it is not.
-
-    What the wrong one leaves hangs on the noise: 30 with the first of five seeds for the lag, 60 to 72 with the others.
-    """
-    fitter = fitter_of(LATE[request.param], seed=2)
+def explained(late, seed):
+    """A machine whose actuator is late, with the noise of a seed: explained as it is, and as what it is not."""
+    fitter = fitter_of(LATE[late], seed=seed)
     base = recalibrated(fitter, TOLERANCE)
     known = {one.name: one for one in catalogue(fitter, base)}
     told = {name: explain(fitter, base, [known[name]], lambda *_: None, 1) for name in LATE}
-    right = told.pop(request.param)
+    right = told.pop(late)
     return right, next(iter(told.values()))
+
+
+@pytest.fixture(scope="module", params=sorted(LATE))
+def late(request):
+    return explained(request.param, seed=2)
 
 
 def test_a_delay_is_told_from_a_lag_by_what_follows_the_command(late):
@@ -44,6 +45,15 @@ def test_a_delay_is_told_from_a_lag_by_what_follows_the_command(late):
     right, wrong = (follows_command(found.best) for found in late)
     assert right < 0.5 * FOLLOWING
     assert wrong > max(FOLLOWING, FOLLOWS * (late[1].base.evidence - late[1].best.evidence))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(LATE))
+def test_it_is_told_whatever_the_noise(name):
+    """What the wrong one leaves hangs on it: 30 with one of these for the lag, which is the limit, 61 and more else."""
+    told = [[follows_command(found.best) for found in explained(name, seed)] for seed in range(1, 6)]
+    assert max(right for right, _ in told) < 0.5 * FOLLOWING
+    assert sum(wrong > 1.5 * FOLLOWING for _, wrong in told) >= 4
 
 
 def test_to_first_order_it_is_what_those_commands_explain(late):

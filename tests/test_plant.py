@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.effects.friction import PositionFriction
 from diffdrive.friction import steady_friction
 from diffdrive.parameters import Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.plant import PlantState, advance
@@ -175,8 +176,9 @@ FREE_MOTION = {
 }
 
 
+# from 10 kg up: below, a single step of milliseconds may gain (docs/numerics.md)
 @settings(max_examples=300, deadline=None, derandomize=True)
-@given(mass=decades(1.0, 1e4), **FREE_MOTION)
+@given(mass=decades(10.0, 1e4), **FREE_MOTION)
 def test_energy_never_grows_without_force(drive, mass, stiffness, step, velocity, bent):
     assert_energy_does_not_grow(drive, mass, stiffness, step, velocity, bent, 1)
 
@@ -242,3 +244,17 @@ def test_mirrored_motion_gives_the_mirrored_result(drive):
     for signal in ("table_position", "velocity", "command", "friction"):
         a, b = getattr(run, signal), getattr(mirrored, signal)
         np.testing.assert_allclose(a, -b, atol=1e-12 * np.abs(a).max())
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-3, -0.1])
+def test_a_friction_level_below_zero_is_no_friction(drive, velocity):
+    """An effect may take more Coulomb friction than there is: that run must not look like one."""
+    friction = replace(drive.friction, coulomb_screw=jax.tree.map(lambda _: -1000.0, drive.friction.coulomb_screw))
+    state = PlantState(jnp.asarray(0.0), jnp.asarray(velocity), jnp.asarray(1e-7))
+    assert np.isnan(float(advance(replace(drive, friction=friction), state, 10.0, 0.0, PERIOD, 5).velocity))
+
+
+def test_a_run_with_such_a_friction_is_not_ok(drive):
+    along = replace(drive, effects=(PositionFriction(slope=-20.0),))
+    reference = motion.triangular(speed=0.2, stroke=0.1, rounding=0.1, duration=1.0, rate=10_000.0)
+    assert not simulate(along, PD(Tracking(Gains(PAPER_KP, PAPER_KD))), reference).status.ok

@@ -1,8 +1,8 @@
 /* The closed loop PD+FC+LE of `diffdrive.simulate`, one lane after the other, as one would write it by hand in C.
 
    Equation for equation the step of diffdrive: scale, Kalman observer with the closed-form transition, eq. (20) load
-   estimator, PD with feed-forward, plant in substeps that foretell the velocity of the next. `tests/test_bench_steps.py` holds it to
-   the JAX roll-out. The layout of `p` is that of `experiments/bench/parameters.py`. */
+   estimator, PD with feed-forward, plant in substeps that foretell the velocity of the next.
+   `tests/test_bench_steps.py` holds it to the JAX roll-out. The layout of `p` is that of `experiments/bench/parameters.py`. */
 
 #include <math.h>
 

@@ -10,13 +10,14 @@ from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.parameters import Sampling
 from diffdrive.presets import paper_drive
 from experiments import paper
-from experiments.accuracy import REFERENCE, SUBSTEPS, integrator_errors
+from experiments.accuracy import REFERENCE, SUBSTEPS, errors_of_random_drives, integrator_errors
 from experiments.bench import clock, cold, loops, roof
 from experiments.bench.arithmetic import of_step
 from experiments.bench.by_hand import FAST, lanes_of_one_core, one_lane, swept_lanes
 from experiments.bench.common import COARSE, RATE, nanoseconds, nominal
 from experiments.bench.derivatives import gradients, reverse, tuner
 from experiments.bench.figures import drawn
+from experiments.random_drive import SPREAD
 from experiments.report import Report
 from experiments.runtime import cores
 from experiments.sweeps.varied import with_effects
@@ -189,10 +190,14 @@ def _roof(report: Report) -> dict[str, float]:
 def _accuracy(report: Report) -> dict[str, float]:
     """What a substep costs in truth."""
     with report.working("errors of the plant's integrator"):
-        errors = integrator_errors()
+        errors, others = integrator_errors(), errors_of_random_drives()
     report.table(
         "integrator", ("mm/s", *(f"{n} substeps" for n in SUBSTEPS)), errors,
         f"Largest position error over 1 s, nm, against {REFERENCE} substeps a period (10 kHz, PD, one reversal)",
+    )  # fmt: skip
+    report.table(
+        "integrator_of_others", ("Hz", "mm/s", "median", "95 %", "largest", "drives"), others,
+        f"The same, of random drives within {SPREAD:.0%} of that one, with the default substeps",
     )  # fmt: skip
     return {}
 

@@ -23,9 +23,7 @@ TAPS = 5  # samples, the first of them one sooner than the delay that was found,
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
 PIECE = 0.25  # s
-SINGLE = (
-    12.0  # of cost, that a piece of this length counts at most, for or against: one event that goes wrong tells nothing
-)
+SINGLE = 12.0  # of cost, that such a piece counts at most, for or against: one event that goes wrong tells nothing
 FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
 FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 CLOCKS = 1000.0  # of -2 log likelihood: more than clocks make that are a microsecond apart
