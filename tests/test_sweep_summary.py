@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.sweeps.samples import shares
 from experiments.sweeps.sensitivity import influences, influences_on_event
 from experiments.sweeps.summary import Group, compared, exceedance, quantile, worst
 
@@ -77,6 +78,29 @@ def test_the_shares_of_an_additive_error_are_those_of_its_terms():
     assert all(abs(one.share - true) <= one.uncertain for one, true in zip(told, [0.8, 0.2, 0.0], strict=True))
     # log error is linear in b: its mean over the lowest sixth is at b = 1/12, over the highest at 11/12
     assert told[0].high / told[0].low == pytest.approx(np.exp(2.0 * 10.0 / 12.0), rel=0.05)
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
+@pytest.mark.parametrize("machines", [512, 1024, 4096])
+def test_what_has_no_influence_is_given_none_however_the_machines_were_drawn(method, machines):
+    """Fourteen quantities, of which three matter; noise beside them, as a scale makes it."""
+    inert, sums = [], []
+    for seed in range(12):
+        values = shares(method, 14, seed, 0, machines)
+        noise = 0.05 * np.random.default_rng(seed).standard_normal(machines)
+        error = np.exp(2.0 * values[:, 0] - values[:, 1] + 0.7 * np.abs(values[:, 2] - 0.5) + noise)
+        names = [str(k) for k in range(14)]
+        told = {one.name: one for one in influences(names, values, error, seed)}
+        inert += [told[name] for name in names[3:]]
+        sums.append(sum(one.share for one in told.values()))
+        # variances of a uniform number, of one that rises and falls again, and of the noise
+        total = (4.0 + 1.0 + 0.49 / 4.0) / 12.0 + 0.05**2
+        for name, part in (("0", 4.0), ("1", 1.0), ("2", 0.49 / 4.0)):
+            off = abs(told[name].share - part / 12.0 / total)
+            assert off < max(1.5 * told[name].uncertain, 0.01)
+    assert np.mean([one.share > one.uncertain for one in inert]) < 0.1
+    assert max(one.share for one in inert) < 30.0 / machines
+    assert max(sums) < 1.0 + 4.0 / np.sqrt(machines)  # random points are correlated by so much
 
 
 def test_an_influence_without_direction_is_found_too():

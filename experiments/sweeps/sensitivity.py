@@ -1,8 +1,13 @@
 """Which quantity drives the spread of the errors.
 
-From the machines that were run anyway, however they were drawn: the first-order index, the share of the variance that
-goes when a quantity is known (RBD-FAST; Tarantola, Gatelli and Mara 2006; Plischke 2010), and for the tornado the mean
-error where the quantity is low and where it is high. Of errors the logarithm is taken: they are skewed.
+From the machines that were run anyway: the first-order index, the share of the variance that goes when a quantity is
+known, and for the tornado the mean error where the quantity is low and where it is high. Of errors the logarithm is
+taken: they are skewed.
+
+The index is the adjusted R^2 of a polynomial in the quantity's rank (a one-dimensional polynomial chaos expansion;
+Sudret 2008), its interval a grouped jackknife's. Polynomials of low degree see no more in Sobol points or a hypercube
+than is there. Methods that expect the other quantities at random where one is sorted do: RBD-FAST gave up to 40 % to
+quantities without any influence.
 """
 
 from collections.abc import Sequence
@@ -10,12 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial.legendre import legvander
 from scipy.stats import mannwhitneyu
 
 FEWEST = 128  # machines, below which indices say nothing
 EXACTLY = 4096  # machines, up to which a rank test may count every order
 SIXTH = 1.0 / 6.0  # low and high: the lowest and the highest sixth, about a standard deviation off
-RESAMPLES = 100
+DEGREE, GROUPS = 6, 32  # of the polynomial; machines that the jackknife leaves out together
+USUAL = 1.96  # standard deviations of 95 %
+EVENTS = 32  # below so many, or so few that it did not happen to, shares of events have no interval
 
 
 class Influence(NamedTuple):
@@ -49,8 +57,12 @@ def influences_on_event(
     Where that is rare (or the rule), no interval of the shares can be told (NaN): `chance` can, by a rank test of where
     the events lie (Mann and Whitney 1947), paid for by how many quantities are looked at.
     """
+    rare = min(np.sum(happened), np.sum(~happened)) < EVENTS
     return [
-        one._replace(chance=min(1.0, len(names) * _chance(values[:, names.index(one.name)], happened)))
+        one._replace(
+            uncertain=np.nan if rare else one.uncertain,
+            chance=min(1.0, len(names) * _chance(values[:, names.index(one.name)], happened)),
+        )
         for one in _shares(names, values, happened.astype(float), seed)
     ]
 
@@ -61,21 +73,36 @@ def _chance(values: Float[np.ndarray, " n"], happened: np.ndarray) -> float:
 
 
 def _shares(names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.ndarray, seed: int) -> list[Influence]:
-    from SALib.analyze import rbd_fast  # takes two seconds to import
-
     if len(outputs) < FEWEST or np.ptp(outputs) == 0.0:
         return []
-    varies = np.ptp(inputs, axis=0) > 0.0
-    names, inputs = [name for name, one in zip(names, varies, strict=True) if one], inputs[:, varies]
-    if not names:
-        return []
-    problem = {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
-    with np.errstate(invalid="ignore", divide="ignore"):  # resamples in which all outputs are the same
-        found = rbd_fast.analyze(problem, inputs, outputs, num_resamples=RESAMPLES, seed=seed)
+    group = np.random.default_rng(seed).permutation(len(outputs)) % GROUPS
     told = []
-    for k, name in enumerate(names):
-        order = np.argsort(inputs[:, k], kind="stable")
+    for name, values in zip(names, inputs.T, strict=True):
+        if np.ptp(values) == 0.0:
+            continue
+        order = np.argsort(values, kind="stable")
         few = max(1, round(SIXTH * len(order)))
         low, high = (float(np.mean(outputs[part])) for part in (order[:few], order[-few:]))
-        told.append(Influence(name, float(np.clip(found["S1"][k], 0.0, 1.0)), float(found["S1_conf"][k]), low, high))
+        told.append(Influence(name, *_first_order(order, outputs, group), low, high))
     return sorted(told, key=lambda one: -one.share)
+
+
+def _first_order(order: np.ndarray, outputs: np.ndarray, group: np.ndarray) -> tuple[float, float]:
+    """The share of the variance of `outputs` that a quantity explains whose `order` this is, and its uncertainty."""
+    count = len(order)
+    rank = np.empty(count)
+    rank[order] = (2.0 * np.arange(count) + 1.0) / count - 1.0
+    known = np.column_stack([legvander(rank, DEGREE), (outputs - np.mean(outputs)) / np.std(outputs)])
+    products = np.stack([known[group == one].T @ known[group == one] for one in range(GROUPS)])
+    total = products.sum(axis=0)
+    without = np.array([_adjusted(total - one) for one in products])
+    spread = np.sqrt((GROUPS - 1) * np.mean((without - np.mean(without)) ** 2))
+    return float(np.clip(_adjusted(total), 0.0, 1.0)), float(USUAL * spread)
+
+
+def _adjusted(products: np.ndarray) -> float:
+    """Adjusted R^2 of the last column on the others, the first of which is ones, from all their products."""
+    cross, count = products[:-1, -1], products[0, 0]
+    left = products[-1, -1] - cross @ np.linalg.solve(products[:-1, :-1], cross)
+    spread = products[-1, -1] - cross[0] ** 2 / count
+    return 1.0 - (left / (count - DEGREE - 1)) / (spread / (count - 1)) if spread > 0.0 else 0.0
