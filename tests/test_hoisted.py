@@ -73,7 +73,7 @@ def test_one_lane_is_one_kernel(name, machine):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_many_lanes_with_a_running_cost_are_is_hoisted(name):
+def test_many_lanes_with_a_running_cost_are_one_kernel(name):
     drive, controller = as_arrays((PAPER, CONTROLLERS[name]))
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), controller)
     counts = jnp.ones(SAMPLES)
@@ -81,7 +81,7 @@ def test_many_lanes_with_a_running_cost_are_is_hoisted(name):
     assert is_hoisted(costs, drive, lanes, inputs())
 
 
-def test_many_imperfect_lanes_are_is_hoisted():
+def test_many_imperfect_lanes_are_one_kernel():
     drive, controller = as_arrays((IMPERFECT, CONTROLLERS["PD+FC+LE"]))
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), controller)
 
@@ -121,18 +121,27 @@ def test_the_whole_catalogue_at_once_is_one_kernel():
     ).one_kernel
 
 
-@pytest.mark.parametrize(
-    ("name", "noisy", "precision"),
-    [(name, True, "double") for name in ("PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS")]
-    + [("PD+FC+LE", False, "double"), ("PD+FC+LE", True, "single")],
-)
-def test_the_blocks_of_a_sweep_are_one_kernel(name, noisy, precision):
+def swept(drive, name, noisy=False, precision="double"):
+    """The blocks of a sweep, compiled."""
     count = 2 * engine.BLOCK * len(jax.devices())
-    machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(PAPER))
+    machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(drive))
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
     lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys)
     models = (lanes, fixed, as_arrays(CONTROLLERS[name]), inputs(), jnp.ones(SAMPLES))
     models = in_precision_of(jnp.zeros((), precision), models)
-    lowered = engine._costs.lower(*models, Sampling(substeps=2), len(jax.devices()))
-    assert one_kernel(lowered.compile().compiled.as_text())
+    return engine._costs.lower(*models, Sampling(), len(jax.devices())).compile().compiled.as_text()
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_the_blocks_of_a_sweep_are_one_kernel(name):
+    assert one_kernel(swept(PAPER, name, noisy=True))
+
+
+@pytest.mark.parametrize(("noisy", "precision"), [(False, "double"), (True, "single")])
+def test_without_noise_and_in_single_precision_too(noisy, precision):
+    assert one_kernel(swept(PAPER, "PD+FC+LE", noisy, precision))
+
+
+def test_a_sweep_over_the_whole_catalogue_is_one_kernel():
+    assert one_kernel(swept(with_effects(PAPER, EFFECTS), "PD+FC+LE"))
