@@ -133,3 +133,15 @@ def test_a_latin_hypercube_has_one_sample_in_each_slice_of_each_quantity():
 def test_other_methods_and_sizes_are_refused(bad):
     with pytest.raises(ParameterError, match="samples"):
         shares(bad[0], 2, 0, 0, bad[1])
+
+
+@pytest.mark.parametrize("count", [1, 200, 600, 1000])
+def test_a_hypercube_hits_each_stratum_once_however_many_are_asked_for(count):
+    drawn = shares("latin-hypercube", 3, 5, 1, 1024, count)
+    for column in drawn.T:
+        assert sorted(np.floor(count * column).astype(int)) == list(range(count))
+
+
+@pytest.mark.parametrize("method", ["sobol", "random"])
+def test_of_other_points_they_are_the_first_ones(method):
+    np.testing.assert_array_equal(shares(method, 3, 5, 1, 1024, 200), shares(method, 3, 5, 1, 1024)[:200])

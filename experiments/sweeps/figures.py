@@ -82,17 +82,18 @@ def _sliced(values: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndar
 def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
     """What each quantity does to the error, the strongest on top."""
     figure, axis = new_figure(width=8.0, height=1.2 + 0.35 * len(found))
-    middle = 1e6 * float(np.exp(np.mean(np.log(np.sqrt([one.low * one.high for one in found])))))
+    errors = group.error(by)
+    middle = 1e6 * float(np.exp(np.mean(np.log(errors[np.isfinite(errors) & (errors > 0.0)]))))
     for row, one in enumerate(reversed(found)):
-        ends = [(1e6 * one.low - middle, "C0"), (1e6 * one.high - middle, "C1")]
-        for reach, colour in sorted(ends, key=lambda end: -abs(end[0])):  # the shorter over the longer one
-            axis.barh(row, reach, left=middle, color=colour, height=0.6)
+        told = one.share > one.uncertain
+        for end, colour, side in ((one.low, "C0", 0.15), (one.high, "C1", -0.15)):
+            axis.barh(row + side, 1e6 * end - middle, left=middle, color=colour if told else "0.8", height=0.3)
         edge = max(1e6 * one.low, 1e6 * one.high, middle)
         axis.annotate(f" {100 * one.share:.0f} %", (edge, row), va="center", fontsize=8)
     axis.axvline(middle, color="0.3", lw=0.8)
     axis.set_yticks(range(len(found)), [one.name for one in reversed(found)])
     axis.set(
-        xlabel=f"mean {_name(by)}, um, where the quantity is low (blue), high (orange)",
+        xlabel=f"mean {_name(by)}, um, where the quantity is low (blue) and high (orange); grey: as by chance",
         title=f"{group.controller}, {group.motion}: share of the variance",
     )
     axis.margins(x=0.12)

@@ -139,7 +139,8 @@ class Plan:
 
     def drawn(self, part: int) -> np.ndarray:
         """Shares of the probability of the machines of a part, [n, d]."""
-        drawn = shares(self.method, len(self.varied), self.seed, part, self.part_size)[: len(self.numbers(part))]
+        count = len(self.numbers(part))
+        drawn = shares(self.method, len(self.varied), self.seed, part, self.part_size, count)
         return drawn if self._root is None else correlated(drawn, self._root)
 
     def numbers(self, part: int) -> np.ndarray:

@@ -18,8 +18,12 @@ from diffdrive.errors import ParameterError
 Method = Literal["sobol", "latin-hypercube", "random"]
 
 
-def shares(method: Method, dimensions: int, seed: int, part: int, size: int) -> Float[np.ndarray, "size d"]:
+def shares(
+    method: Method, dimensions: int, seed: int, part: int, size: int, count: int | None = None
+) -> Float[np.ndarray, "count d"]:
     """The samples of part number `part`, `size` of them, a power of two (Sobol points are balanced by then).
+
+    `count` are how many of the part are asked for: the first ones, or a hypercube of so many.
 
     Raises `ParameterError` for another method or size.
     """
@@ -27,17 +31,18 @@ def shares(method: Method, dimensions: int, seed: int, part: int, size: int) -> 
         raise ParameterError(f"samples: '{method}' is no method; known: {', '.join(get_args(Method))}")
     if size < 1 or size & (size - 1):
         raise ParameterError(f"samples: a part must hold a power of two of them, got {size}")
+    count = size if count is None else count
     if not dimensions:
-        return np.zeros((size, 0))
+        return np.zeros((count, 0))
     if method == "sobol":
         sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
         if part:
             sequence.fast_forward(size * part)
-        return np.asarray(sequence.random(size))
+        return np.asarray(sequence.random(size))[:count]
     own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(part,)))
     if method == "latin-hypercube":
-        return np.asarray(qmc.LatinHypercube(dimensions, rng=own).random(size))
-    return own.random((size, dimensions))
+        return np.asarray(qmc.LatinHypercube(dimensions, rng=own).random(count))
+    return own.random((count, dimensions))
 
 
 def root_of(correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]) -> Float[np.ndarray, "d d"] | None:

@@ -136,7 +136,9 @@ def parse_varied(text: str, drive: Drive) -> Varied:
     name, equals, rest = text.partition("=")
     name, (kind, _, values) = name.strip(), (part.strip() for part in rest.partition(":"))
     known = known_quantities(drive)
-    if not equals or name not in known:
+    if not equals:
+        raise ParameterError(f"vary: '{text}' has no distribution; write for example '{name}=uniform:-5%..5%'")
+    if name not in known:
         near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
         raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")
     unit, where = known[name].unit, f"vary {name}"
