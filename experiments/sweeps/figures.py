@@ -81,7 +81,7 @@ def _sliced(values: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
     """What each quantity does to the error, the strongest on top."""
-    figure, axis = new_figure(width=8.0, height=1.2 + 0.35 * len(found))
+    figure, axis = new_figure(width=8.5, height=1.2 + 0.35 * len(found))
     errors = group.error(by)
     middle = 1e6 * float(np.exp(np.mean(np.log(errors[np.isfinite(errors) & (errors > 0.0)]))))
     for row, one in enumerate(reversed(found)):
@@ -93,7 +93,7 @@ def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
     axis.axvline(middle, color="0.3", lw=0.8)
     axis.set_yticks(range(len(found)), [one.name for one in reversed(found)])
     axis.set(
-        xlabel=f"mean {_name(by)}, um, where the quantity is low (blue) and high (orange); grey: as by chance",
+        xlabel=f"mean {_name(by)}, um, where the quantity is low (blue), high (orange); grey: chance",
         title=f"{group.controller}, {group.motion}: share of the variance",
     )
     axis.margins(x=0.12)
