@@ -203,7 +203,7 @@ class Costs(NamedTuple):
     command_noise: Scalar  # N, RMS of the command's sample-to-sample change over sqrt 2
     load_error: Scalar | None  # N, RMS of the estimated minus the true load; None where no load is estimated
     saturated: Scalar  # share of the samples at which the command exceeded the force limit
-    steps_finite: Scalar  # how many control steps passed before the tracking error left 1 m, or was not finite
+    steps_finite: Scalar  # how many control steps passed before the tracking error left `reach`, or was not finite
 
 
 def running_costs(
@@ -215,11 +215,13 @@ def running_costs(
     key: Array | None = None,
     ramp: Ramp | None = None,
     kept: int = 1,
+    reach: Scalar = 1.0,
 ) -> Costs:
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
 
     `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `kept`: as `rollout`.
-    The loop runs in the precision of the arrays that it is given, all of one kind; its sums are always double.
+    A loop has diverged whose tracking error is beyond `reach` (m; `run.sane_error`). It runs in the precision of the
+    arrays that it is given, all of one kind; its sums are always double.
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
@@ -243,7 +245,7 @@ def running_costs(
             change + follows * (frame.command - last) ** 2,
             missed + count * (frame.estimate.load - now.load) ** 2 if known else None,
             limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
-            finite + jnp.where((jnp.abs(error) < 1.0) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
+            finite + jnp.where((jnp.abs(error) <= reach) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
         )
         return (state, frame.command, sums), None
 

@@ -128,7 +128,7 @@ def swept(drive, name, noisy=False, precision="double"):
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
     lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys)
-    models = (lanes, fixed, as_arrays(CONTROLLERS[name]), inputs(), jnp.ones(SAMPLES))
+    models = (lanes, fixed, as_arrays(CONTROLLERS[name]), inputs(), jnp.ones(SAMPLES), jnp.asarray(1.0))
     models = in_precision_of(jnp.zeros((), precision), models)
     return engine._costs.lower(*models, Sampling(), len(jax.devices())).compile().compiled.as_text()
 

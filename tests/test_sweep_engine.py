@@ -4,6 +4,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,11 @@ import pytest
 from diffdrive import motion
 from diffdrive.effects import actuator, forces, friction, scale, transmission
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.parameters import Drive, Sampling, Sensor, as_arrays
+from diffdrive.motion import Limits
+from diffdrive.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.presets import paper_drive
-from diffdrive.simulate import inputs_of, running_costs
+from diffdrive.run import sane_error
+from diffdrive.simulate import inputs_of, running_costs, simulate
 from experiments import paper
 from experiments.sweeps.engine import costs_of
 from experiments.sweeps.machines import lane, machines
@@ -63,6 +66,27 @@ def test_a_lane_does_not_hang_on_its_neighbours():
     few, _ = swept(first=37, to=90)
     assert np.array_equal(whole.rms[37:90], few.rms)
     assert np.array_equal(whole.load_error[37:90], few.load_error)
+
+
+def test_a_machine_diverges_in_a_sweep_where_it_does_alone():
+    """Light machines behind a delay, some of which swing by more than a tenth of a metre and by less than one."""
+    drive = dataclasses.replace(NOISY, actuator=Actuator(delay_samples=4), sensor=Sensor(1e-7))
+    there = motion.sine(amplitude=1e-3, frequency=4.0, duration=0.3, rate=1e4)
+    drawn = np.linspace(0.0, 1.0, 64).reshape(-1, 1)
+    machine, ramp, _ = machines(drive, [parse_varied("plant.mass=uniform:4.7..4.9 kg", drive)], drawn)
+    inputs, counts, reach = inputs_of(there, np.zeros(len(there.time))), np.ones(len(there.time)), 0.1
+    control = paper.controllers(drive)["PD"]
+    assert sane_error(there.position, Limits()) == reach
+    found = costs_of(machine, ramp, None, control, inputs, counts, SAMPLING, reach=reach)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        alone = [
+            simulate(lane(machine, k), control, there, sampling=SAMPLING, seed=None).status.ok
+            for k in range(len(drawn))
+        ]
+    assert list(found.steps_finite == len(there.time)) == alone
+    between = (found.peak > reach) & (found.peak < 1.0)
+    assert between.any()  # some are told apart by this alone
 
 
 def test_a_machine_at_the_limit_of_an_effect_is_at_the_force_limit():

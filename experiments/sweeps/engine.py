@@ -29,13 +29,13 @@ class Lanes(NamedTuple):
 
 @eqx.filter_jit
 def _costs(
-    lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Float[Array, " t"],
+    lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Float[Array, " t"], reach: Array,
     sampling: Sampling, devices: int,
 ) -> Costs:  # fmt: skip
-    def share(lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Array) -> Costs:
+    def share(lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Array, reach: Array) -> Costs:
         def one(lane: Lanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
-            return running_costs(drive, controller, inputs, counts, sampling, lane.key, lane.ramp)
+            return running_costs(drive, controller, inputs, counts, sampling, lane.key, lane.ramp, reach=reach)
 
         return jax.lax.map(one, lanes, batch_size=BLOCK)
 
@@ -43,17 +43,19 @@ def _costs(
     return jax.shard_map(
         share,
         mesh=Mesh(np.array(jax.devices()[:devices]), ("lanes",)),
-        in_specs=(apart, everywhere, everywhere, everywhere, everywhere),
+        in_specs=(apart, everywhere, everywhere, everywhere, everywhere, everywhere),
         out_specs=apart,
         check_vma=False,
-    )(lanes, fixed, controller, inputs, counts)
+    )(lanes, fixed, controller, inputs, counts, reach)
 
 
 def costs_of(
     machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, inputs: Inputs,
-    counts: Float[np.ndarray, " t"], sampling: Sampling, precision: Precision = "double",
+    counts: Float[np.ndarray, " t"], sampling: Sampling, precision: Precision = "double", reach: float = 1.0,
 ) -> Costs:  # fmt: skip
     """Costs of machines whose varied leaves, loads and keys are [n], over one motion; [n] each, as numpy arrays.
+
+    A machine has diverged whose tracking error is beyond `reach` (m).
 
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
@@ -63,6 +65,6 @@ def costs_of(
     again = np.arange(total) % count  # whole blocks on every device
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
     lanes = jax.tree.map(lambda leaf: leaf[again], Lanes(varied, ramp, keys))
-    models = (lanes, fixed, as_arrays(controller), inputs, jnp.asarray(counts, float))
+    models = (lanes, fixed, as_arrays(controller), inputs, jnp.asarray(counts, float), jnp.asarray(reach))
     found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling, devices)
     return Costs(*(None if one is None else np.asarray(one)[:count] for one in found))

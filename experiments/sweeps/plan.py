@@ -18,6 +18,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.load import Ramp
 from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
+from diffdrive.run import sane_error
 from diffdrive.simulate import Costs, inputs_of
 from experiments.edition import edition
 from experiments.runtime import arithmetic
@@ -167,7 +168,8 @@ class Plan:
         counts = (planned.time >= self.settle).astype(float)
         inputs = inputs_of(planned, self.loads(planned))
         control, sampling = self.controllers[controller], self.axis.sampling
-        return costs_of(drives, ramps, keys, control, inputs, counts, sampling, self.precision)
+        reach = sane_error(planned.position, self.axis.limits)
+        return costs_of(drives, ramps, keys, control, inputs, counts, sampling, self.precision, reach)
 
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
