@@ -39,7 +39,7 @@ def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
 
 def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
     """Friction level g(v), N, without the viscous part (eq. (5))."""
-    return under(friction, load).levels(velocity).towards(velocity)
+    return under(friction, load).level(velocity)
 
 
 def bristle_at(friction: Friction, velocity: Scalar, deflection: Scalar, load: Scalar) -> Bristle:
