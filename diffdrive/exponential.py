@@ -24,7 +24,7 @@ MOST_RAISED = 40.0  # two to this is as much as a power is told
 LOG2_E, LN2 = math.log2(math.e), math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first has 20 trailing zero bits
 _LN2_HIGH_SINGLE, _LN2_LOW_SINGLE = 0.693359375, -2.12194440e-4  # the first has 14 trailing zero bits
-_MAGIC, _MAGIC_SINGLE = 1.5 * 2.0**52, 1.5 * 2.0**23  # beside it a number is rounded to a whole one, in its last bits
+_MAGIC, _MAGIC_SINGLE = 1.5 * 2.0**52, 1.5 * 2.0**23  # beside it a whole number stands in the last bits
 
 # the bits of 1 / sqrt(2), and those beside which a whole number stands in the last bits of 1.5 2^52 and 1.5 2^23
 _ROOT_HALF, _WHOLE = 0x3FE6A09E667F3BCD, 0x4338000000000000
@@ -134,10 +134,12 @@ def _single(x: Scalar) -> bool:
 
 
 def _nearest(y: Scalar) -> tuple[Scalar, Scalar]:
-    """The whole number n next to y: in the last bits of a large number, and as it is."""
-    magic = _MAGIC_SINGLE if _single(y) else _MAGIC
-    shifted = y + magic
-    return shifted, shifted - magic
+    """The whole number n next to y: in the last bits of a large number, and as it is.
+
+    Not as (y + magic) - magic, which XLA before jax 0.12 takes for y itself.
+    """
+    n = jnp.round(y)
+    return n + (_MAGIC_SINGLE if _single(y) else _MAGIC), n
 
 
 def _power(shifted: Scalar) -> Scalar:
