@@ -167,9 +167,10 @@ def _pieces(
         v += a * length + jerk * length**2 / 2
     begin.append((x, v, 0.0, 0.0))  # and so on after the end
     # a sample within rounding of a knot belongs to the piece that starts there
-    index = np.searchsorted(knots[1:], time + 1e-9 / rate, side="right")
-    x0, v0, a0, j0 = np.array(begin).T[:, index]
-    s = time - knots[index]
+    ends = np.searchsorted(time + 1e-9 / rate, knots[1:], side="left")
+    samples = np.diff(ends, prepend=0, append=len(time))
+    x0, v0, a0, j0, since = (np.repeat(column, samples) for column in np.column_stack([begin, knots]).T)
+    s = time - since
     position = x0 + s * (v0 + s * (a0 / 2 + s * j0 / 6))
     return Motion(time, position, v0 + s * (a0 + s * j0 / 2), a0 + s * j0, name)
 

@@ -5,6 +5,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +87,32 @@ def _value(text: str, key: str, unit: str, where: str) -> Any:
     return number(text, unit, where)
 
 
-def _arguments(text: str, builder: Callable[..., Any], units: dict[str, str], kind: str) -> dict[str, Any]:
-    known = [name for name in inspect.signature(builder).parameters if name not in ("time", "rate")]
+@dataclass(frozen=True)
+class Recipe:
+    """A motion or a load as a line of text tells it: the function that makes it, and its settings in SI units."""
+
+    kind: str
+    make: Callable[..., Any]
+    units: dict[str, str]
+    settings: dict[str, Any]
+
+    def made(self, *grid: np.ndarray, **more: float) -> Any:
+        """A load on a grid of times, or a motion at a `rate`; settings that are given here replace its own."""
+        return self.make(*grid, **self.settings | more)
+
+    def numbers(self) -> dict[str, tuple[str, float]]:
+        """The settings that are one number which may take any value, with unit and value; defaults are among them."""
+        found = {}
+        for name, parameter in inspect.signature(self.make).parameters.items():
+            value = self.settings.get(name, parameter.default)
+            if name in self.units and isinstance(value, int | float) and parameter.annotation is not int:
+                found[name] = (self.units[name], float(value))
+        return found
+
+
+def _recipe(kind: str, text: str, make: Callable[..., Any], units: dict[str, str]) -> Recipe:
+    parameters = inspect.signature(make).parameters
+    known = [name for name in parameters if name not in ("time", "rate")]
     given: dict[str, Any] = {}
     for item in filter(None, text.split(",")):
         key, equals, value = item.partition("=")
@@ -97,21 +122,33 @@ def _arguments(text: str, builder: Callable[..., Any], units: dict[str, str], ki
         if key in given:
             raise MotionError(f"{kind}: {key} is given twice")
         given[key] = _value(value.strip(), key, units[key], f"{kind}: {key}")
-    required = [
-        name
-        for name, parameter in inspect.signature(builder).parameters.items()
-        if parameter.default is inspect.Parameter.empty and name in known and name not in given
-    ]
-    if required:
-        raise MotionError(f"{kind}: still needs {', '.join(required)}; write {kind}:{required[0]}=...")
-    return given
+    needed = [name for name in known if parameters[name].default is inspect.Parameter.empty and name not in given]
+    if needed:
+        raise MotionError(f"{kind}: still needs {', '.join(needed)}; write {kind}:{needed[0]}=...")
+    return Recipe(kind, make, units, given)
+
+
+def motion_recipe(text: str) -> Recipe | None:
+    """What `name:key=value,...` (lists with ;) tells; None where it is no motion of ours, but a file perhaps."""
+    name, _, rest = text.partition(":")
+    return _recipe(name, rest, MOTIONS[name], MOTION_UNITS) if name in MOTIONS else None
+
+
+def load_recipe(text: str) -> Recipe | None:
+    """What `name:key=value,...` (pairs of times as cuts=1~2;3~4) tells; None where it is a number."""
+    name, colon, rest = text.partition(":")
+    if name in LOADS:
+        return _recipe(name, rest, LOADS[name], LOAD_UNITS)
+    if colon:
+        require_choice("--load", "shape", name, LOADS)
+    return None
 
 
 def parse_motion(text: str, rate: float) -> Motion:
-    """A motion from `name:key=value,...` (lists with ;), or from a CSV file (`motion_file`)."""
-    name, _, rest = text.partition(":")
-    if name in MOTIONS:
-        return MOTIONS[name](**_arguments(rest, MOTIONS[name], MOTION_UNITS, name), rate=rate)
+    """A motion from its recipe, or from a CSV file (`motion_file`)."""
+    recipe = motion_recipe(text)
+    if recipe is not None:
+        return recipe.made(rate=rate)
     path = Path(text)
     if not path.is_file():
         raise MotionError(f"--motion: '{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
@@ -119,13 +156,9 @@ def parse_motion(text: str, rate: float) -> Motion:
 
 
 def parse_load(text: str, time: np.ndarray) -> np.ndarray:
-    """A load from a number (N) or `name:key=value,...`; pairs of times as cuts=1~2;3~4."""
-    name, colon, rest = text.partition(":")
-    if name in LOADS:
-        return LOADS[name](time, **_arguments(rest, LOADS[name], LOAD_UNITS, name))
-    if colon:
-        require_choice("--load", "shape", name, LOADS)
-    return load.constant(time, number(text, "N", "--load"))
+    """A load from its recipe, or from a number (N)."""
+    recipe = load_recipe(text)
+    return load.constant(time, number(text, "N", "--load")) if recipe is None else recipe.made(time)
 
 
 def require_choice(option: str, what: str, given: str, known: Iterable[str]) -> None:

@@ -121,14 +121,18 @@ def test_the_whole_catalogue_at_once_is_one_kernel():
     ).one_kernel
 
 
-def swept(drive, name, noisy=False, precision="double"):
-    """The blocks of a sweep, compiled."""
+def swept(drive, name, noisy=False, precision="double", own_courses=False):
+    """The blocks of a sweep, compiled; `own_courses`: each machine has a motion and a load over time of its own."""
     count = 2 * engine.BLOCK * len(jax.devices())
     machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(drive))
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
-    lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys)
-    models = (lanes, fixed, as_arrays(CONTROLLERS[name]), inputs(), jnp.ones(SAMPLES), jnp.asarray(1.0))
+    given = inputs()
+    course = engine.Course(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
+    every = jax.tree.map(lambda signal: jnp.broadcast_to(signal, (count, *signal.shape)), course)
+    own, common = (every, None) if own_courses else (None, course)
+    lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys, own)
+    models = (lanes, fixed, as_arrays(CONTROLLERS[name]), common)
     models = in_precision_of(jnp.zeros((), precision), models)
     return engine._costs.lower(*models, Sampling(), len(jax.devices())).compile().compiled.as_text()
 
@@ -141,6 +145,10 @@ def test_the_blocks_of_a_sweep_are_one_kernel(name):
 @pytest.mark.parametrize(("noisy", "precision"), [(False, "double"), (True, "single")])
 def test_without_noise_and_in_single_precision_too(noisy, precision):
     assert one_kernel(swept(PAPER, "PD+FC+LE", noisy, precision))
+
+
+def test_machines_with_courses_of_their_own_are_one_kernel():
+    assert one_kernel(swept(PAPER, "PD+FC+LE", own_courses=True))
 
 
 def test_a_sweep_over_the_whole_catalogue_is_one_kernel():

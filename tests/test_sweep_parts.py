@@ -50,8 +50,8 @@ def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(
 
 
 def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
-    def dying(plan, wanted):
-        yield from here(plan, wanted[:1])
+    def dying(plan, wanted, say):
+        yield from here(plan, wanted[:1], say)
         raise KeyboardInterrupt
 
     whole = rows(run(plan(), tmp_path / "whole", lambda done: None))
@@ -60,9 +60,9 @@ def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
     (tmp_path / "cut" / ".part-000001.parquet").write_bytes(b"cut off in the middle of writing")
     asked = []
 
-    def counting(plan, wanted):
+    def counting(plan, wanted, say):
         asked.extend(wanted)
-        yield from reversed(list(here(plan, wanted)))  # in any order
+        yield from reversed(list(here(plan, wanted, say)))  # in any order
 
     assert rows(run(plan(), tmp_path / "cut", lambda done: None, counting)).equals(whole)
     assert asked == [1, 2]

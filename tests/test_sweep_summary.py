@@ -8,27 +8,36 @@ from hypothesis import strategies as st
 
 from experiments.sweeps.samples import shares
 from experiments.sweeps.sensitivity import influences, influences_on_event
-from experiments.sweeps.summary import Group, compared, exceedance, quantile, worst
+from experiments.sweeps.summary import Group, compared, exceedance, first_to_diverge, quantile, worst
 
 
 def group(errors, diverged=(), controller="one"):
-    count = len(errors)
+    """`diverged` are machines, or when each of them did (s)."""
+    count, at = len(errors), dict.fromkeys(diverged, 0.0) | (diverged if isinstance(diverged, dict) else {})
     table = pa.table(
         {
             "machine": np.arange(100, 100 + count),
             "peak_m": np.asarray(errors, float),
-            "diverged": [k in diverged for k in range(count)],
+            "diverged": [k in at for k in range(count)],
+            "diverged_at_s": pa.array([at.get(k) for k in range(count)], pa.float64()),
         }
     )
     return Group(controller, "motion", table)
 
 
-def test_a_machine_that_diverged_is_the_worst_and_misses_every_tolerance():
+def test_a_machine_that_diverged_misses_every_tolerance():
     one = group([3e-6, 0.0, 1e-6, 2e-6], diverged={1})
-    assert worst(one, 3) == [101, 100, 103]
     assert exceedance(one.error(), 1e3).value == 0.25
     assert quantile(one.error(), 0.99).value == np.inf
     assert quantile(one.error(), 0.5).value == 2e-6
+
+
+def test_the_worst_are_those_of_the_largest_error_and_those_that_left_first():
+    one = group([3e-6, 0.0, np.nan, 1e-6, 2e-6, 1.0], diverged={1: 0.3, 2: 0.1, 5: 0.2})
+    assert worst(one, 2) == [100, 104]
+    assert worst(one, 9) == [100, 104, 103]
+    assert first_to_diverge(one, 2) == [102, 105]
+    assert first_to_diverge(group([1.0, 2.0]), 5) == []
 
 
 @settings(deadline=None, max_examples=50)

@@ -1,7 +1,8 @@
 """The loops that are timed: one lane, many lanes, derivatives; each with what the compiler made of it."""
 
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ EIGHT = (
 
 KEPT = {1: "reverse", 2: "reverse, every second step kept", 4: "reverse, every fourth step kept"}
 
+MANY = 50  # trips, from which a loop is one over time
 AWAY = 0.2  # of a logarithm, how far from there a search begins
 
 
@@ -44,13 +46,42 @@ class Loop(NamedTuple):
 
 
 def one_kernel(text: str) -> bool:
-    """Whether a compiled program runs its loop over time as one native kernel (CPU).
+    """Whether a compiled program runs its loops over time as native kernels (CPU).
 
-    The mark alone says nothing: the plant's inner loop always carries it. It must stand in the entry computation, and
-    no while-loop beside it.
+    A loop of `MANY` trips or more, or of a number that is not known, must lie within a call that is marked so. Shorter
+    ones, over blocks of lanes or the columns of a matrix, may be where they are. The mark alone says nothing: the
+    plant's inner loop always carries it.
     """
-    entry = text[text.index("\nENTRY ") :]
-    return "xla_cpu_small_call" in entry and " while(" not in entry
+    bodies = dict(re.findall(r"^(?:ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", text, re.S | re.M))
+    called = {
+        name: set(re.findall(r"(?:calls|to_apply|body|condition)=%?([\w.\-]+)", body)) for name, body in bodies.items()
+    }
+    native: set[str] = set()
+    for body in bodies.values():
+        for line in body.splitlines():
+            if "xla_cpu_small_call" in line:
+                native |= _reached(re.findall(r"to_apply=%?([\w.\-]+)", line), called)
+    long = {name: any(_long(line) for line in body.splitlines()) for name, body in bodies.items()}
+    return any(long[name] for name in native) and not any(long[name] for name in bodies.keys() - native)
+
+
+def _long(line: str) -> bool:
+    if " while(" not in line:
+        return False
+    trips = re.search(r'"known_trip_count":\{"n":"(\d+)"', line)
+    return trips is None or int(trips[1]) >= MANY
+
+
+def _reached(names: Iterable[str], called: Mapping[str, set[str]]) -> set[str]:
+    """The computations of these names and all that they call."""
+    found: set[str] = set()
+    left = list(names)
+    while left:
+        one = left.pop()
+        if one not in found:
+            found.add(one)
+            left += called.get(one, ())
+    return found
 
 
 def loop(function: Any, *arguments: Any) -> Loop:

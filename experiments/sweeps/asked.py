@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
+from diffdrive.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.motion_file import parse_motion_table, read_motion
-from experiments.scenario import MOTIONS, parse_motion
+from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion
 from experiments.sweeps.engine import Precision
 from experiments.sweeps.plan import MOST_IN_A_PART, Plan
 from experiments.sweeps.samples import Method
@@ -74,21 +74,30 @@ class Asked:
                     "same machines and motions they must be equal"
                 )
             controllers[name] = other.controller
+        origins = self.origins(sampling.rate)
+        motions = {name: self._motion(origin, sampling.rate) for name, origin in origins.items()}
         return Plan.of(
-            axis, controllers, self._motions(axis), self.vary, self.samples,
+            axis, controllers, motions, self.vary, self.samples, recipes=self._recipes(origins),
             method=self.method, seed=self.seed, load=self.load, settle=self.settle, correlation=self.correlation,
             most_in_a_part=self.most_in_a_part, precision=self.precision,
         )  # fmt: skip
 
-    def _motions(self, axis: DriveDescription) -> dict[str, Motion]:
-        """Each by its name; a second one of the same name by its number, too."""
-        found: dict[str, Motion] = {}
-        for origin, text in self.motions.items():
-            of_a_file = origin != text
-            one = parse_motion_table(text, origin) if of_a_file else parse_motion(text, axis.sampling.rate)
-            number = 1 + sum(name.split(" #")[0] == one.name for name in found)
-            found[one.name if number == 1 else f"{one.name} #{number}"] = one
+    def origins(self, rate: float) -> dict[str, str]:
+        """What was asked for, by the name of each motion in the sweep: a second one of a name by its number, too."""
+        found: dict[str, str] = {}
+        for origin in self.motions:
+            name = self._motion(origin, rate).name
+            number = 1 + sum(one.split(" #")[0] == name for one in found)
+            found[name if number == 1 else f"{name} #{number}"] = origin
         return found
+
+    def _motion(self, origin: str, rate: float) -> Motion:
+        text = self.motions[origin]
+        return parse_motion(text, rate) if text == origin else parse_motion_table(text, origin)
+
+    def _recipes(self, origins: dict[str, str]) -> dict[str, Recipe | None]:
+        """How those motions are made that are not of a file."""
+        return {name: motion_recipe(text) if self.motions[text] == text else None for name, text in origins.items()}
 
 
 def to_text(asked: Asked) -> str:

@@ -4,6 +4,7 @@ Dask, not Ray: it is Python throughout, a worker is one command on any machine, 
 itself, and every batch system has a launcher for it. It is the package's extra `cluster`.
 """
 
+import contextlib
 import functools
 import itertools
 import re
@@ -15,7 +16,7 @@ import pyarrow as pa
 from diffdrive.errors import ParameterError
 from experiments.runtime import configure, cores, keep_compiled
 from experiments.sweeps.asked import Asked, from_text, to_text
-from experiments.sweeps.parts import Engine
+from experiments.sweeps.parts import Engine, Say
 from experiments.sweeps.plan import Plan
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
@@ -41,14 +42,12 @@ def _part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
     return plan.costs(part)
 
 
-def _client(address: str | None, cluster: Any) -> Any:
+def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address or cluster, timeout=ANSWERS_WITHIN)
+        return Client(address, timeout=ANSWERS_WITHIN)
     except (OSError, ValueError) as problem:  # ValueError: a scheme that Dask does not know
-        if address is None:
-            raise
         raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
 
 
@@ -61,28 +60,34 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
     if address is not None and not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
         raise ParameterError(f"--cluster {address}: write tcp://host:8786")
     try:
-        from distributed import LocalCluster, as_completed
+        from distributed import Client, LocalCluster, as_completed
     except ImportError:
         raise ParameterError("several workers need Dask: pip install 'diffdrive[cluster]'") from None
 
-    def engine(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
-        if not wanted:
-            return
+    def engine(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
         text, question = to_text(asked), plan.question()
-        here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
-        cluster = None if address else LocalCluster(**here)
         # workers of one machine share its cores; one of a cluster has its machine for itself
         devices = None if address else max(1, cores() // workers)
-        try:
-            with _client(address, cluster) as client:
+        room = contextlib.ExitStack()
+        client = room.enter_context(_client(address)) if wanted and address else None
+
+        def parts() -> Iterator[tuple[int, pa.Table]]:
+            if not wanted:
+                return
+            here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+            with room:
+                known = client or room.enter_context(Client(room.enter_context(LocalCluster(**here))))
+                if not known.nthreads():
+                    say(f"waiting for workers at {address}: start some there, as `dask worker {address}`")
+                    known.wait_for_workers(1)
                 left, number = iter(wanted), {}
 
                 def submitted() -> list[Any]:
                     """As many as the workers of this moment are short of: some join late, some go."""
-                    short = AHEAD * max(1, len(client.nthreads()), workers) - len(number)
+                    short = AHEAD * max(1, len(known.nthreads()), workers) - len(number)
                     futures = []
                     for part in itertools.islice(left, max(0, short)):
-                        future = client.submit(_part, text, question, devices, part, pure=False)
+                        future = known.submit(_part, text, question, devices, part, pure=False)
                         number[future] = part
                         futures.append(future)
                     return futures
@@ -92,8 +97,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
                     yield number.pop(future), future.result()
                     future.release()
                     done.update(submitted())
-        finally:
-            if cluster is not None:
-                cluster.close()
+
+        return parts()
 
     return engine

@@ -2,7 +2,7 @@
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,12 +18,23 @@ from experiments.single import run_figure, write_run
 from experiments.sweeps import figures
 from experiments.sweeps.asked import Asked, keep, read_asked
 from experiments.sweeps.engine import Precision
-from experiments.sweeps.parts import Engine, here, kept, missing, run
+from experiments.sweeps.parts import Engine, Say, here, kept, missing, run
 from experiments.sweeps.plan import Plan
-from experiments.sweeps.replay import SIGNALS, costs_again, machine_of, run_of, traces
+from experiments.sweeps.replay import SIGNALS, chosen, costs_again, machine_of, run_of, traces
 from experiments.sweeps.samples import Method
 from experiments.sweeps.sensitivity import FEWEST, Influence, influences, influences_on_event
-from experiments.sweeps.summary import ERRORS, SHARES, Group, Interval, compared, exceedance, groups, quantile, worst
+from experiments.sweeps.summary import (
+    ERRORS,
+    SHARES,
+    Group,
+    Interval,
+    compared,
+    exceedance,
+    first_to_diverge,
+    groups,
+    quantile,
+    worst,
+)
 
 PARTS = "parts"
 TOLD = 5  # worst machines that are named
@@ -61,7 +72,8 @@ def sweep_drive(
             report.say(warning)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
-            rows = run(plan, folder, done, _noted(asked, engine or here, out))
+            rows = run(plan, folder, done, _noted(asked, engine or here, out), report.console.print)
+        _legend(report, asked.origins(plan.axis.sampling.rate))
         report.values(
             "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
             precision=plan.precision,
@@ -76,13 +88,21 @@ def sweep_drive(
         return not any(one.diverged.any() for one in found)
 
 
+def _legend(report: Report, origins: Mapping[str, str]) -> None:
+    """Which motion is meant by each name."""
+    report.data["motions"] = dict(origins)
+    if len(origins) > 1:
+        report.table("motions", ("motion", "as asked for"), [list(one) for one in origins.items()], "Motions")
+
+
 def _noted(asked: Asked, engine: Engine, out: Path | None) -> Engine:
     """An engine that writes down what was asked when it begins: by then every machine has been found possible."""
 
-    def noted(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
+    def noted(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
+        results = engine(plan, wanted, say)  # which may find that nobody is there
         if out is not None:
             keep(asked, out)
-        yield from engine(plan, wanted)
+        yield from results
 
     return noted
 
@@ -135,10 +155,17 @@ def _tell(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | 
     _blame_for_divergence(report, plan, [one for one, _ in found])
     report.table(
         "worst",
-        ("motion", "controller", "machines, the worst first"),
-        [[one.motion, one.controller, " ".join(map(str, worst(one, TOLD, by)))] for one, _ in found],
-        f"Worst by {ERRORS[by]}; any machine again: diffdrive replay FOLDER --machine NUMBER",
+        ("motion", "controller", "largest error first", "diverged, the earliest first"),
+        [
+            [one.motion, one.controller, _listed(worst(one, TOLD, by)), _listed(first_to_diverge(one, TOLD))]
+            for one, _ in found
+        ],
+        f"Worst machines by {ERRORS[by]}; any machine again: diffdrive replay FOLDER --machine NUMBER",
     )
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return " ".join(map(str, numbers)) or "-"
 
 
 def _stuck(group: Group) -> int:
@@ -269,7 +296,8 @@ def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequen
     """The signals of every controller's worst machines, under every controller."""
     assert report.out is not None
     for motion in plan.motions:
-        numbers = sorted({number for one in found if one.motion == motion for number in worst(one, TOLD, by)})
+        mine = [one for one in found if one.motion == motion]
+        numbers = sorted({number for one in mine for number in (*worst(one, TOLD, by), *first_to_diverge(one, TOLD))})
         path = report.out / (f"traces_{named_file(motion)}.nc" if len(plan.motions) > 1 else "traces.nc")
         with report.working("recording the worst machines"):
             traces(plan, numbers, plan.controllers, motion, recorded).to_netcdf(path, engine="h5netcdf")
@@ -277,10 +305,10 @@ def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequen
 
 
 def replay_machine(folder: Path, number: int, controller: str | None, motion: str | None, out: Path | None) -> bool:
-    """`diffdrive replay`; False if the machine diverges."""
+    """`diffdrive replay`; False if the machine diverged, here or in the sweep, or its run is not to be believed."""
     plan = read_asked(folder).plan()
-    controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
-    machine = machine_of(plan, number)
+    controller, motion = chosen(plan, controller, motion)
+    machine = machine_of(plan, number, motion)
     with Report(f"{folder.name}: machine {number}, {controller}, {motion}", out) as report:
         report.table(
             "machine",
@@ -289,7 +317,8 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             "What differs from the drive file",
         )
         with report.working("simulating"):
-            simulated, costs = run_of(plan, machine, controller, motion), costs_again(plan, number, controller, motion)
+            simulated = run_of(plan, machine, controller, motion)
+            costs, diverged_at = costs_again(plan, number, controller, motion)
         counted = simulated.time >= plan.settle
         with np.errstate(over="ignore", invalid="ignore"):
             error = np.abs(simulated.error[counted])
@@ -313,4 +342,4 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             tables = drive_tables(plan.axis_of(machine.drive))
             write_drive(report.out / "machine.toml", parse_drive(tables, f"machine {number}"))
             report.figure("run", run_figure(simulated))
-    return int(costs.steps_finite[0]) == len(plan.motions[motion].time)  # as the sweep counts it
+    return simulated.status.ok and bool(np.isnan(diverged_at[0]))

@@ -9,7 +9,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float
 
-from diffdrive.controllers import Controller
+from diffdrive.controllers import Controller, Reference
 from diffdrive.load import Ramp
 from diffdrive.parameters import Drive, Sampling, as_arrays, in_precision_of
 from diffdrive.simulate import Costs, Inputs, running_costs
@@ -19,23 +19,36 @@ Precision = Literal["double", "single"]  # as numpy calls them, too
 BLOCK = 64  # lanes at a time (docs/performance.md)
 
 
+class Course(NamedTuple):
+    """What a machine goes through, [t] over time; [n, t] where machines differ in it."""
+
+    reference: Reference
+    load: Float[Array, "*n t"]  # N on the guides, beside the lane's ramp
+    counts: Float[Array, "*n t"]  # 1 at the samples that count
+    reach: Float[Array, "*n"]  # m, the tracking error beyond which the loop has diverged
+
+
 class Lanes(NamedTuple):
-    """What differs between machines, [n] each: the leaves of the drive that vary, its load, its noise."""
+    """What differs between machines, [n] each: the leaves of the drive that vary, its load, its noise; its course, or
+    None where all have the same.
+    """
 
     drive: Any
     ramp: Ramp
     key: Array | None
+    course: Course | None = None
 
 
 @eqx.filter_jit
 def _costs(
-    lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Float[Array, " t"], reach: Array,
-    sampling: Sampling, devices: int,
-) -> Costs:  # fmt: skip
-    def share(lanes: Lanes, fixed: Drive, controller: Controller, inputs: Inputs, counts: Array, reach: Array) -> Costs:
+    lanes: Lanes, fixed: Drive, controller: Controller, course: Course | None, sampling: Sampling, devices: int
+) -> Costs:
+    def share(lanes: Lanes, fixed: Drive, controller: Controller, course: Course | None) -> Costs:
         def one(lane: Lanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
-            return running_costs(drive, controller, inputs, counts, sampling, lane.key, lane.ramp, reach=reach)
+            own = course if lane.course is None else lane.course
+            inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
+            return running_costs(drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, reach=own.reach)
 
         return jax.lax.map(one, lanes, batch_size=BLOCK)
 
@@ -43,28 +56,33 @@ def _costs(
     return jax.shard_map(
         share,
         mesh=Mesh(np.array(jax.devices()[:devices]), ("lanes",)),
-        in_specs=(apart, everywhere, everywhere, everywhere, everywhere, everywhere),
+        in_specs=(apart, everywhere, everywhere, everywhere),
         out_specs=apart,
         check_vma=False,
-    )(lanes, fixed, controller, inputs, counts, reach)
+    )(lanes, fixed, controller, course)
+
+
+def at_once() -> int:
+    """Lanes that keep every device busy: a block for each."""
+    return BLOCK * len(jax.devices())
 
 
 def costs_of(
-    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, inputs: Inputs,
-    counts: Float[np.ndarray, " t"], sampling: Sampling, precision: Precision = "double", reach: float = 1.0,
+    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: Course, sampling: Sampling,
+    precision: Precision = "double",
 ) -> Costs:  # fmt: skip
-    """Costs of machines whose varied leaves, loads and keys are [n], over one motion; [n] each, as numpy arrays.
-
-    A machine has diverged whose tracking error is beyond `reach` (m).
+    """Costs of machines whose varied leaves, loads and keys are [n], along one course or [n] of them; [n] each.
 
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
     count = len(ramp.load)
     devices = min(len(jax.devices()), -(-count // BLOCK))
     total = -(-count // (BLOCK * devices)) * BLOCK * devices
-    again = np.arange(total) % count  # whole blocks on every device
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
-    lanes = jax.tree.map(lambda leaf: leaf[again], Lanes(varied, ramp, keys))
-    models = (lanes, fixed, as_arrays(controller), inputs, jnp.asarray(counts, float), jnp.asarray(reach))
+    own, common = (None, course) if np.ndim(course.load) == 1 else (course, None)
+    lanes = Lanes(varied, ramp, keys, own)
+    if total > count:  # whole blocks on every device
+        lanes = jax.tree.map(lambda leaf: leaf[np.arange(total) % count], lanes)
+    models = (lanes, fixed, as_arrays(controller), common)
     found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling, devices)
     return Costs(*(None if one is None else np.asarray(one)[:count] for one in found))

@@ -28,9 +28,7 @@ def _met(value: Any, one: Varied, drawn: Float[np.ndarray, " n"]) -> Any:
     """A value of the drive file, or a pair, under what was drawn."""
     if isinstance(value, Directional):
         return Directional(_met(value.positive, one, drawn), _met(value.negative, one, drawn))
-    if one.how == "is":
-        return jnp.asarray(drawn)
-    return jnp.asarray(value + drawn if one.how == "plus" else value * drawn)
+    return jnp.asarray(one.met(value, drawn))
 
 
 def machines(drive: Drive, varied: Sequence[Varied], shares: Float[np.ndarray, "n d"]) -> tuple[Drive, Ramp, Values]:
@@ -56,6 +54,6 @@ def machines(drive: Drive, varied: Sequence[Varied], shares: Float[np.ndarray, "
     return machine, Ramp(*(jnp.broadcast_to(jnp.asarray(end, float), (count,)) for end in ends.values())), values
 
 
-def lane(drive: Drive, number: int) -> Drive:
-    """One of the machines."""
+def lane(drive: Drive, number: int | np.ndarray) -> Drive:
+    """One of the machines, or some of them."""
     return jax.tree.map(lambda leaf: leaf[number] if np.ndim(leaf) else leaf, drive)

@@ -13,7 +13,8 @@ from experiments.sweeps.plan import Plan
 
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
-Engine = Callable[[Plan, list[int]], Iterator[tuple[int, pa.Table]]]  # the wanted parts, in any order
+Say = Callable[[str], None]  # what keeps an engine from beginning
+Engine = Callable[[Plan, list[int], Say], Iterator[tuple[int, pa.Table]]]  # the wanted parts, in any order
 
 
 def path_of(folder: Path, part: int) -> Path:
@@ -58,19 +59,23 @@ def _question(path: Path) -> bytes | None:
         return None
 
 
-def here(plan: Plan, wanted: list[int]) -> Iterator[tuple[int, pa.Table]]:
+def here(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
     """The parts one after the other, in this process."""
     for part in wanted:
         yield part, plan.costs(part)
 
 
-def run(plan: Plan, folder: Path, done: Done, engine: Engine = here) -> ds.Dataset:
+def _unsaid(_: str) -> None:
+    pass
+
+
+def run(plan: Plan, folder: Path, done: Done, engine: Engine = here, say: Say = _unsaid) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
     question, left = plan.question(), missing(plan, folder)
     plan.require_possible(left)
     finished = plan.samples - sum(len_of(plan, part) for part in left)
     done(finished)
-    for part, table in engine(plan, left):
+    for part, table in engine(plan, left, say):
         keep(table, path_of(folder, part), question)
         finished += len_of(plan, part)
         done(finished)

@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,21 +14,28 @@ import pyarrow as pa
 
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription
-from diffdrive.errors import ParameterError
+from diffdrive.errors import MotionError, ParameterError
 from diffdrive.load import Ramp
 from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
-from diffdrive.run import sane_error
-from diffdrive.simulate import Costs, inputs_of
+from diffdrive.simulate import Costs
 from experiments.edition import edition
 from experiments.runtime import arithmetic
-from experiments.scenario import parse_load, require_left
-from experiments.sweeps.engine import Precision, costs_of
-from experiments.sweeps.machines import Values, machines
+from experiments.scenario import Recipe, load_recipe, parse_load, require_left
+from experiments.sweeps.courses import Course, Courses, at_corners, for_all, for_each, settings
+from experiments.sweeps.engine import Precision, at_once, costs_of
+from experiments.sweeps.machines import Values, lane, machines
 from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
 
 MOST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen devices
+
+
+class Outcome(NamedTuple):
+    """What came of machines, [n] each."""
+
+    costs: Costs
+    diverged_at: np.ndarray  # s from the beginning; NaN of a machine that did not
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class Plan:
     samples: int
     method: Method = "sobol"
     seed: int = 0
+    recipes: Mapping[str, Recipe | None] = field(default_factory=dict)  # of the motions whose settings may vary
     load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
     settle: float = 0.0  # s at the start that do not count
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -58,7 +66,9 @@ class Plan:
     ) -> "Plan":  # fmt: skip
         """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
         require_double_precision()
-        varied = tuple(parse_varied(text, axis.drive) for text in vary)
+        recipes, load = more.get("recipes", {}), load_recipe(more.get("load", "0"))
+        known = settings({name: recipes.get(name) for name in motions}, load)
+        varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
         names = [one.name for one in varied]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -82,17 +92,61 @@ class Plan:
         root_of(plan.correlation, names)
         return plan
 
+    @cached_property
+    def _settings(self) -> list[int]:
+        """Which of the quantities that vary are settings of the motions and of the load over time."""
+        known = settings({name: self.recipes.get(name) for name in self.motions}, load_recipe(self.load))
+        return [k for k, one in enumerate(self.varied) if one.name in known]
+
+    @cached_property
+    def courses(self) -> Courses:
+        """Motions and load over time."""
+        return Courses(self.motions, self.recipes, self.load, tuple(self.varied[k] for k in self._settings))
+
+    def courses_of(self, numbers: np.ndarray, motion: str) -> list[Course]:
+        """What machines of one part go through. Raises `ParameterError` that names one that cannot."""
+        values = self.courses.values(motion, self._drawn(numbers)[:, self._settings])
+        found = []
+        for k, number in enumerate(numbers):
+            try:
+                course = self.courses.of(motion, {name: value[k] for name, value in values.items()})
+                require_within(course.motion, self.axis.limits)
+                require_left(self.settle, motion, course.motion)
+            except (MotionError, ParameterError) as problem:
+                raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
+            found.append(course)
+        self._require_possible(numbers, np.array([np.min(course.load) for course in found]))
+        return found
+
     def require_possible(self, parts: Iterable[int]) -> None:
-        """Every machine of these parts can be: hours later would be late. Raises `ParameterError` that names one."""
+        """Every machine of these parts can be: hours later would be late. Raises `ParameterError` that names one.
+
+        Where settings of motions vary, those machines are looked at that are nearest to their ends.
+        """
         least = min(float(np.min(self.loads(motion))) for motion in self.motions.values())
         for part in parts:
             numbers = self.numbers(part)
-            try:
-                self._possible(numbers, least)
-            except ParameterError as problem:
-                raise ParameterError(f"sweep: machine {self._first(numbers, least)} cannot be: {problem}") from None
+            self._require_possible(numbers, np.full(len(numbers), least))
+            if self._settings:
+                corners = at_corners(self.drawn(part)[:, self._settings])
+                for motion in self.motions:
+                    self.courses_of(numbers[corners], motion)
 
-    def _possible(self, numbers: np.ndarray, least: float) -> None:
+    def _require_possible(self, numbers: np.ndarray, least: np.ndarray) -> None:
+        """Raises `ParameterError` that names the first machine that cannot be, or whose least load is too little."""
+        try:
+            self._possible(numbers, least)
+        except ParameterError:
+            while len(numbers) > 1:
+                half = len(numbers) // 2
+                try:
+                    self._possible(numbers[:half], least[:half])
+                    numbers, least = numbers[half:], least[half:]
+                except ParameterError as found:
+                    numbers, least, problem = numbers[:half], least[:half], found
+            raise ParameterError(f"sweep: machine {numbers[0]} cannot be: {problem}") from None
+
+    def _possible(self, numbers: np.ndarray, least: np.ndarray) -> None:
         machine, ramp, _, _ = self.machines(numbers)
         lowest = least + ramp.load + jnp.minimum(ramp.change, 0.0)
         if jnp.any(lowest <= -machine.friction.initial_load):
@@ -101,19 +155,8 @@ class Plan:
                 "initial load"
             )
 
-    def _first(self, numbers: np.ndarray, least: float) -> int:
-        """The first machine of these that cannot be, where one is."""
-        while len(numbers) > 1:
-            half = numbers[: len(numbers) // 2]
-            try:
-                self._possible(half, least)
-                numbers = numbers[len(half) :]
-            except ParameterError:
-                numbers = half
-        return int(numbers[0])
-
     def loads(self, motion: Motion) -> np.ndarray:
-        """The load (N) that every machine has along a motion, beside what varies."""
+        """The load (N) along a motion as --load has it, beside what varies."""
         return parse_load(self.load, motion.time)
 
     def every_load(self, motion: Motion) -> np.ndarray:
@@ -155,30 +198,49 @@ class Plan:
         base = jax.random.key(self.seed)
         return jax.vmap(lambda number: jax.random.fold_in(base, number))(jnp.asarray(numbers))
 
+    def _drawn(self, numbers: np.ndarray) -> np.ndarray:
+        """Those of some machines of one part."""
+        part = int(numbers[0]) // self.part_size
+        return self.drawn(part)[numbers - part * self.part_size]
+
     def machines(self, numbers: np.ndarray) -> tuple[Drive, Ramp, Values, Any]:
         """Machines of one part by their numbers: drives, loads, the values of what varies, the keys of their noise."""
-        part = int(numbers[0]) // self.part_size
-        drawn = self.drawn(part)[numbers - part * self.part_size]
-        return *machines(self.axis.drive, self.varied, drawn), self.keys(numbers)
+        own = [k for k in range(len(self.varied)) if k not in self._settings]
+        varied = [self.varied[k] for k in own]
+        return *machines(self.axis.drive, varied, self._drawn(numbers)[:, own]), self.keys(numbers)
 
-    def costs_of(self, numbers: np.ndarray, controller: str, motion: str) -> Costs:
-        """Costs of machines of one part; each is the same to the last bit whichever others stand beside it."""
+    def values(self, numbers: np.ndarray, motion: str) -> Values:
+        """The values of what varies of some machines of one part, [n] each, in the order in which it was given."""
+        drawn, (_, _, found, _) = self._drawn(numbers)[:, self._settings], self.machines(numbers)
+        found |= self.courses.values(motion, drawn)
+        return {one.name: found[one.name] for one in self.varied}
+
+    def costs_of(self, numbers: np.ndarray, controller: str, motion: str) -> Outcome:
+        """What comes of machines of one part; to the last bit the same whichever others stand beside them."""
         drives, ramps, _, keys = self.machines(numbers)
-        planned = self.motions[motion]
-        counts = (planned.time >= self.settle).astype(float)
-        inputs = inputs_of(planned, self.loads(planned))
-        control, sampling = self.controllers[controller], self.axis.sampling
-        reach = sane_error(planned.position, self.axis.limits)
-        return costs_of(drives, ramps, keys, control, inputs, counts, sampling, self.precision, reach)
+        control, sampling, limits = self.controllers[controller], self.axis.sampling, self.axis.limits
+        if not self._settings:
+            planned = self.motions[motion]
+            course = for_all(Course(planned, self.loads(planned)), self.settle, limits)
+            found = costs_of(drives, ramps, keys, control, course, sampling, self.precision)
+            return _outcome(found, np.full(len(numbers), len(planned.time)), sampling.period)
+        outcomes = []
+        for some in np.split(np.arange(len(numbers)), np.arange(at_once(), len(numbers), at_once())):
+            courses = self.courses_of(numbers[some], motion)
+            of_some = jax.tree.map(lambda leaf, some=some: leaf[some], (ramps, keys))
+            course = for_each(courses, self.settle, limits)
+            found = costs_of(lane(drives, some), *of_some, control, course, sampling, self.precision)
+            outcomes.append(_outcome(found, np.array([len(one.load) for one in courses]), sampling.period))
+        return jax.tree.map(lambda *one: np.concatenate(one), *outcomes)
 
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
         numbers, tables = self.numbers(part), []
-        _, _, values, _ = self.machines(numbers)
         unknown = pa.nulls(len(numbers), pa.float64())
-        for motion, planned in self.motions.items():
+        for motion in self.motions:
+            values = self.values(numbers, motion)
             for controller in self.controllers:
-                found = self.costs_of(numbers, controller, motion)
+                found, diverged_at = self.costs_of(numbers, controller, motion)
                 tables.append(
                     pa.table(
                         {
@@ -191,7 +253,8 @@ class Plan:
                             "command_noise_N": found.command_noise,
                             "load_error_N": unknown if found.load_error is None else found.load_error,
                             "saturated": found.saturated,
-                            "diverged": found.steps_finite < len(planned.time),
+                            "diverged": ~np.isnan(diverged_at),
+                            "diverged_at_s": pa.array(diverged_at, from_pandas=True),
                         }
                     )
                 )
@@ -209,7 +272,7 @@ class Plan:
     def question(self) -> str:
         """What tells this sweep from any other: everything that its numbers hang on."""
         text = hashlib.sha256(
-            edition(*(one.__module__ for one in (Plan, costs_of, machines, parse_varied, shares))).encode()
+            edition(*(one.__module__ for one in (Plan, Courses, costs_of, machines, parse_varied, shares))).encode()
         )
         asked = [
             arithmetic(),
@@ -223,9 +286,16 @@ class Plan:
             [one.text for one in self.varied],
         ]
         asked += [{one: dict(others) for one, others in self.correlation.items()}]
+        asked += [None if one is None else [one.kind, one.settings] for one in self.recipes.values()]
         text.update(json.dumps(asked).encode())
         models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
         text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())
         for name, motion in self.motions.items():
             text.update(name.encode() + np.ascontiguousarray(motion.position).tobytes())
         return text.hexdigest()
+
+
+def _outcome(costs: Costs, samples: np.ndarray, period: float) -> Outcome:
+    """A machine diverged that did not stay to the end of its own course; or what is not finite beyond that end."""
+    stayed = (costs.steps_finite >= samples) & np.isfinite(costs.rms)
+    return Outcome(costs, np.where(stayed, np.nan, np.minimum(costs.steps_finite, samples) * period))

@@ -11,9 +11,9 @@ from diffdrive.effects.acting import force_limit
 from diffdrive.errors import ParameterError
 from diffdrive.parameters import Drive, as_arrays
 from diffdrive.run import Run, judged
-from diffdrive.simulate import Costs, inputs_of, rollout
+from diffdrive.simulate import inputs_of, rollout
 from experiments.sweeps.machines import lane
-from experiments.sweeps.plan import Plan
+from experiments.sweeps.plan import Outcome, Plan
 
 SIGNALS = {
     "reference": "m",
@@ -41,18 +41,27 @@ class Machine(NamedTuple):
     key: Any
 
 
-def machine_of(plan: Plan, number: int) -> Machine:
-    """The machine of that number; raises `ParameterError` if the sweep has none."""
+def machine_of(plan: Plan, number: int, motion: str) -> Machine:
+    """The machine of that number, as it is on a motion; raises `ParameterError` if the sweep has none."""
     if not 0 <= number < plan.samples:
         raise ParameterError(f"machine {number}: the sweep has machines 0 to {plan.samples - 1}")
-    drives, ramps, values, keys = plan.machines(np.array([number]))
+    numbers = np.array([number])
+    drives, ramps, _, keys = plan.machines(numbers)
     return Machine(
         number,
         lane(drives, 0),
-        {name: float(value[0]) for name, value in values.items()},
+        {name: float(value[0]) for name, value in plan.values(numbers, motion).items()},
         jax.tree.map(lambda leaf: leaf[0], ramps),
         None if keys is None else keys[0],
     )
+
+
+def chosen(plan: Plan, controller: str | None, motion: str | None) -> tuple[str, str]:
+    """The controller and the motion of these names, or the first ones; raises `ParameterError` for one that is not."""
+    controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
+    _named(plan.controllers, controller, "--controller")
+    _named(plan.motions, motion, "--motion")
+    return controller, motion
 
 
 def _named(choices: Mapping[str, Any], name: str, what: str) -> Any:
@@ -63,17 +72,17 @@ def _named(choices: Mapping[str, Any], name: str, what: str) -> Any:
 
 def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: int = 1) -> Run:
     """Every signal of a machine under a controller, with a status as any simulation has."""
-    planned, control = _named(plan.motions, motion, "motion"), _named(plan.controllers, controller, "controller")
-    loads = plan.loads(planned) + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
+    control, [(planned, over_time)] = plan.controllers[controller], plan.courses_of(np.array([machine.number]), motion)
+    loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
     inputs = inputs_of(planned, loads)
     frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
     limit = force_limit(machine.drive)
     return judged(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
 
 
-def costs_again(plan: Plan, number: int, controller: str, motion: str) -> Costs:
+def costs_again(plan: Plan, number: int, controller: str, motion: str) -> Outcome:
     """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
-    return plan.costs_of(np.array([machine_of(plan, number).number]), controller, motion)
+    return plan.costs_of(np.array([number]), controller, motion)
 
 
 def traces(
@@ -81,20 +90,23 @@ def traces(
 ) -> Any:
     """Signals of some machines along a motion as an xarray.Dataset: [controller, machine, time] each.
 
-    A signal that a controller does not have is NaN. Raises `ParameterError` for a signal that there is not.
+    A signal that a controller does not have is NaN, and so is one after the end of a course that is shorter.
+    Raises `ParameterError` for a signal that there is not.
     """
     import xarray as xr
 
     names, numbers, controllers = list(signals), list(numbers), list(controllers)
     for name in names:
         _named(SIGNALS, name, "signal")
-    drawn = [machine_of(plan, number) for number in numbers]
+    drawn = [machine_of(plan, number, motion) for number in numbers]
     runs = [[run_of(plan, machine, controller, motion, every) for machine in drawn] for controller in controllers]
-    time = runs[0][0].time
+    time = max((run.time for run in runs[0]), key=len)
 
     def told(run: Run, name: str) -> np.ndarray:
-        value = getattr(run, "table_position" if name == "position" else name)
-        return np.full(len(time), np.nan) if value is None else np.asarray(value, float)
+        value, whole = getattr(run, "table_position" if name == "position" else name), np.full(len(time), np.nan)
+        if value is not None:
+            whole[: len(value)] = value
+        return whole
 
     def varied(name: str) -> tuple[str, list[float], dict[str, str]]:
         return "machine", [machine.values[name] for machine in drawn], {"units": plan.units[name]}

@@ -85,9 +85,19 @@ def share_of(which: np.ndarray) -> Interval:
 
 
 def worst(group: Group, count: int, by: str = "peak_m") -> list[int]:
-    """Numbers of the worst machines, the worst first; those that diverged are worst of all."""
-    order = np.argsort(-group.error(by), kind="stable")[:count]
-    return [int(group.table["machine"][int(k)].as_py()) for k in order]
+    """Numbers of the machines with the largest errors, the worst first, of those that did not diverge."""
+    return _numbered(group, -group.column(by), ~group.diverged, count)
+
+
+def first_to_diverge(group: Group, count: int) -> list[int]:
+    """Numbers of the machines that diverged, those first that did so earliest."""
+    return _numbered(group, group.column("diverged_at_s"), group.diverged, count)
+
+
+def _numbered(group: Group, key: Values, among: np.ndarray, count: int) -> list[int]:
+    numbers = group.table["machine"].to_numpy(zero_copy_only=False)
+    order = np.argsort(key, kind="stable")
+    return [int(numbers[k]) for k in order[among[order]][:count]]
 
 
 class Comparison(NamedTuple):

@@ -2,9 +2,10 @@
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -48,6 +49,12 @@ class Varied:
     text: str
     how: How
     of: Callable[[Values], Values]
+
+    def met(self, value: Any, drawn: Any) -> Any:
+        """A value as the files have it, under what was drawn."""
+        if self.how == "is":
+            return drawn
+        return value + drawn if self.how == "plus" else value * drawn
 
 
 def _normal(share: Values, low: float = -FARTHEST, high: float = FARTHEST) -> Values:
@@ -128,17 +135,24 @@ def known_quantities(drive: Drive) -> dict[str, Known]:
     return known
 
 
-def parse_varied(text: str, drive: Drive) -> Varied:
+def parse_varied(text: str, drive: Drive, settings: Mapping[str, Known] = MappingProxyType({})) -> Varied:
     """A quantity and its distribution from `NAME=KIND:NUMBERS`; numbers in percent are relative to the drive file's.
 
-    Raises `ParameterError` that says what is known.
+    `settings` are those of motions and load that may vary, too. Raises `ParameterError` that says what is known.
     """
     name, equals, rest = text.partition("=")
     name, (kind, _, values) = name.strip(), (part.strip() for part in rest.partition(":"))
-    known = known_quantities(drive)
+    known = known_quantities(drive) | settings
     if not equals:
         raise ParameterError(f"vary: '{text}' has no distribution; write for example '{name}=uniform:-5%..5%'")
     if name not in known:
+        of = name.partition(".")[0]
+        if of in ("motion", "load"):
+            there = ", ".join(one for one in known if one.startswith(of)) or "none"
+            raise ParameterError(
+                f"vary: '{name}' is no setting that {'every --motion' if of == 'motion' else '--load'} has as one "
+                f"number; those that may vary are {there}"
+            )
         near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
         raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")
     unit, where = known[name].unit, f"vary {name}"
