@@ -49,20 +49,17 @@ def one_kernel(text: str) -> bool:
     """Whether a compiled program runs its loops over time as native kernels (CPU).
 
     A loop of `MANY` trips or more, or of a number that is not known, must lie within a call that is marked so. Shorter
-    ones, over blocks of lanes or the columns of a matrix, may be where they are. The mark alone says nothing: the
-    plant's inner loop always carries it.
+    ones, over blocks of lanes or the columns of a matrix, may be where they are. That there is a mark says nothing by
+    itself: the plant's inner loop always carries it.
     """
     bodies = dict(re.findall(r"^(?:ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", text, re.S | re.M))
     called = {
-        name: set(re.findall(r"(?:calls|to_apply|body|condition)=%?([\w.\-]+)", body)) for name, body in bodies.items()
+        name: re.findall(r"(?:calls|to_apply|body|condition)=%?([\w.\-]+)", body) for name, body in bodies.items()
     }
-    native: set[str] = set()
-    for body in bodies.values():
-        for line in body.splitlines():
-            if "xla_cpu_small_call" in line:
-                native |= _reached(re.findall(r"to_apply=%?([\w.\-]+)", line), called)
-    long = {name: any(_long(line) for line in body.splitlines()) for name, body in bodies.items()}
-    return any(long[name] for name in native) and not any(long[name] for name in bodies.keys() - native)
+    marked = [line for line in text.splitlines() if "xla_cpu_small_call" in line]
+    native = _reached(re.findall(r"to_apply=%?([\w.\-]+)", "\n".join(marked)), called)
+    outside = [line for name, body in bodies.items() if name not in native for line in body.splitlines()]
+    return bool(native) and not any(_long(line) for line in outside)
 
 
 def _long(line: str) -> bool:
@@ -72,7 +69,7 @@ def _long(line: str) -> bool:
     return trips is None or int(trips[1]) >= MANY
 
 
-def _reached(names: Iterable[str], called: Mapping[str, set[str]]) -> set[str]:
+def _reached(names: Iterable[str], called: Mapping[str, Sequence[str]]) -> set[str]:
     """The computations of these names and all that they call."""
     found: set[str] = set()
     left = list(names)
