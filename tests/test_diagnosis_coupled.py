@@ -135,6 +135,7 @@ def test_a_population_keeps_to_the_screws_that_can_be(sound, monkeypatch):
         assert values["damping"][0] <= 0.01
 
 
+@pytest.mark.slow
 def test_an_elastic_screw_is_fitted_from_where_a_loose_one_ended_and_not_the_other_way():
     truth = {"frequency": 313.0, "damping": 0.03, "motor_share": 0.36, "table_friction": 0.61}
     fitter = fitter_of(Compliance(**truth))

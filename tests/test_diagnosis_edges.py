@@ -156,6 +156,7 @@ def test_a_log_is_judged_in_closed_loop_if_its_own_reference_is_known(known):
     assert all((rung.loop is not None) is known for rung in found.rungs)
 
 
+@pytest.mark.slow
 def test_a_screw_that_the_drive_file_knows_leaves_the_noise_its_floor():
     soft = dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, effects=(Compliance(250.0, 0.05, 0.3),)))
     log = logged(soft, two_sines())

@@ -73,7 +73,7 @@ def of_parameters(drive, controller):
 
     def error(logarithms, values, inputs):
         drive, controller = restore(values * jnp.exp(logarithms))
-        frames = rollout(drive, controller, inputs, Sampling(), jax.random.key(0))
+        frames = rollout(drive, controller, inputs, Sampling(substeps=2), jax.random.key(0))
         return metrics.rms(inputs.reference.position - frames.position)
 
     return error, values
@@ -196,7 +196,7 @@ def test_a_quantised_loop_has_the_derivative_of_the_smooth_one():
 
 def test_the_force_limit_is_reached():
     for drive in (LIMITED, smooth(LIMITED)):
-        frames = rollout(*as_arrays((drive, CONTROLLERS[LIMITED_PD])), reversing(), Sampling())
+        frames = rollout(*as_arrays((drive, CONTROLLERS[LIMITED_PD])), reversing(), Sampling(substeps=2))
         assert np.mean(np.abs(frames.force) > 97.0) > 0.05
         assert np.mean(np.abs(frames.command) > 110.0) > 0.05
 
@@ -208,7 +208,7 @@ def by_the_gain(kept, every, samples=SAMPLES):
 
     def cost(kp):
         tuned = eqx.tree_at(lambda c: c.tracking.gains.kp, controller, kp)
-        frames = rollout(drive, tuned, inputs, Sampling(), jax.random.key(0), every, kept=kept)
+        frames = rollout(drive, tuned, inputs, Sampling(substeps=1), jax.random.key(0), every, kept=kept)
         wanted = inputs.reference.position[: len(frames.position) * every : every]
         return metrics.rms(wanted - frames.position)
 
