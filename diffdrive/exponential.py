@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
+from diffdrive.once import once
 from diffdrive.parameters import Scalar
 from diffdrive.polynomial import polynomial
 
@@ -86,7 +87,7 @@ def halving(y: Scalar) -> Scalar:
 @halving.defjvp
 def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     (y,), (along,) = primals, tangents
-    end = lax.optimization_barrier(halving(y))  # once, however many tangents there are
+    end = once(halving(y))  # once, however many tangents there are
     return end, end * (-LN2 * along)
 
 
@@ -106,7 +107,7 @@ def _raised_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar
     end = raised(y, power)
     told = jnp.where(small | (end >= 2.0**MOST_RAISED), 0.0, end)
     # XLA's logarithm, since a second derivative needs the slope of it
-    end, by_y, by_power = lax.optimization_barrier((end, told * power / safe, told * jnp.log(safe)))
+    end, by_y, by_power = once((end, told * power / safe, told * jnp.log(safe)))
     return end, by_y * along_y + by_power * along_power
 
 

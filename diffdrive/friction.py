@@ -13,9 +13,9 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 
 from diffdrive.exponential import LOG2_E, halving, raised
+from diffdrive.once import once
 from diffdrive.parameters import Directional, Friction, Scalar
 from diffdrive.polynomial import inverse
 from diffdrive.relaxation import decay, relaxation
@@ -150,10 +150,10 @@ def sound(level: Scalar) -> Scalar:
 
 def relaxing(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
     """`slide` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
-    level, bent = lax.optimization_barrier((sound(level), duration * stiffness * jnp.abs(velocity)))
+    level, bent = once((sound(level), duration * stiffness * jnp.abs(velocity)))
     fade = relaxation(bent, level)
     share = inverse(fade.whole)
-    return lax.optimization_barrier((fade.end * share, duration * fade.mean * share * velocity))
+    return once((fade.end * share, duration * fade.mean * share * velocity))
 
 
 def resisting_midway(

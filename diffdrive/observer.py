@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from diffdrive import kalman
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load_estimator import FixedLoad, InnovationLoad
+from diffdrive.once import once
 from diffdrive.parameters import Friction, Plant, Scalar, quantity
 from diffdrive.transition import state_matrices, transition
 
@@ -88,12 +88,12 @@ class KalmanObserver(FrictionObserver):
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
     ) -> tuple[ObserverState, Estimate]:
         _, velocity, deflection = state.x
-        bristle = lax.optimization_barrier(bristle_at(self.friction, velocity, deflection, state.load))
+        bristle = once(bristle_at(self.friction, velocity, deflection, state.load))
         ad, bd = state_matrices(self.plant, bristle, velocity, period)
         u = force + self.plant.constant_force
         predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
         omega = kalman.predict_covariance(state.covariance, ad, self.tuning.process)
-        predicted, omega = lax.optimization_barrier((predicted, omega))
+        predicted, omega = once((predicted, omega))
 
         k = kalman.gain(omega, self.tuning.measurement)
         innovation = position - predicted[0]
@@ -102,10 +102,10 @@ class KalmanObserver(FrictionObserver):
 
         before = estimated_friction(self.friction, predicted, state.load)
         # stages apart, or the compiler computes a stage anew for each of its readers (docs/numerics.md)
-        updated, omega, before = lax.optimization_barrier((updated, omega, before))
-        after = lax.optimization_barrier(estimated_friction(self.friction, updated, state.load))
+        updated, omega, before = once((updated, omega, before))
+        after = once(estimated_friction(self.friction, updated, state.load))
         load = self.load_estimator.step(state.load, velocity, before, after)
-        state = lax.optimization_barrier(ObserverState(updated, omega, load))
+        state = once(ObserverState(updated, omega, load))
         assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
         return state, Estimate(after, None if assumed else load, updated[1], innovation)
 
@@ -160,7 +160,7 @@ class LoadStateObserver(FrictionObserver):
         predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
         ad4 = (*((*row, c) for row, c in zip(ad, column, strict=True)), (0.0, 0.0, 0.0, 1.0))
         omega = kalman.predict_covariance(state.covariance, ad4, self.tuning.process)
-        predicted, omega = lax.optimization_barrier((predicted, omega))
+        predicted, omega = once((predicted, omega))
 
         k = kalman.gain(omega, self.tuning.measurement)
         innovation = position - predicted[0]
@@ -169,7 +169,7 @@ class LoadStateObserver(FrictionObserver):
         load = load if self.floor is None else jnp.maximum(load, self.floor)
         omega = kalman.update_covariance(omega, k, self.tuning.measurement)
         after = estimated_friction(friction, updated, load)
-        state = lax.optimization_barrier(ObserverState(updated, omega, load))
+        state = once(ObserverState(updated, omega, load))
         return state, Estimate(after, load, updated[1], innovation)
 
     def _load_column(self, bristle: Any, velocity: Scalar, deflection: Scalar, period: float) -> kalman.Vector:

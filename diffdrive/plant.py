@@ -20,6 +20,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.friction import Loaded, sound, under
+from diffdrive.once import once
 from diffdrive.parameters import Directional, Drive, Scalar
 from diffdrive.polynomial import inverse
 from diffdrive.relaxation import relaxation
@@ -55,7 +56,7 @@ def _table(drive: Drive, load: Scalar, step: float) -> _Table:
         return 1.0 + (viscous + damping) * give
 
     # at once, or the compiler computes them anew in each substep
-    return lax.optimization_barrier(
+    return once(
         _Table(
             friction=friction,
             stiffness=jax.tree.map(lambda one: one * (step * give), friction.stiffness),
@@ -73,29 +74,27 @@ class _Balance(NamedTuple):
 
     moving: Scalar  # weight of the velocity at the beginning, and of the push
     holding: Scalar  # 1/s, weight of the bristle's deflection
-    once: Scalar  # one over the weight of the mean velocity
+    per_resistance: Scalar  # one over the weight of the mean velocity
     stays: Scalar  # share of the bristle's deflection at the end
     drawn: Scalar  # s, of deflection at the end per mean velocity
 
     def mean_velocity(self, state: PlantState, push: Scalar) -> Scalar:
         """Over the substep, m/s."""
-        return (self.moving * (state.velocity + push) - self.holding * state.bristle) * self.once
+        return (self.moving * (state.velocity + push) - self.holding * state.bristle) * self.per_resistance
 
 
 def _balance(table: _Table, slip: Scalar, deflection: Scalar) -> _Balance:
     """With the friction coefficients taken at velocity `slip`."""
     stiffness, damping = table.stiffness.towards(deflection), table.damping.towards(slip)
     # stages apart: what crosses is computed once, all else anew for each of its readers
-    level, bent = lax.optimization_barrier(
-        (sound(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip)))
-    )
+    level, bent = once((sound(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip))))
     fade = relaxation(bent, level)
     yielding = stiffness * fade.mean_of_mean + damping * fade.mean
     resisting = table.resistance.towards(slip) * fade.whole + yielding
     holding = (stiffness * fade.mean - damping * fade.gone) * (1.0 / table.step)
-    holding, once = lax.optimization_barrier((holding, inverse(resisting)))
+    holding, per_resistance = once((holding, inverse(resisting)))
     share = inverse(fade.whole)
-    return _Balance(fade.whole, holding, once, fade.end * share, table.step * fade.mean * share)
+    return _Balance(fade.whole, holding, per_resistance, fade.end * share, table.step * fade.mean * share)
 
 
 class _Way(NamedTuple):
@@ -115,7 +114,7 @@ def _substep(table: _Table, way: _Way, push: Scalar, push_ahead: Scalar) -> _Way
     """`push_ahead` is that of the substep after this one."""
     state, expected, slip = way
     balance = _balance(table, slip, state.bristle)
-    mean = lax.optimization_barrier(balance.mean_velocity(state, push))
+    mean = once(balance.mean_velocity(state, push))
     ahead = PlantState(
         position=state.position + table.step * mean,
         velocity=2.0 * mean - state.velocity,
@@ -123,7 +122,7 @@ def _substep(table: _Table, way: _Way, push: Scalar, push_ahead: Scalar) -> _Way
     )
     further = balance.mean_velocity(ahead, push_ahead)
     # friction will change the next mean velocity by about as much as it changed this one
-    return lax.optimization_barrier(_Way(ahead, further, further + (mean - expected)))
+    return once(_Way(ahead, further, further + (mean - expected)))
 
 
 def advance(

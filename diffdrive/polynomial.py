@@ -3,8 +3,8 @@
 from functools import partial
 
 import jax
-from jax import lax
 
+from diffdrive.once import once
 from diffdrive.parameters import Scalar
 
 Coefficients = tuple[float, ...]
@@ -38,7 +38,7 @@ def _homogeneous_slope(
     by_x = tuple(k * term for k, term in enumerate(coefficients))[1:] or (0.0,)
     by_y = tuple((degree - k) * term for k, term in enumerate(coefficients))[:-1] or (0.0,)
     found = (homogeneous(coefficients, *primals), homogeneous(by_x, *primals), homogeneous(by_y, *primals))
-    value, along_x, along_y = lax.optimization_barrier(found)
+    value, along_x, along_y = once(found)
     return value, along_x * tangents[0] + along_y * tangents[1]
 
 
@@ -51,5 +51,5 @@ def inverse(bottom: Scalar) -> Scalar:
 @inverse.defjvp
 def _inverse_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     """Without a further division."""
-    found = lax.optimization_barrier(inverse(*primals))
+    found = once(inverse(*primals))
     return found, -found * (found * tangents[0])  # the square of a small number is none in single precision

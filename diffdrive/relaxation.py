@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from diffdrive.exponential import faded
+from diffdrive.once import once
 from diffdrive.parameters import Scalar
 from diffdrive.polynomial import homogeneous, polynomial
 
@@ -45,7 +45,7 @@ def relaxation(top: Scalar, bottom: Scalar) -> Relaxation:
 
     A `bottom` that is not above zero gives numbers that look like others: ask for it first (`friction.sound`).
     """
-    mean = lax.optimization_barrier(homogeneous(_MEAN, top, bottom))
+    mean = once(homogeneous(_MEAN, top, bottom))
     square = bottom * bottom
     end, gone = square * square, top * mean
     return Relaxation(end + gone, end, gone, bottom * mean, bottom * homogeneous(_MEAN_OF_MEAN, top, bottom))

@@ -29,6 +29,7 @@ from diffdrive.load import Ramp, require_possible
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate
+from diffdrive.once import once
 from diffdrive.parameters import (
     Drive,
     Sampling,
@@ -98,7 +99,7 @@ def move(
     time = sampling.period * state.count
     seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
     carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
-    carried, acts = lax.optimization_barrier((carried, acts))
+    carried, acts = once((carried, acts))
     machine = acting.bent(drive, acts)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps)
     shift = acts.shift + acting.displaced(drive, push.tilt, sampling.period)
@@ -119,7 +120,7 @@ def step(
     controller_state, command = controller.step(
         state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
     )
-    controller_state, command = lax.optimization_barrier((controller_state, command))
+    controller_state, command = once((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
     carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
     before = state._replace(effects=carried)

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from diffdrive.exponential import fading
 from diffdrive.friction import Bristle
+from diffdrive.once import once
 from diffdrive.parameters import Plant, Scalar
 from diffdrive.polynomial import polynomial
 
@@ -70,16 +70,16 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     slow_or_mean = fading(jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
     fast_end = fading(fast)
     # both stages apart: cosh and sinh each read them, and would compute them anew
-    slow_or_mean, fast_end = lax.optimization_barrier((slow_or_mean, fast_end))
+    slow_or_mean, fast_end = once((slow_or_mean, fast_end))
     # the rest: half the angle, or q itself, into the series; then double once
     angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)
     p = jnp.where(apart, 0.0, jnp.where(turning, -(angle**2), q)) / 4
     half_even, half_odd = _even_odd(p)
-    half_even, half_odd = lax.optimization_barrier((half_even, half_odd))
+    half_even, half_odd = once((half_even, half_odd))
     even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle * per_root, 1.0)
     cosh = jnp.where(apart, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)
     sinh = jnp.where(apart, 0.5 * (slow_or_mean - fast_end) * per_root, slow_or_mean * odd)
-    return lax.optimization_barrier((cosh, time * sinh))
+    return once((cosh, time * sinh))
 
 
 def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -> Transition:
@@ -102,7 +102,7 @@ def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -
     int_c = s + m * int_s
     int2_s = (time - int_c - m * int_s) * per_determinant
     int2_c = int_s + m * int2_s
-    return lax.optimization_barrier(Transition(combine(c, s), combine(int_c, int_s), combine(int2_c, int2_s)))
+    return once(Transition(combine(c, s), combine(int_c, int_s), combine(int2_c, int2_s)))
 
 
 def state_matrices(

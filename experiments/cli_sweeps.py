@@ -69,10 +69,12 @@ def sweep(
 
     Example: `diffdrive sweep drive.toml --spread 3% --vary "load=uniform:0..12 kN" --tolerance 2um --out swept`
     """
+    from experiments.runtime import with_accelerator
     from experiments.sweeps.asked import Asked
     from experiments.sweeps.command import sweep_drive
     from experiments.sweeps.varying import tolerance_of, varying
 
+    with_accelerator()
     texts, correlation = varying(machine or drive, vary or (), spread, identified)
     asked = Asked.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
@@ -97,7 +99,9 @@ def replay(
     out: Out = None,
 ) -> None:
     """Run one machine of a sweep again: every signal, its figure, and the machine as a drive file."""
+    from experiments.runtime import with_accelerator
     from experiments.sweeps.command import replay_machine
 
+    with_accelerator()
     if not replay_machine(folder, machine, controller, motion, out):
         raise typer.Exit(3)

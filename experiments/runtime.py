@@ -30,16 +30,26 @@ def cores() -> int:
 
 
 def configure(devices: int | None = None) -> None:
-    """Double precision, hoisted loops, one CPU device per core or so many; what the environment sets stays."""
+    """Double precision, hoisted loops, one CPU device per core or so many, and no GPU (`with_accelerator` takes one);
+    what the environment sets stays.
+    """
     flags = os.environ.get("XLA_FLAGS", "").split()
     names = {flag.split("=")[0] for flag in flags}
     flags += [flag for flag in _XLA_FLAGS if flag.split("=")[0] not in names]
     os.environ["XLA_FLAGS"] = " ".join(flags)
     jax.config.update("jax_enable_x64", True)
+    if "JAX_PLATFORMS" not in os.environ:  # a lane or a few take a hundred times as long on a GPU
+        jax.config.update("jax_platforms", "cpu")
     if "JAX_NUM_CPU_DEVICES" not in os.environ and _DEVICES not in names:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", devices or cores())
+
+
+def with_accelerator() -> None:
+    """After `configure`: for very many lanes, on a GPU if jax finds one."""
+    if "JAX_PLATFORMS" not in os.environ:
+        jax.config.update("jax_platforms", None)
 
 
 def arithmetic() -> list[str]:

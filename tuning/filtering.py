@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from diffdrive import plant
 from diffdrive.kalman import Matrix, Triangle, diagonal, gain, predict_covariance, update_covariance
+from diffdrive.once import once
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.prediction import Gains, Lanes, acting_force, moving
 
@@ -68,7 +69,7 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
         pull = gain(covariance, measured_variance)
         state = plant.PlantState(*(value + k * innovation for value, k in zip(state, pull, strict=True)))
         covariance = update_covariance(covariance, pull, measured_variance)
-        state, covariance = lax.optimization_barrier((state, covariance))
+        state, covariance = once((state, covariance))
         state, moved = period(state, force, load)
         covariance = predict_covariance(covariance, moved, (0.0, jolt, 0.0))
         return (state, covariance), (Gains(*pull, scatter), innovation)

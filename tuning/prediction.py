@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from diffdrive import plant
 from diffdrive.actuator import limited
 from diffdrive.friction import stribeck_level
+from diffdrive.once import once
 from diffdrive.parameters import Drive, Sampling, Scalar, require_double_precision
 
 LONGEST_DELAY = 8  # control periods
@@ -121,7 +122,7 @@ def predict(drive: Drive, delay: Scalar, gains: Gains, lanes: Lanes, sampling: S
         measured, force, load, *pull = at
         innovation = measured - state.position
         state = plant.PlantState(*(value + gain * innovation for value, gain in zip(state, pull, strict=True)))
-        state = lax.optimization_barrier(state)
+        state = once(state)
         ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
         return ahead, Predicted(innovation, state.velocity)
 

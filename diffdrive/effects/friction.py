@@ -9,6 +9,7 @@ from jax import lax
 from diffdrive.effects.base import Acts, Place, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, window
 from diffdrive.friction import coulomb, relaxing, slide, under
+from diffdrive.once import once
 from diffdrive.parameters import Directional, Drive, Scalar, quantity
 from diffdrive.polynomial import inverse
 from diffdrive.relaxation import relaxation
@@ -110,7 +111,7 @@ class FrictionDwell(TableEffect):
         speed = _mean_speed(seen.velocity, ending(seen, drive, period))
         fade = relaxation(half * speed, self.slip)  # the age's equation is a bristle's
         share = inverse(fade.whole)
-        left, gained = lax.optimization_barrier((fade.end * share, half * fade.mean * share))
+        left, gained = once((fade.end * share, half * fade.mean * share))
         middle = left * state + gained
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
         return left * middle + gained, Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
@@ -148,18 +149,18 @@ class PreslidingHysteresis(TableEffect):
         lightness = 1.0 / drive.plant.mass
 
         def held(levels: Directional, stretched: Sequence[Scalar]) -> Scalar:
-            return lax.optimization_barrier(sum(one * levels.towards(one) for one in stretched) * (1.0 / ELEMENTS))
+            return once(sum(one * levels.towards(one) for one in stretched) * (1.0 / ELEMENTS))
 
         def body(carry: Any, _: None) -> Any:
             elements, bristle, velocity, impulse, travel = carry
             stiffness = friction.stiffness.towards(bristle)
-            levels = lax.optimization_barrier(friction.levels(velocity))
+            levels = once(friction.levels(velocity))
             at = friction.under_level(levels.towards(velocity), velocity, bristle)
             more = held(levels, elements) - stiffness * bristle
             resisting = stiffness * bristle + at.damping * (velocity - at.rate * bristle) + self.share * more
-            mean = lax.optimization_barrier(velocity + (pushed - resisting) * (0.5 * duration * lightness))
-            levels = lax.optimization_barrier(friction.levels(mean))
-            ahead = lax.optimization_barrier(self._stretched(elements, duration * mean))
+            mean = once(velocity + (pushed - resisting) * (0.5 * duration * lightness))
+            levels = once(friction.levels(mean))
+            ahead = once(self._stretched(elements, duration * mean))
             stays, drawn = relaxing(stiffness, levels.towards(mean), mean, duration)
             bent = stays * bristle + drawn
             midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]

@@ -26,6 +26,7 @@ from jax import lax
 from diffdrive.effects.base import Acts, Place, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, Swinging, swinging
 from diffdrive.friction import coulomb, resisting_midway, under
+from diffdrive.once import once
 from diffdrive.parameters import Drive, Scalar, quantity
 
 LONGEST_SUBSTEP = 50e-6  # s
@@ -123,11 +124,11 @@ def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float)
         force = seen.force if ripple is None else seen.force + ripple
         push = (force - (1.0 - r) * own) * per_motor + (r * table - pushed) * per_table
         ahead = contact.step(q, push) if screw.gap is None else _loose(contact, 0.5 * screw.gap, q, push, h)
-        push, ahead = lax.optimization_barrier((push, ahead))
+        push, ahead = once((push, ahead))
         swing = (ahead.rate - q.rate) * (1.0 / h)
         pull = reduced * (push - swing)
         rising = (pull - r * table + pushed) * per_table
-        rising = lax.optimization_barrier(rising)
+        rising = once(rising)
         velocity = velocity + h * rising
         more = (pull - r * table) * per_share + table
         impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
@@ -158,7 +159,7 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     way = _period(screw, motor, seen, drive, period)
 
     def body(pair: _Pair, ripple: Any) -> tuple[_Pair, None]:
-        return lax.optimization_barrier(way.substep(pair, ripple)), None
+        return once(way.substep(pair, ripple)), None
 
     return way.end(lax.scan(body, way.begin, way.ripple, length=way.count)[0], drive, period)
 
@@ -175,7 +176,7 @@ def driven_along(
     def body(carry: Any, ripple: Any) -> tuple[Any, None]:
         pair, tangents = carry
         pair, slope = jax.linearize(lambda one: way.substep(one, ripple), pair)
-        return lax.optimization_barrier((pair, tuple(slope(one) for one in tangents))), None
+        return once((pair, tuple(slope(one) for one in tangents))), None
 
     nothing = jax.tree.map(jnp.zeros_like, way.begin)
     one = jnp.ones_like(seen.velocity)

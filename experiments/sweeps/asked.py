@@ -12,8 +12,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.motion_file import parse_motion_table, read_motion
 from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion
-from experiments.sweeps.engine import Precision
-from experiments.sweeps.plan import MOST_IN_A_PART, Plan
+from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
+from experiments.sweeps.plan import Plan
 from experiments.sweeps.samples import Method
 
 FILE = "asked.json"
@@ -35,7 +35,7 @@ class Asked:
     machine: dict[str, Any] | None = None  # what the machines vary about, where it is not the drive
     against: dict[str, dict[str, Any]] = field(default_factory=dict)  # further controllers, by the name of their file
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
-    most_in_a_part: int = MOST_IN_A_PART
+    most_in_a_part: int = LEAST_IN_A_PART
     precision: Precision = "double"
 
     @classmethod
@@ -56,7 +56,7 @@ class Asked:
             samples,
             machine=None if machine is None else drive_tables(read_drive(machine)),
             against={path.stem: drive_tables(read_drive(path)) for path in against},
-            **more,
+            **{"most_in_a_part": most_in_a_part()} | more,
         )
 
     def plan(self) -> Plan:

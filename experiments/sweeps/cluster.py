@@ -14,7 +14,7 @@ from typing import Any
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
-from experiments.runtime import configure, cores, keep_compiled
+from experiments.runtime import configure, cores, keep_compiled, with_accelerator
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Engine, Say
 from experiments.sweeps.plan import Plan
@@ -27,6 +27,7 @@ AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it
 def _plan(text: str, devices: int | None) -> Plan:
     """The plan from its text, once in a process and not once in each of its parts."""
     configure(devices)
+    with_accelerator()
     keep_compiled()
     return from_text(text).plan()
 

@@ -16,7 +16,10 @@ from diffdrive.simulate import Costs, Inputs, running_costs
 
 Precision = Literal["double", "single"]  # as numpy calls them, too
 
-BLOCK = 64  # lanes at a time (docs/performance.md)
+# Lanes at a time (docs/performance.md): as a processor's first cache holds; as keep a GPU busy, and as its memory holds
+# if each has a course of its own.
+ON_CPU, ON_GPU, ON_GPU_OWN = 64, 65_536, 1024
+LEAST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen cores
 
 
 class Course(NamedTuple):
@@ -50,7 +53,7 @@ def _costs(
             inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
             return running_costs(drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, reach=own.reach)
 
-        return jax.lax.map(one, lanes, batch_size=BLOCK)
+        return jax.lax.map(one, lanes, batch_size=block(lanes.course is not None))
 
     apart, everywhere = PartitionSpec("lanes"), PartitionSpec()
     return jax.shard_map(
@@ -62,9 +65,16 @@ def _costs(
     )(lanes, fixed, controller, course)
 
 
-def at_once() -> int:
-    """Lanes that keep every device busy: a block for each."""
-    return BLOCK * len(jax.devices())
+def block(own_courses: bool = False) -> int:
+    """How many lanes run side by side on a device; `own_courses`: each with one of its own."""
+    if jax.default_backend() == "cpu":
+        return ON_CPU
+    return ON_GPU_OWN if own_courses else ON_GPU
+
+
+def most_in_a_part() -> int:
+    """How many machines a part should have on this kind of device, a power of two."""
+    return max(LEAST_IN_A_PART, block())
 
 
 def costs_of(
@@ -75,9 +85,9 @@ def costs_of(
 
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
-    count = len(ramp.load)
-    devices = min(len(jax.devices()), -(-count // BLOCK))
-    total = -(-count // (BLOCK * devices)) * BLOCK * devices
+    count, of_each = len(ramp.load), block(np.ndim(course.load) == 2)
+    devices = min(len(jax.devices()), -(-count // of_each))
+    total = -(-count // (of_each * devices)) * of_each * devices
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
     own, common = (None, course) if np.ndim(course.load) == 1 else (course, None)
     lanes = Lanes(varied, ramp, keys, own)

@@ -23,12 +23,10 @@ from experiments.edition import edition
 from experiments.runtime import arithmetic
 from experiments.scenario import Recipe, load_recipe, parse_load, require_left
 from experiments.sweeps.courses import Course, Courses, at_corners, for_all, for_each, settings
-from experiments.sweeps.engine import Precision, at_once, costs_of
+from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_of
 from experiments.sweeps.machines import Values, lane, machines
 from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
-
-MOST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen devices
 
 
 class Outcome(NamedTuple):
@@ -56,7 +54,7 @@ class Plan:
     load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
     settle: float = 0.0  # s at the start that do not count
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    most_in_a_part: int = MOST_IN_A_PART  # a power of two
+    most_in_a_part: int = LEAST_IN_A_PART  # a power of two
     precision: Precision = "double"
 
     @classmethod
@@ -224,8 +222,8 @@ class Plan:
             course = for_all(Course(planned, self.loads(planned)), self.settle, limits)
             found = costs_of(drives, ramps, keys, control, course, sampling, self.precision)
             return _outcome(found, np.full(len(numbers), len(planned.time)), sampling.period)
-        outcomes = []
-        for some in np.split(np.arange(len(numbers)), np.arange(at_once(), len(numbers), at_once())):
+        outcomes, at_once = [], block(own_courses=True) * len(jax.devices())
+        for some in np.split(np.arange(len(numbers)), np.arange(at_once, len(numbers), at_once)):
             courses = self.courses_of(numbers[some], motion)
             of_some = jax.tree.map(lambda leaf, some=some: leaf[some], (ramps, keys))
             course = for_each(courses, self.settle, limits)

@@ -24,6 +24,7 @@ from diffdrive.effects import acting
 from diffdrive.effects.base import Effect, TableEffect
 from diffdrive.friction import coulomb
 from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
+from diffdrive.once import once
 from diffdrive.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis import hidden
 from tuning.diagnosis.exposure import Course, Exposure
@@ -158,7 +159,7 @@ def follow(
         pull = gain(covariance, measured_variance)
         state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
         covariance = update_covariance(covariance, pull, measured_variance)
-        state, covariance = lax.optimization_barrier((state, covariance))
+        state, covariance = once((state, covariance))
         position, velocity, deflection, lacking, *motor = state
         effects = hidden.written(coupled, effects, tuple(motor))
         machine = acting.bent(drive, acts)
