@@ -19,8 +19,9 @@ def to_si(text: str, unit: str) -> float:
     Raises `ValueError` saying what is wrong with the text. Angles count as units of their own: to the library a radian
     is a plain number, so that 1500 rad/s would pass for 1500 Hz and 10 deg for 0.17 m.
     """
+    example = "0.5, without a unit" if unit == "1" else f"'1.5 {unit}'"
     if not _NUMBER_AND_UNIT.fullmatch(text):
-        raise ValueError(f"cannot read '{text}' as one number and its unit; write for example '1.5 {unit}'")
+        raise ValueError(f"cannot read '{text}' as one number and its unit; write for example {example}")
     try:
         quantity = _registry().Quantity(text)
         angular = "radian" in str(quantity.to_base_units().units) or "degree" in str(quantity.units)
@@ -30,4 +31,4 @@ def to_si(text: str, unit: str) -> float:
     except pint.DimensionalityError:
         raise ValueError(f"'{text}' has the wrong unit: it must be in {unit} or a multiple of it") from None
     except Exception:
-        raise ValueError(f"cannot read '{text}' as a number with a unit; write for example '1.5 {unit}'") from None
+        raise ValueError(f"cannot read '{text}' as a number with a unit; write for example {example}") from None

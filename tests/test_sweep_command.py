@@ -103,7 +103,9 @@ def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_pat
     mass = {row[0]: row[2] for row in written["tables"]["machine"]["rows"]}["plant.mass"]
     assert float(read_drive(tmp_path / "machine.toml").drive.plant.mass) == mass
     assert (tmp_path / "run.png").exists()
-    assert run("replay", out, "--machine", 77, "--controller", "plian").exit_code != 0
+    refused = run("replay", out, "--machine", 77, "--controller", "plian")
+    assert "--controller 'plian': is not of this sweep; known: axis, plain" in str(refused.exception)
+    assert not refused.output.strip()
     assert run("replay", out, "--machine", 128).exit_code != 0
     assert run("replay", tmp_path, "--machine", 1).exit_code != 0
 
@@ -170,6 +172,22 @@ def test_what_decides_over_divergence_is_said(drives, tmp_path):
         (("--settle", "0.5", "--out", "x"), "--settle: 0.5 s leaves nothing of sine (0.1 s)"),
         (("--tolerance", "2 N"), "--tolerance"),
         (("--vary", "plant.mas=lognormal:3%"), "is no quantity"),
+        (("--spread", "abc"), "--spread abc: give a share above 0 and up to 100%, as 3% or 0.03"),
+        (("--spread", "0%"), "--spread 0%: give a share"),
+        (("--spread=-3%",), "--spread -3%: give a share"),
+        (
+            (
+                "--vary",
+                "load.change=fixed:1 kN",
+                "--vary",
+                "load.from=uniform:0..0.05 s",
+                "--vary",
+                "load.to=uniform:0.02..0.07 s",
+                "--out",
+                "x",
+            ),
+            "cannot be: its load.from comes after its load.to",
+        ),
         (("--samples", "0"), "--samples"),
         (("--tolerance", "2"), "give it with its unit"),
         (("--identified", "absent.toml"), "no such file"),

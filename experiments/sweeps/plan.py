@@ -146,6 +146,8 @@ class Plan:
 
     def _possible(self, numbers: np.ndarray, least: np.ndarray) -> None:
         machine, ramp, _, _ = self.machines(numbers)
+        if jnp.any((ramp.begin > ramp.end) & (ramp.change != 0.0)):
+            raise ParameterError("its load.from comes after its load.to: let them vary in ranges that do not overlap")
         lowest = least + ramp.load + jnp.minimum(ramp.change, 0.0)
         if jnp.any(lowest <= -machine.friction.initial_load):
             raise ParameterError(

@@ -4,11 +4,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive.drive_file import read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.parameters import quantities
 from experiments.scenario import number
-from experiments.sweeps.varied import known_quantities
+from experiments.sweeps.varied import WIDEST, known_quantities
 
 Correlation = Mapping[str, Mapping[str, float]]
 
@@ -57,7 +59,13 @@ def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
     """Every plant and friction parameter of the drive file that is not varied yet; both directions alike, unless one of
     them is.
     """
-    percent = spread if spread.endswith("%") else f"{100.0 * number(spread, '1', '--spread'):.12g}%"
+    try:
+        share = float(spread.removesuffix("%")) / (100.0 if spread.endswith("%") else 1.0)
+    except ValueError:
+        share = np.nan
+    if not 0.0 < share <= WIDEST:
+        raise ParameterError(f"--spread {spread}: give a share above 0 and up to {WIDEST:.0%}, as 3% or 0.03")
+    percent = f"{100.0 * share:.12g}%"
     taken = _names(there)
     axis = read_drive(drive).drive
     known = known_quantities(axis)
