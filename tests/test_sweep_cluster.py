@@ -4,8 +4,10 @@ import os
 import signal
 
 import pytest
+from typer.testing import CliRunner
 
 from diffdrive.errors import ParameterError
+from experiments.cli import app
 from experiments.demo import PAPER_DRIVE
 from experiments.sweeps.asked import Asked
 from experiments.sweeps.cluster import on_cluster
@@ -41,8 +43,30 @@ def test_a_lost_worker_changes_nothing(tmp_path):
     assert together.equals(alone)
 
 
-def test_nobody_at_the_address_is_said(tmp_path, monkeypatch):
+def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_comes(tmp_path):
+    wanted, said = asked(), []
+    plan = wanted.plan()
+    alone = rows(run(plan, tmp_path / "alone", lambda done: None))
+    with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None) as cluster:
+
+        def say(text):
+            said.append(text)
+            cluster.scale(1)
+
+        engine = on_cluster(wanted, address=cluster.scheduler_address)
+        together = rows(run(plan, tmp_path / "together", lambda done: None, engine, say))
+        assert said == [
+            f"waiting for workers at {cluster.scheduler_address}: start some there, as `dask worker "
+            f"{cluster.scheduler_address}`"
+        ]
+    assert together.equals(alone)
+
+
+def test_nobody_at_the_address_is_said_and_leaves_no_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("experiments.sweeps.cluster.ANSWERS_WITHIN", 0.5)
-    wanted = asked()
-    with pytest.raises(ParameterError, match="no scheduler answers"):
-        run(wanted.plan(), tmp_path, lambda done: None, on_cluster(wanted, address="tcp://127.0.0.1:9"))
+    arguments = ("sweep", PAPER_DRIVE, "--motion", "sine:amplitude=1mm,frequency=10Hz,duration=0.6s", "--samples", 8,
+                 "--cluster", "tcp://127.0.0.1:9", "--out", tmp_path / "out")  # fmt: skip
+    result = CliRunner().invoke(app, [str(one) for one in arguments])
+    assert isinstance(result.exception, ParameterError)
+    assert "no scheduler answers there" in str(result.exception)
+    assert not (tmp_path / "out").exists()
