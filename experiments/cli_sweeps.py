@@ -18,8 +18,8 @@ def sweep(
         typer.Option(
             help="What varies: `plant.mass=lognormal:3%`, `load=uniform:0..12 kN`, "
             "`effects.cogging.cosine=normal:2 N`; uniform, loguniform, triangular, normal, lognormal, fixed; "
-            "repeatable. A load may change over time: load.change, load.from, load.to. Settings of --motion and --load, "
-            "too: `motion.speed=uniform:5..20 mm/s`, `load.workpiece=uniform:100..400 kg`.",
+            "repeatable. A load may change over time: load.change, load.from, load.to. So may settings of --motion and "
+            "--load: `motion.speed=uniform:5..20 mm/s`, `load.workpiece=uniform:100..400 kg`.",
         ),
     ] = None,
     spread: Annotated[

@@ -273,8 +273,14 @@ def new_figure(
 
 
 def plain_logarithmic(axis: Any) -> None:
-    """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten."""
-    from matplotlib.ticker import FormatStrFormatter, LogFormatter
+    """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten, fewer of them the more it spans."""
+    from matplotlib.ticker import FuncFormatter
 
-    axis.set_major_formatter(FormatStrFormatter("%g"))
-    axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
+    def between(value: float, _: Any) -> str:
+        low, high = axis.get_view_interval()
+        decades, digit = math.log10(high / low), round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))
+        shown = range(2, 10) if decades < 1.0 else (2, 5) if decades < 2.0 else ()
+        return f"{value:g}" if digit in shown else ""
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(FuncFormatter(between))

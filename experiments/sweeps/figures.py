@@ -54,7 +54,7 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
 def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> Any:
     """The error over a quantity that varies: each machine, and median and 95 % of a slice of them."""
     figure, axis = new_figure(width=8.0, height=4.0)
-    scale, shown = (1e-3, f"k{unit}") if unit == "N" and np.max(np.abs(groups[0].column(name))) >= 2e3 else (1.0, unit)
+    scale, shown = _readable(unit, np.max(np.abs(groups[0].column(name))))
     for k, group in enumerate(groups):
         values, errors = scale * group.column(name), 1e6 * group.error(by)
         good = np.isfinite(errors)
@@ -68,6 +68,13 @@ def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | No
     plain_logarithmic(axis.yaxis)
     axis.legend(fontsize=8)
     return figure
+
+
+def _readable(unit: str, largest: float) -> tuple[float, str]:
+    """A factor, and the unit that it leads to: kN, mm, ms where plain ones would have many zeros."""
+    if unit == "N" and largest >= 2e3:
+        return 1e-3, "kN"
+    return (1e3, f"m{unit}") if unit in ("m", "m/s", "s") and largest < 0.1 else (1.0, unit)
 
 
 def _sliced(values: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
