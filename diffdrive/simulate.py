@@ -101,7 +101,8 @@ def move(
     carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
     carried, acts = once((carried, acts))
     machine = acting.bent(drive, acts)
-    moved = plant.advance(machine, table, force + acts.force, load, sampling.period, sampling.plant_steps)
+    steps = acting.plant_steps(effects, sampling)
+    moved = plant.advance(machine, table, force + acts.force, load, sampling.period, steps)
     shift = acts.shift + acting.displaced(drive, push.tilt, sampling.period)
     return moved._replace(position=moved.position + shift), carried, machine
 

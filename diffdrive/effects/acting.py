@@ -19,7 +19,7 @@ from diffdrive.effects.base import (
     TableEffect,
 )
 from diffdrive.friction import bristle_at, friction_force
-from diffdrive.parameters import Directional, Drive, Scalar
+from diffdrive.parameters import Directional, Drive, Sampling, Scalar
 
 Effects = tuple[Effect, ...]
 
@@ -67,6 +67,15 @@ def force_limit(drive: Drive) -> Scalar | None:
     if drive.actuator.force_limit is not None:
         limits.append(drive.actuator.force_limit)
     return functools.reduce(jnp.minimum, limits) if limits else None
+
+
+def plant_steps(effects: Effects, sampling: Sampling) -> int:
+    """Substeps of the plant: as many as were asked for; by default no more than an effect takes that integrates the
+    table itself.
+    """
+    own = [effect.substeps(sampling.period) for effect in effects if isinstance(effect, TableEffect)]
+    least = min((count for count in own if count is not None), default=sampling.plant_steps)
+    return sampling.plant_steps if sampling.substeps else min(least, sampling.plant_steps)
 
 
 def displaced(drive: Drive, tilt: Scalar, period: float) -> Scalar:

@@ -123,6 +123,12 @@ class TableEffect(Effect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """State after the coming period (s), and what acts over it."""
 
+    def substeps(self, period: float) -> int | None:
+        """In how many parts it follows the table through a period, if it does so by an integrator of its own: finer
+        ones of the plant would not make the motion more accurate.
+        """
+        return None
+
     def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
         """State after a period over which the table is known to travel so far (m)."""
         return self.step(state, seen, drive, period)[0]

@@ -104,11 +104,15 @@ class _Period(NamedTuple):
         return pair.motor, Acts(force=force + self.constant, shift=shift)
 
 
+def _substeps(period: float) -> int:
+    return max(1, round(period / LONGEST_SUBSTEP))
+
+
 def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> _Period:
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
     angular, reduced = 2.0 * jnp.pi * screw.frequency, s * (1.0 - s) * mass
     parts = 1 if seen.ripple is None else len(seen.ripple)
-    count = parts * max(1, round(period / (parts * LONGEST_SUBSTEP)))
+    count = parts * _substeps(period / parts)
     h = period / count
     pushed, friction, damping = seen.pushes(drive), under(drive.friction, seen.load), drive.plant.damping
     # by products: divisions cost as much as the rest of the balance
@@ -201,6 +205,10 @@ class Transmission(TableEffect):
     @abc.abstractmethod
     def screw(self) -> Screw:
         """What connects them."""
+
+    def substeps(self, period: float) -> int:
+        """Those of motor and table."""
+        return _substeps(period)
 
     def init(self) -> Any:
         """The screw relaxed, in the middle of any dead zone."""
