@@ -100,11 +100,11 @@ def under(friction: Friction, load: Scalar) -> Loaded:
 
     screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
     exponent = friction.stribeck_exponent
-    once = LOG2_E if exponent is None else 1.0
+    base = LOG2_E if exponent is None else 1.0
     return Loaded(
         Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
         friction.breakaway_gap,
-        Directional(once / slow.positive, once / slow.negative),
+        Directional(base / slow.positive, base / slow.negative),
         friction.bristle_stiffness,
         friction.bristle_damping,
         friction.viscous,
