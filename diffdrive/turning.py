@@ -23,7 +23,7 @@ _COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(9))
 class _Form(NamedTuple):
     """How a precision counts quarter turns, and how many terms it needs."""
 
-    magic: float  # a number beside it is rounded to a whole one, which then stands in its last bits
+    magic: float  # beside it a whole number stands in the last bits
     quarter: tuple[float, float, float]  # pi / 2 in parts, of so few bits that a whole multiple is exact
     terms: int
     bits: Any
@@ -42,13 +42,12 @@ def cosine_sine(angle: Scalar) -> tuple[Scalar, Scalar]:
     A float's angle may have a thousand turns. Any order of derivative.
     """
     form = _SINGLE if jnp.result_type(angle) == jnp.float32 else _DOUBLE
-    shifted = angle * _QUARTERS + form.magic
-    quarters = shifted - form.magic
+    quarters = jnp.round(angle * _QUARTERS)  # not by the magic number: XLA before jax 0.12 takes that back
     high, middle, low = form.quarter
     rest = ((angle - quarters * high) - quarters * middle) - quarters * low
     square = rest * rest
     sine, cosine = rest * polynomial(_SINE[: form.terms], square), polynomial(_COSINE[: form.terms + 1], square)
-    quarter = lax.bitcast_convert_type(shifted, form.bits) & 3
+    quarter = lax.bitcast_convert_type(quarters + form.magic, form.bits) & 3
     odd = (quarter & 1) == 1
     return (
         jnp.where(odd, sine, cosine) * jnp.where(((quarter + 1) & 2) == 2, -1.0, 1.0),
