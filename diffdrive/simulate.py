@@ -241,11 +241,14 @@ def running_costs(
         error = now.reference.position - frame.position
         known = frame.estimate is not None and frame.estimate.load is not None
         follows = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
+        # what does not count may be anything, infinite too
+        off, jump = jnp.where(count > 0.0, error, 0.0), jnp.where(follows > 0.0, frame.command - last, 0.0)
+        astray = jnp.where(count > 0.0, frame.estimate.load - now.load, 0.0) if known else None
         sums = (
-            square + count * error**2,
-            jnp.maximum(largest, count * jnp.abs(error)),
-            change + follows * (frame.command - last) ** 2,
-            missed + count * (frame.estimate.load - now.load) ** 2 if known else None,
+            square + count * off**2,
+            jnp.maximum(largest, count * jnp.abs(off)),
+            change + follows * jump**2,
+            missed + count * astray**2 if known else None,
             limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
             finite + jnp.where((jnp.abs(error) <= reach) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
         )

@@ -18,8 +18,8 @@ def sweep(
         typer.Option(
             help="What varies: `plant.mass=lognormal:3%`, `load=uniform:0..12 kN`, "
             "`effects.cogging.cosine=normal:2 N`; uniform, loguniform, triangular, normal, lognormal, fixed; "
-            "repeatable. A load may change over time: load.change, load.from, load.to. So may settings of --motion and "
-            "--load: `motion.speed=uniform:5..20 mm/s`, `load.workpiece=uniform:100..400 kg`.",
+            "repeatable. A load may change over time: load.change, load.from, load.to. Settings of --motion and --load "
+            "may vary from machine to machine, too: `motion.speed=uniform:5..20 mm/s`, `load.workpiece=...`.",
         ),
     ] = None,
     spread: Annotated[
@@ -75,7 +75,8 @@ def sweep(
     from experiments.sweeps.command import sweep_drive
     from experiments.sweeps.varying import tolerance_of, varying
 
-    with_accelerator()
+    if workers is None or cluster is not None:  # workers of this machine are processes on its cores
+        with_accelerator()
     texts, correlation = varying(machine or drive, vary or (), spread, identified)
     asked = Asked.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,

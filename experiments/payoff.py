@@ -12,7 +12,7 @@ from rich.console import Console
 
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription
-from diffdrive.parameters import Sampling, as_arrays
+from diffdrive.parameters import as_arrays
 from diffdrive.smooth import smooth
 from experiments.handover import worst_margins
 from experiments.report import Report
@@ -83,5 +83,4 @@ def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
 def _margins(description: DriveDescription, controller: Controller, plan: Plan) -> dict[str, float]:
     """The worst at standstill and at the speed tuned at, without load and under the highest."""
     at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
-    sampling = Sampling(description.sampling.rate, description.sampling.plant_steps)
-    return worst_margins(Requirements(Limits(), at, sampling).margins(as_arrays(smooth(controller))))
+    return worst_margins(Requirements(Limits(), at, description.sampling).margins(as_arrays(smooth(controller))))

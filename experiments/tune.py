@@ -161,7 +161,7 @@ def _margins(requirements: Requirements, controller: Controller) -> Margins:
 
 def _margins_table(report: Report, description: DriveDescription, tuned: Controller, plan: Plan) -> Margins:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
-    drive, rate = description.drive, Sampling(description.sampling.rate, description.sampling.plant_steps)
+    drive, rate = description.drive, description.sampling
     other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
     speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]
     between = [0.3e-3, 0.5 * plan.speed, 100e-3 if plan.speed < 50e-3 else 2.0 * plan.speed]

@@ -94,7 +94,7 @@ def test_many_imperfect_lanes_are_one_kernel():
 
 def test_decimated_recording_is_one_kernel():
     drive, controller = as_arrays((PAPER, CONTROLLERS["PD+FC+LS"]))
-    assert is_hoisted(lambda d, c, i: rollout(d, c, i, Sampling(), every=10), drive, controller, inputs())
+    assert is_hoisted(lambda d, c, i: rollout(d, c, i, Sampling(), every=5), drive, controller, inputs())
 
 
 def test_the_guard_sees_a_loop_that_is_no_kernel():

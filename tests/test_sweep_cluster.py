@@ -1,7 +1,11 @@
 """A sweep on several processes has the numbers of one, also where a process is killed in the middle."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
+import time
 
 import pytest
 from typer.testing import CliRunner
@@ -55,11 +59,38 @@ def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_c
 
         engine = on_cluster(wanted, address=cluster.scheduler_address)
         together = rows(run(plan, tmp_path / "together", lambda done: None, engine, say))
-        assert said == [
-            f"waiting for workers at {cluster.scheduler_address}: start some there, as `dask worker "
-            f"{cluster.scheduler_address}`"
-        ]
+        [told] = said
+        assert "has none; start some as `dask worker tcp://127.0.0.1:" in told
     assert together.equals(alone)
+
+
+def test_a_cluster_that_is_lost_says_that_the_same_command_goes_on(tmp_path):
+    """Scheduler and worker as programs of their own, killed."""
+    wanted, file, parts = asked(), tmp_path / "scheduler.json", tmp_path / "parts"
+
+    def program(name, *more):
+        command = (sys.executable, "-m", f"distributed.cli.dask_{name}", "--scheduler-file", str(file), *more)
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    both = [program("scheduler", "--no-dashboard", "--port", "0"), program("worker", "--no-dashboard")]
+    try:
+        while not file.exists() or not file.read_text().strip():
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+
+        def lose(done):
+            for one in both if done else ():
+                one.kill()
+
+        with pytest.raises(ParameterError, match=r"--cluster tcp://.* is lost .* the same command goes on"):
+            run(wanted.plan(), parts, lose, on_cluster(wanted, address=address))
+    finally:
+        for one in both:
+            one.kill()
+            one.wait()
+    kept = list(parts.glob("part-*.parquet"))
+    assert kept
+    assert len(kept) < 12
 
 
 def test_nobody_at_the_address_is_said_and_leaves_no_folder(tmp_path, monkeypatch):

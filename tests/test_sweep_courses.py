@@ -1,5 +1,6 @@
 """Machines whose motion and load differ: each goes through its own course as if it were alone."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.motion import Limits
-from diffdrive.parameters import Drive, Sampling, Sensor
+from diffdrive.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.presets import paper_drive
 from diffdrive.simulate import simulate
 from experiments import paper
@@ -31,10 +32,10 @@ VARY = ("plant.mass=lognormal:3%", "motion.amplitude=uniform:0.2..2 mm", "motion
         "load.workpiece=uniform:100..800 kg")  # fmt: skip
 
 
-def plan(vary=VARY, samples=96, texts=(SINE,), load=REMOVAL, limits=Limits(), name="PD+FC+LE", **more):
+def plan(vary=VARY, samples=96, texts=(SINE,), load=REMOVAL, limits=Limits(), name="PD+FC+LE", drive=DRIVE, **more):
     recipes = {text: motion_recipe(text) for text in texts}
     motions = {text: parse_motion(text, RATE) for text in texts}
-    axis = DriveDescription(DRIVE, paper.controllers(DRIVE)[name], Sampling(RATE, 1), limits)
+    axis = DriveDescription(drive, paper.controllers(drive)[name], Sampling(RATE, 1), limits)
     return Plan.of(axis, {name: axis.controller}, motions, vary, samples, recipes=recipes, load=load, **more)
 
 
@@ -65,9 +66,9 @@ def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
 def test_a_machine_has_the_same_bits_whichever_courses_are_beside_it():
     """Shorter ones, longer ones, another length to which all are filled up."""
     planned = plan()
-    together = planned.costs_of(planned.numbers(0), "PD+FC+LE", SINE).costs
+    together = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
     for k in (5, 70):
-        alone = planned.costs_of(np.array([k]), "PD+FC+LE", SINE).costs
+        alone = planned.costs_of(np.array([k]), SINE, planned.controllers)["PD+FC+LE"].costs
         for one, same in zip(together, alone, strict=True):
             assert one[k] == same[0]
 
@@ -83,17 +84,52 @@ def test_a_load_alone_may_vary_and_a_setting_of_several_motions_is_relative_to_e
     assert len(set(small)) == 8
 
 
-def test_a_course_that_diverges_after_its_end_has_not_diverged():
-    """Beyond the end of the shorter course nothing is asked of the machine."""
-    planned = plan(("motion.duration=uniform:0.02..0.1 s",), 64, load="0", name="PD")
-    costs, diverged_at = planned.costs_of(planned.numbers(0), "PD", SINE)
-    assert np.isnan(diverged_at).all()
-    assert np.isfinite(costs.rms).all()
-    weak = plan(("motion.duration=uniform:0.02..0.1 s", "plant.mass=fixed:1 kg"), 64, load="0", name="PD+FC+LE")
-    _, diverged_at = weak.costs_of(weak.numbers(0), "PD+FC+LE", SINE)
-    left = ~np.isnan(diverged_at)
-    assert left.any()
-    assert np.all(diverged_at[left] <= rows(weak)["motion.duration"][left])
+def test_a_loop_that_runs_away_after_the_end_of_its_course_has_not_diverged():
+    """Short courses beside long ones, at whose end the loop is beyond what a number can be."""
+    late = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=60))
+    vary = ("motion.duration=loguniform:0.03..1.5 s",)
+    planned = plan(vary, 64, load="0", name="PD", drive=late)
+    costs, diverged_at = planned.costs_of(planned.numbers(0), SINE, ["PD"])["PD"]
+    duration = rows(planned)["motion.duration"]
+    stayed = np.isnan(diverged_at)
+    assert 3 < np.sum(stayed) < 40
+    assert duration[stayed].max() < duration[~stayed].min()
+    assert np.all(diverged_at[~stayed] <= duration[~stayed])
+    assert np.all(np.isfinite(costs.rms[stayed]) & np.isfinite(costs.command_noise[stayed]))
+    for k in np.flatnonzero(stayed)[:3]:
+        alone, at = planned.costs_of(np.array([k]), SINE, ["PD"])["PD"]
+        assert np.isnan(at).all()
+        assert (alone.rms[0], alone.peak[0], alone.command_noise[0]) == (
+            costs.rms[k], costs.peak[k], costs.command_noise[k],
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("held", [1.0, 1e12])
+def test_how_many_are_held_at_once_changes_nothing(monkeypatch, held):
+    planned = plan()
+    wanted = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
+    monkeypatch.setattr("experiments.sweeps.plan.MOST_HELD", held)
+    found = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
+    assert all(np.array_equal(one, other) for one, other in zip(wanted, found, strict=True))
+
+
+def test_what_no_machine_runs_refuses_none():
+    """A nominal load that lifts the table, a nominal motion that is too fast and too short."""
+    plan(("load.before=uniform:1..2 kN",), 8, load="step:at=0.01s,to=0,before=-16kN").require_possible([0])
+    slow = ("motion.amplitude=uniform:0.1..0.2 mm", "motion.duration=uniform:0.08..0.1 s")
+    plan(slow, 8, load="0", limits=Limits(speed=0.05), settle=0.06).require_possible([0])
+    with pytest.raises(DiffdriveError, match=r"machine \d+ cannot be: .*lifts the table"):
+        plan(("load.before=uniform:-17..-16 kN",), 8, load="step:at=0.01s,to=0,before=1kN").require_possible([0])
+
+
+def test_loads_are_added_when_each_acts():
+    """A cut that takes away what was laid on before it."""
+    later = ("load.change=fixed:-19 kN", "load.from=fixed:0.03 s", "load.to=fixed:0.04 s")
+    plan(later, 8, load="ramp:start=0.01,end=0.02,to=20kN").require_possible([0])
+    with pytest.raises(DiffdriveError, match=r"machine 0 cannot be: a load of -\d+ N lifts the table"):
+        plan(later, 8, load="ramp:start=0.045,end=0.05,to=20kN").require_possible([0])
+    with pytest.raises(ParameterError, match=r"are times of load.change, which does not vary"):
+        plan(("load.to=uniform:5000..10000",), 8, load="step:at=0.01s,to=10kN")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ are followed in short steps, the table from where the drive has it.
 """
 
 import abc
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
@@ -105,7 +106,7 @@ class _Period(NamedTuple):
 
 
 def _substeps(period: float) -> int:
-    return max(1, round(period / LONGEST_SUBSTEP))
+    return math.ceil(round(period / LONGEST_SUBSTEP, 6))
 
 
 def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> _Period:

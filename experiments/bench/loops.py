@@ -3,7 +3,7 @@
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -48,25 +48,34 @@ class Loop(NamedTuple):
 def one_kernel(text: str) -> bool:
     """Whether a compiled program runs its loops over time as native kernels (CPU).
 
-    A loop of `MANY` trips or more, or of a number that is not known, must lie within a call that is marked so. Shorter
-    ones, over blocks of lanes or the columns of a matrix, may be where they are. That there is a mark says nothing by
-    itself: the plant's inner loop always carries it.
+    Loops of `MANY` trips or more, or of a number that is not known, must lie within a call that is marked so; loops
+    within loops count together. Shorter ones, over blocks of lanes or the columns of a matrix, may be where they are.
+    That there is a mark says nothing by itself: the plant's inner loop always carries it.
     """
     bodies = dict(re.findall(r"^(?:ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", text, re.S | re.M))
-    called = {
-        name: re.findall(r"(?:calls|to_apply|body|condition)=%?([\w.\-]+)", body) for name, body in bodies.items()
-    }
+    called = {name: re.findall(_CALLS, body) for name, body in bodies.items()}
     marked = [line for line in text.splitlines() if "xla_cpu_small_call" in line]
     native = _reached(re.findall(r"to_apply=%?([\w.\-]+)", "\n".join(marked)), called)
-    outside = [line for name, body in bodies.items() if name not in native for line in body.splitlines()]
-    return bool(native) and not any(_long(line) for line in outside)
+
+    @cache
+    def trips(name: str) -> int:
+        """Of the longest nest of loops there that is not native."""
+        if name in native or name not in bodies:
+            return 1
+        nests = ((_trips(line), re.findall(_CALLS, line)) for line in bodies[name].splitlines())
+        return max((count * trips(one) for count, every in nests for one in every), default=1)
+
+    return bool(native) and max(map(trips, bodies)) < MANY
 
 
-def _long(line: str) -> bool:
+_CALLS = r"(?:calls|to_apply|body|condition|true_computation|false_computation)=%?([\w.\-]+)"
+
+
+def _trips(line: str) -> int:
     if " while(" not in line:
-        return False
-    trips = re.search(r'"known_trip_count":\{"n":"(\d+)"', line)
-    return trips is None or int(trips[1]) >= MANY
+        return 1
+    known = re.search(r'"known_trip_count":\{"n":"(\d+)"', line)
+    return MANY if known is None else int(known[1])
 
 
 def _reached(names: Iterable[str], called: Mapping[str, Sequence[str]]) -> set[str]:

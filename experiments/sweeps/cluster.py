@@ -8,7 +8,9 @@ import contextlib
 import functools
 import itertools
 import re
+import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from typing import Any
 
 import pyarrow as pa
@@ -20,6 +22,7 @@ from experiments.sweeps.parts import Engine, Say
 from experiments.sweeps.plan import Plan
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
+SELDOM = 2.0  # s, between two looks at who is there
 AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it is given
 
 
@@ -27,7 +30,8 @@ AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it
 def _plan(text: str, devices: int | None) -> Plan:
     """The plan from its text, once in a process and not once in each of its parts."""
     configure(devices)
-    with_accelerator()
+    if devices is None:  # a machine of a cluster, not some cores of this one
+        with_accelerator()
     keep_compiled()
     return from_text(text).plan()
 
@@ -52,6 +56,20 @@ def _client(address: str) -> Any:
         raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
 
 
+def _await(client: Any, done: Any, where: str, say: Say) -> None:
+    """Until a part is done, saying once if nobody is there to do it."""
+    said, asked = False, 0.0
+    while not done.has_ready():
+        if time.monotonic() - asked > SELDOM:
+            asked = time.monotonic()
+            if client.nthreads():
+                said = False
+            elif not said:
+                said = True
+                say(f"waiting for workers: {where} has none; start some as `dask worker {client.scheduler.address}`")
+        time.sleep(0.02)
+
+
 def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> Engine:
     """An engine for `parts.run`: `workers` processes of this machine, or the cluster whose scheduler is at `address`.
 
@@ -67,6 +85,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
 
     def engine(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
         text, question = to_text(asked), plan.question()
+        where = f"--cluster {address}" if address else f"--workers {workers}"
         # workers of one machine share its cores; one of a cluster has its machine for itself
         devices = None if address else max(1, cores() // workers)
         room = contextlib.ExitStack()
@@ -78,9 +97,6 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
             here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
             with room:
                 known = client or room.enter_context(Client(room.enter_context(LocalCluster(**here))))
-                if not known.nthreads():
-                    say(f"waiting for workers at {address}: start some there, as `dask worker {address}`")
-                    known.wait_for_workers(1)
                 left, number = iter(wanted), {}
 
                 def submitted() -> list[Any]:
@@ -94,11 +110,21 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
                     return futures
 
                 done = as_completed(submitted())
-                for future in done:
+                while not done.is_empty():
+                    _await(known, done, where, say)
+                    future = next(done)
                     yield number.pop(future), future.result()
                     future.release()
                     done.update(submitted())
 
-        return parts()
+        def reported() -> Iterator[tuple[int, pa.Table]]:
+            try:
+                yield from parts()
+            except (CancelledError, OSError, TimeoutError) as problem:
+                raise ParameterError(
+                    f"{where} is lost ({problem}); the parts that were done are kept: the same command goes on there"
+                ) from None
+
+        return reported()
 
     return engine

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pyarrow as pa
 
+from diffdrive.controllers import Controller
 from diffdrive.convergence import advice
 from diffdrive.drive_file import drive_tables, parse_drive, write_drive
 from diffdrive.errors import ParameterError
@@ -60,9 +61,9 @@ def sweep_drive(
     plan = asked.plan()
     warned = [
         f"{motion}, {name}: {one}"
-        for motion, planned in plan.motions.items()
+        for motion in plan.motions
         for name, controller in plan.controllers.items()
-        for one in advice(controller, planned, plan.every_load(planned), 1.0 / plan.axis.sampling.rate)
+        for one in _warnings(plan, controller, motion)
     ]
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:
@@ -86,6 +87,12 @@ def sweep_drive(
         if recorded:
             _record(report, plan, found, recorded, by)
         return not any(one.diverged.any() for one in found)
+
+
+def _warnings(plan: Plan, controller: Controller, motion: str) -> list[str]:
+    """What to expect of a controller on a motion. Where settings vary, the first warning of each kind."""
+    told = (advice(controller, *one, 1.0 / plan.axis.sampling.rate) for one in plan.extremes(motion))
+    return list({text.partition(" at ")[0]: text for texts in told for text in reversed(texts)}.values())
 
 
 def _legend(report: Report, origins: Mapping[str, str]) -> None:

@@ -51,6 +51,7 @@ class Courses:
     motions: Mapping[str, Motion]
     recipes: Mapping[str, Recipe | None]
     load: str  # as `scenario.parse_load` takes it
+    rate: float  # Hz
     varied: tuple[Varied, ...]
 
     @cached_property
@@ -73,7 +74,7 @@ class Courses:
             for of in ("motion.", "load.")
         )
         if recipe is not None and of_motion:
-            motion = recipe.made(rate=motion.rate, **of_motion)
+            motion = recipe.made(rate=self.rate, **of_motion)
         loads = parse_load(self.load, motion.time) if self._load is None else self._load.made(motion.time, **of_load)
         return Course(motion, loads)
 

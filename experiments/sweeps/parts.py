@@ -44,8 +44,8 @@ def missing(plan: Plan, folder: Path) -> list[int]:
         if asked != question or path not in wanted:
             raise ParameterError(
                 f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies, number of "
-                "machines or seed, or in the edition of diffdrive, jax, numpy or scipy: give another folder, or remove "
-                "this one"
+                "machines or seed, in the edition of diffdrive, jax, numpy or scipy, in processor, GPU or XLA_FLAGS: "
+                "give another folder, or remove this one"
             )
         del wanted[path]
     return sorted(wanted.values())

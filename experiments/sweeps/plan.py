@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -27,6 +27,8 @@ from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_o
 from experiments.sweeps.machines import Values, lane, machines
 from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
+
+HELD, MOST_HELD = 160.0, 2e9  # bytes a step of a machine with a course of its own, and of all at once
 
 
 class Outcome(NamedTuple):
@@ -77,14 +79,17 @@ class Plan:
         plan = cls(axis, controllers, motions, varied, samples, **more)
         if samples < 1:
             raise ParameterError(f"sweep: at least one machine is needed, got {samples}")
+        if set(names) & {"load.from", "load.to"} and "load.change" not in names:
+            raise ParameterError("vary load.from, load.to: are times of load.change, which does not vary: give it, too")
         for name, motion in motions.items():
-            require_within(motion, axis.limits)
+            if not plan._varies("motion"):  # else none of the machines may run that one
+                require_within(motion, axis.limits)
+                require_left(plan.settle, name, motion)
             if abs(motion.rate / axis.sampling.rate - 1.0) > 1e-6:
                 raise ParameterError(
                     f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
                     "make them equal"
                 )
-            require_left(plan.settle, name, motion)
         if not 0 <= plan.seed < 2**63:
             raise ParameterError(f"sweep: seed must be from 0 to 2^63 - 1, got {plan.seed}")
         root_of(plan.correlation, names)
@@ -99,7 +104,12 @@ class Plan:
     @cached_property
     def courses(self) -> Courses:
         """Motions and load over time."""
-        return Courses(self.motions, self.recipes, self.load, tuple(self.varied[k] for k in self._settings))
+        varied = tuple(self.varied[k] for k in self._settings)
+        return Courses(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied)
+
+    def _varies(self, of: str) -> bool:
+        """Whether settings of the motions, or of the load, vary."""
+        return any(one.name.startswith(f"{of}.") for one in self.courses.varied)
 
     def courses_of(self, numbers: np.ndarray, motion: str) -> list[Course]:
         """What machines of one part go through. Raises `ParameterError` that names one that cannot."""
@@ -113,7 +123,8 @@ class Plan:
             except (MotionError, ParameterError) as problem:
                 raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
             found.append(course)
-        self._require_possible(numbers, np.array([np.min(course.load) for course in found]))
+        least = np.array([np.min(course.load) for course in found])
+        self._require_on_the_guides(numbers, least, lambda k: [found[k]])
         return found
 
     def require_possible(self, parts: Iterable[int]) -> None:
@@ -121,51 +132,80 @@ class Plan:
 
         Where settings of motions vary, those machines are looked at that are nearest to their ends.
         """
-        least = min(float(np.min(self.loads(motion))) for motion in self.motions.values())
+        nominal = self.nominal
         for part in parts:
-            numbers = self.numbers(part)
-            self._require_possible(numbers, np.full(len(numbers), least))
-            if self._settings:
-                corners = at_corners(self.drawn(part)[:, self._settings])
-                for motion in self.motions:
-                    self.courses_of(numbers[corners], motion)
+            self._require_possible(self.numbers(part), nominal)
+            for motion in self.motions if self._settings else ():
+                self.corners(motion, part)
 
-    def _require_possible(self, numbers: np.ndarray, least: np.ndarray) -> None:
-        """Raises `ParameterError` that names the first machine that cannot be, or whose least load is too little."""
+    @property
+    def nominal(self) -> list[Course]:
+        """What all machines go through but for settings of motions; nothing where the load over time varies."""
+        return [] if self._varies("load") else [Course(one, self.loads(one)) for one in self.motions.values()]
+
+    def _require_possible(self, numbers: np.ndarray, courses: Sequence[Course]) -> None:
+        self._require_machines(numbers)
+        least = min((float(np.min(course.load)) for course in courses), default=np.inf)
+        self._require_on_the_guides(numbers, np.full(len(numbers), least), lambda _: courses)
+
+    def corners(self, motion: str, part: int = 0) -> list[Course]:
+        """What the machines nearest to the ends of settings go through."""
+        drawn = self.drawn(part)[:, self._settings]
+        return self.courses_of(self.numbers(part)[at_corners(drawn)], motion)
+
+    def _require_machines(self, numbers: np.ndarray) -> None:
+        """Raises `ParameterError` that names the first machine that cannot be."""
         try:
-            self._possible(numbers, least)
+            self._machines_and_ramps(numbers)
         except ParameterError:
             while len(numbers) > 1:
                 half = len(numbers) // 2
                 try:
-                    self._possible(numbers[:half], least[:half])
-                    numbers, least = numbers[half:], least[half:]
+                    self._machines_and_ramps(numbers[:half])
+                    numbers = numbers[half:]
                 except ParameterError as found:
-                    numbers, least, problem = numbers[:half], least[:half], found
+                    numbers, problem = numbers[:half], found
             raise ParameterError(f"sweep: machine {numbers[0]} cannot be: {problem}") from None
 
-    def _possible(self, numbers: np.ndarray, least: np.ndarray) -> None:
+    def _machines_and_ramps(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
-        if jnp.any((ramp.begin > ramp.end) & (ramp.change != 0.0)):
+        if np.any((ramp.begin > ramp.end) & (ramp.change != 0.0)):
             raise ParameterError("its load.from comes after its load.to: let them vary in ranges that do not overlap")
-        lowest = least + ramp.load + jnp.minimum(ramp.change, 0.0)
-        if jnp.any(lowest <= -machine.friction.initial_load):
-            raise ParameterError(
-                f"a load of {float(jnp.min(lowest)):g} N lifts the table off its guides: it must stay above minus the "
-                "initial load"
-            )
+        return machine, ramp
+
+    def _require_on_the_guides(
+        self, numbers: np.ndarray, least: np.ndarray, courses: Callable[[int], Sequence[Course]]
+    ) -> None:
+        """Raises `ParameterError` that names the first machine whose load lifts its table off the guides.
+
+        `least` are the loads over time at their least, `courses` those of a machine: where the least of all loads at
+        once would be too little, it is looked when each acts.
+        """
+        machine, ramp = self._machines_and_ramps(numbers)
+        bounds = -np.broadcast_to(np.asarray(machine.friction.initial_load), len(numbers))
+        for k in np.flatnonzero(np.asarray(least + ramp.load + np.minimum(ramp.change, 0.0)) <= bounds):
+            own = jax.tree.map(lambda leaf, k=k: leaf[k], ramp)
+            every = [
+                np.min(load + np.asarray(own.at(motion.time - motion.time[0]))) for motion, load in courses(int(k))
+            ]
+            if every and min(every) <= bounds[k]:
+                raise ParameterError(
+                    f"sweep: machine {numbers[k]} cannot be: a load of {min(every):g} N lifts the table off its "
+                    f"guides: it must stay above minus the initial load, {bounds[k]:g} N"
+                )
 
     def loads(self, motion: Motion) -> np.ndarray:
         """The load (N) along a motion as --load has it, beside what varies."""
         return parse_load(self.load, motion.time)
 
-    def every_load(self, motion: Motion) -> np.ndarray:
-        """The same with the least and the most of the load that varies, before and behind its change."""
+    def extremes(self, motion: str) -> list[Course]:
+        """What comes at worst: the ends of the settings, with the least and the most of the load that varies."""
+        planned = self.motions[motion]
+        courses = self.corners(motion) if self._settings else [Course(planned, self.loads(planned))]
         ends = {one.name: one.of(np.array([0.0, 1.0])) for one in self.varied}
         behind = np.append(ends.get("load.change", []), 0.0)
-        return np.concatenate(
-            [self.loads(motion) + more + change for more in ends.get("load", [0.0]) for change in behind]
-        )
+        more = [load + change for load in ends.get("load", [0.0]) for change in behind]
+        return [Course(one, np.concatenate([load + each for each in more])) for one, load in courses]
 
     @cached_property
     def _root(self) -> np.ndarray | None:
@@ -215,23 +255,34 @@ class Plan:
         found |= self.courses.values(motion, drawn)
         return {one.name: found[one.name] for one in self.varied}
 
-    def costs_of(self, numbers: np.ndarray, controller: str, motion: str) -> Outcome:
+    def costs_of(self, numbers: np.ndarray, motion: str, controllers: Iterable[str]) -> dict[str, Outcome]:
         """What comes of machines of one part; to the last bit the same whichever others stand beside them."""
         drives, ramps, _, keys = self.machines(numbers)
-        control, sampling, limits = self.controllers[controller], self.axis.sampling, self.axis.limits
+        sampling, limits = self.axis.sampling, self.axis.limits
+
+        def under(controller: str, course: Any, samples: np.ndarray, some: Any = ...) -> Outcome:
+            beside = jax.tree.map(lambda leaf: leaf[some], (ramps, keys))
+            control = self.controllers[controller]
+            found = costs_of(lane(drives, some), *beside, control, course, sampling, self.precision)
+            return _outcome(found, samples, sampling.period)
+
         if not self._settings:
             planned = self.motions[motion]
             course = for_all(Course(planned, self.loads(planned)), self.settle, limits)
-            found = costs_of(drives, ramps, keys, control, course, sampling, self.precision)
-            return _outcome(found, np.full(len(numbers), len(planned.time)), sampling.period)
-        outcomes, at_once = [], block(own_courses=True) * len(jax.devices())
-        for some in np.split(np.arange(len(numbers)), np.arange(at_once, len(numbers), at_once)):
+            return {name: under(name, course, np.full(len(numbers), len(planned.time))) for name in controllers}
+        groups: dict[str, list[Outcome]] = {name: [] for name in controllers}
+        for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._at_once(motion))[1:]):
             courses = self.courses_of(numbers[some], motion)
-            of_some = jax.tree.map(lambda leaf, some=some: leaf[some], (ramps, keys))
-            course = for_each(courses, self.settle, limits)
-            found = costs_of(lane(drives, some), *of_some, control, course, sampling, self.precision)
-            outcomes.append(_outcome(found, np.array([len(one.load) for one in courses]), sampling.period))
-        return jax.tree.map(lambda *one: np.concatenate(one), *outcomes)
+            samples, course = np.array([len(one.load) for one in courses]), for_each(courses, self.settle, limits)
+            for name, group in groups.items():
+                group.append(under(name, course, samples, some))
+        return {name: jax.tree.map(lambda *one: np.concatenate(one), *group) for name, group in groups.items()}
+
+    def _at_once(self, motion: str) -> int:
+        """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
+        longest = max(len(course.load) for course in self.corners(motion))
+        blocks = int(MOST_HELD / (HELD * longest * block(own_courses=True)))
+        return block(own_courses=True) * max(1, min(blocks, len(jax.devices())))
 
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
@@ -239,8 +290,7 @@ class Plan:
         unknown = pa.nulls(len(numbers), pa.float64())
         for motion in self.motions:
             values = self.values(numbers, motion)
-            for controller in self.controllers:
-                found, diverged_at = self.costs_of(numbers, controller, motion)
+            for controller, (found, diverged_at) in self.costs_of(numbers, motion, self.controllers).items():
                 tables.append(
                     pa.table(
                         {
@@ -296,6 +346,5 @@ class Plan:
 
 
 def _outcome(costs: Costs, samples: np.ndarray, period: float) -> Outcome:
-    """A machine diverged that did not stay to the end of its own course; or what is not finite beyond that end."""
-    stayed = (costs.steps_finite >= samples) & np.isfinite(costs.rms)
-    return Outcome(costs, np.where(stayed, np.nan, np.minimum(costs.steps_finite, samples) * period))
+    """A machine diverged that did not stay to the end of its own course."""
+    return Outcome(costs, np.where(costs.steps_finite >= samples, np.nan, costs.steps_finite * period))

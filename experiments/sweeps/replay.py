@@ -82,7 +82,7 @@ def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: in
 
 def costs_again(plan: Plan, number: int, controller: str, motion: str) -> Outcome:
     """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
-    return plan.costs_of(np.array([number]), controller, motion)
+    return plan.costs_of(np.array([number]), motion, [controller])[controller]
 
 
 def traces(

@@ -164,9 +164,7 @@ def parse_varied(text: str, drive: Drive, settings: Mapping[str, Known] = Mappin
         raise ParameterError(f"{where}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
     how, given = _given(kind, parts, unit, where)
     if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].values):
-        raise ParameterError(
-            f"{where}: the drive file has no value for it, or zero, to be relative to: give all numbers in {unit}"
-        )
+        raise ParameterError(f"{where}: has no value, or zero, to be relative to: give all numbers in {unit}")
     _require_sensible(kind, given, where)
     low, high = known[name].room(how)
     if kind == "normal" and not low - FARTHEST * given[1] < given[0] < high + FARTHEST * given[1]:
