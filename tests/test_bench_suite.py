@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import nullcontext
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +14,11 @@ from diffdrive.errors import ParameterError
 from diffdrive.parameters import Sampling
 from diffdrive.presets import paper_drive
 from experiments import paper
-from experiments.bench import clock, roof, suite
+from experiments.bench import by_hand, clock, roof, suite
 from experiments.bench.arithmetic import of_step, operations
 from experiments.bench.figures import drawn
 from experiments.cli import app
+from experiments.report import Report
 
 
 def test_jobs_take_turns_and_the_first_run_does_not_count(monkeypatch):
@@ -87,6 +89,18 @@ def test_growth_is_told_and_drawn(tmp_path, monkeypatch):
     assert [row[0] for row in rows] == [1_000, 10_000, 100_000]
     assert [row[0] for row in by] == [0, 1, 2, 4, 8]
     assert all(row[1] > 0.0 for row in rows + by)
+
+
+def test_lanes_are_swept_in_both_precisions(tmp_path, monkeypatch):
+    monkeypatch.setattr(by_hand, "MANY", 128)
+    monkeypatch.setattr(by_hand, "SWEPT", (64,))
+    monkeypatch.setattr(by_hand, "_others", lambda *_: nullcontext({}))
+    with Report("bench", tmp_path) as report:
+        assert by_hand.swept_lanes(report) == {}  # nobody to compare with
+    assert 0.0 < report.data["single precision"]["off_nm_median"] < 5.0
+    rows = report.data["tables"]["sweep"]["rows"]
+    assert [row[0] for row in rows] == ["ours, 128 lanes", "ours, 64 lanes", "ours in single precision, 128 lanes"]
+    assert all(row[1] > 0.0 for row in rows)
 
 
 def test_every_panel_is_drawn():

@@ -16,7 +16,7 @@ from experiments.bench.common import RATE, nanoseconds, nominal
 from experiments.bench.parameters import row
 from experiments.report import Report
 from experiments.runtime import cores
-from experiments.sweeps.engine import Precision, costs_of
+from experiments.sweeps.engine import Course, Precision, costs_of
 
 SAME = 1e-10  # m: the step by hand and ours
 LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
@@ -127,15 +127,15 @@ def swept_lanes(report: Report) -> dict[str, float]:
     """As a sweep runs it: blocks, all devices; against numba on all cores, the same machines under the same loads."""
     steps, sampling = 5_000, Sampling(RATE)
     drive, controller = nominal()
-    given, none = loops.inputs(steps), np.zeros(steps)
+    given = loops.inputs(steps)
     length = (steps - 1) * sampling.period
 
     def swept(count: int, precision: Precision = "double") -> Callable[[], Any]:
         machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
         top = float(given.load[-1]) * np.linspace(0.5, 1.5, count)
         ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
-        unloaded = given._replace(load=jnp.asarray(none))
-        return lambda: costs_of(machines, ramp, None, controller, unloaded, np.ones(steps), sampling, precision)
+        course = Course(given.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
+        return lambda: costs_of(machines, ramp, None, controller, course, sampling, precision)
 
     with report.working(f"{MANY} lanes on all cores"), _others(report, given, sampling, MANY) as others:
         jobs = {f"ours, {count} lanes": swept(count) for count in (MANY, *SWEPT)}
