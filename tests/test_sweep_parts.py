@@ -68,6 +68,22 @@ def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
     assert asked == [1, 2]
 
 
+def test_a_part_that_cannot_be_written_lets_its_workers_go(tmp_path):
+    left = []
+
+    def engine(plan, wanted, say):
+        try:
+            yield from here(plan, wanted, say)
+        finally:
+            left.append(plan)
+
+    (tmp_path / "file").write_text("")
+    with pytest.raises(NotADirectoryError) as caught:
+        run(plan(), tmp_path / "file" / "parts", lambda done: None, engine)
+    assert left  # at once, while what was raised still holds on to the engine
+    del caught
+
+
 def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, monkeypatch):
     run(plan(8), tmp_path, lambda done: None)
     before = path_of(tmp_path, 0).read_bytes()
@@ -147,7 +163,7 @@ def test_a_machine_that_cannot_be_is_named_before_the_first_one_runs(tmp_path, v
     with pytest.raises(ParameterError, match="cannot be"):
         asked.require_possible([number // 8])
     if number % 8:
-        asked._require_possible(np.arange(number // 8 * 8, number), asked.nominal)  # those before it can be
+        asked.require_machines(np.arange(number // 8 * 8, number), asked.nominal)  # those before it can be
 
 
 def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(tmp_path):

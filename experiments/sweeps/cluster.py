@@ -9,7 +9,6 @@ import functools
 import itertools
 import re
 import time
-from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from typing import Any
 
@@ -18,7 +17,7 @@ import pyarrow as pa
 from diffdrive.errors import ParameterError
 from experiments.runtime import configure, cores, keep_compiled, with_accelerator
 from experiments.sweeps.asked import Asked, from_text, to_text
-from experiments.sweeps.parts import Engine, Say
+from experiments.sweeps.parts import Computed, Engine, Say
 from experiments.sweeps.plan import Plan
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
@@ -83,7 +82,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
     except ImportError:
         raise ParameterError("several workers need Dask: pip install 'diffdrive[cluster]'") from None
 
-    def engine(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
+    def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
         text, question = to_text(asked), plan.question()
         where = f"--cluster {address}" if address else f"--workers {workers}"
         # workers of one machine share its cores; one of a cluster has its machine for itself
@@ -91,7 +90,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
         room = contextlib.ExitStack()
         client = room.enter_context(_client(address)) if wanted and address else None
 
-        def parts() -> Iterator[tuple[int, pa.Table]]:
+        def parts() -> Computed:
             if not wanted:
                 return
             here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
@@ -117,7 +116,7 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
                     future.release()
                     done.update(submitted())
 
-        def reported() -> Iterator[tuple[int, pa.Table]]:
+        def reported() -> Computed:
             try:
                 yield from parts()
             except (CancelledError, OSError, TimeoutError) as problem:

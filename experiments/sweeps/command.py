@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-import pyarrow as pa
 
 from diffdrive.controllers import Controller
 from diffdrive.convergence import advice
@@ -19,7 +18,7 @@ from experiments.single import run_figure, write_run
 from experiments.sweeps import figures
 from experiments.sweeps.asked import Asked, keep, read_asked
 from experiments.sweeps.engine import Precision
-from experiments.sweeps.parts import Engine, Say, here, kept, missing, run
+from experiments.sweeps.parts import Computed, Engine, Say, here, kept, missing, run
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.replay import SIGNALS, chosen, costs_again, machine_of, run_of, traces
 from experiments.sweeps.samples import Method
@@ -105,7 +104,7 @@ def _legend(report: Report, origins: Mapping[str, str]) -> None:
 def _noted(asked: Asked, engine: Engine, out: Path | None) -> Engine:
     """An engine that writes down what was asked when it begins: by then every machine has been found possible."""
 
-    def noted(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
+    def noted(plan: Plan, wanted: list[int], say: Say) -> Computed:
         results = engine(plan, wanted, say)  # which may find that nobody is there
         if out is not None:
             keep(asked, out)

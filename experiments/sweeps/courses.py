@@ -33,13 +33,18 @@ class Course(NamedTuple):
     load: Float[np.ndarray, " t"]  # N, beside the ramp that varies
 
 
+def of_a_course(name: str) -> bool:
+    """Whether what varies under this name is a setting of the motion or of the load over time."""
+    return name.startswith(("motion.", "load.")) and name not in LOAD
+
+
 def settings(recipes: Mapping[str, Recipe | None], load: Recipe | None) -> dict[str, Known]:
     """The settings that may vary: those that every motion has, and those of the load."""
     told = [{} if recipe is None else recipe.numbers() for recipe in recipes.values()]
     common = [name for name in (told[0] if told else ()) if all(name in one for one in told)]
     found = {f"motion.{name}": Known(told[0][name][0], tuple(one[name][1] for one in told)) for name in common}
     for name, (unit, value) in ({} if load is None else load.numbers()).items():
-        if f"load.{name}" not in LOAD:
+        if of_a_course(f"load.{name}"):
             found[f"load.{name}"] = Known(unit, (value,))
     return found
 

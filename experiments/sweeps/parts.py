@@ -1,6 +1,7 @@
 """A sweep run part by part into a folder: bounded memory, and whatever was done before an interruption stays done."""
 
-from collections.abc import Callable, Iterator
+import contextlib
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pyarrow as pa
@@ -14,7 +15,8 @@ from experiments.sweeps.plan import Plan
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
 Say = Callable[[str], None]  # what keeps an engine from beginning
-Engine = Callable[[Plan, list[int], Say], Iterator[tuple[int, pa.Table]]]  # the wanted parts, in any order
+Computed = Generator[tuple[int, pa.Table], None, None]
+Engine = Callable[[Plan, list[int], Say], Computed]  # the wanted parts, in any order
 
 
 def path_of(folder: Path, part: int) -> Path:
@@ -59,7 +61,7 @@ def _question(path: Path) -> bytes | None:
         return None
 
 
-def here(plan: Plan, wanted: list[int], say: Say) -> Iterator[tuple[int, pa.Table]]:
+def here(plan: Plan, wanted: list[int], say: Say) -> Computed:
     """The parts one after the other, in this process."""
     for part in wanted:
         yield part, plan.costs(part)
@@ -75,10 +77,11 @@ def run(plan: Plan, folder: Path, done: Done, engine: Engine = here, say: Say = 
     plan.require_possible(left)
     finished = plan.samples - sum(len_of(plan, part) for part in left)
     done(finished)
-    for part, table in engine(plan, left, say):
-        keep(table, path_of(folder, part), question)
-        finished += len_of(plan, part)
-        done(finished)
+    with contextlib.closing(engine(plan, left, say)) as computed:  # a full disk leaves no workers behind
+        for part, table in computed:
+            keep(table, path_of(folder, part), question)
+            finished += len_of(plan, part)
+            done(finished)
     return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,9 +22,10 @@ from diffdrive.simulate import Costs
 from experiments.edition import edition
 from experiments.runtime import arithmetic
 from experiments.scenario import Recipe, load_recipe, parse_load, require_left
-from experiments.sweeps.courses import Course, Courses, at_corners, for_all, for_each, settings
+from experiments.sweeps.courses import Course, Courses, at_corners, for_all, for_each, of_a_course, settings
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_of
 from experiments.sweeps.machines import Values, lane, machines
+from experiments.sweeps.possible import require_made, require_on_guides, require_ordered
 from experiments.sweeps.samples import Method, correlated, root_of, shares
 from experiments.sweeps.varied import Varied, parse_varied
 
@@ -66,8 +67,8 @@ class Plan:
     ) -> "Plan":  # fmt: skip
         """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
         require_double_precision()
-        recipes, load = more.get("recipes", {}), load_recipe(more.get("load", "0"))
-        known = settings({name: recipes.get(name) for name in motions}, load)
+        recipes = more.get("recipes", {})
+        known = settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
         varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
         names = [one.name for one in varied]
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -98,8 +99,7 @@ class Plan:
     @cached_property
     def _settings(self) -> list[int]:
         """Which of the quantities that vary are settings of the motions and of the load over time."""
-        known = settings({name: self.recipes.get(name) for name in self.motions}, load_recipe(self.load))
-        return [k for k, one in enumerate(self.varied) if one.name in known]
+        return [k for k, one in enumerate(self.varied) if of_a_course(one.name)]
 
     @cached_property
     def courses(self) -> Courses:
@@ -124,75 +124,40 @@ class Plan:
                 raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
             found.append(course)
         least = np.array([np.min(course.load) for course in found])
-        self._require_on_the_guides(numbers, least, lambda k: [found[k]])
+        require_on_guides(numbers, *self._made(numbers), least, lambda k: [found[k]])
         return found
 
     def require_possible(self, parts: Iterable[int]) -> None:
-        """Every machine of these parts can be: hours later would be late. Raises `ParameterError` that names one.
+        """Every machine of these parts can be. Raises `ParameterError` that names one that cannot.
 
         Where settings of motions vary, those machines are looked at that are nearest to their ends.
         """
         nominal = self.nominal
         for part in parts:
-            self._require_possible(self.numbers(part), nominal)
+            self.require_machines(self.numbers(part), nominal)
             for motion in self.motions if self._settings else ():
                 self.corners(motion, part)
+
+    def require_machines(self, numbers: np.ndarray, courses: Sequence[Course]) -> None:
+        """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
+        least = min((float(np.min(course.load)) for course in courses), default=np.inf)
+        made = require_made(numbers, self._made)
+        require_on_guides(numbers, *made, np.full(len(numbers), least), lambda _: courses)
+
+    def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
+        machine, ramp, _, _ = self.machines(numbers)
+        require_ordered(ramp)
+        return machine, ramp
 
     @property
     def nominal(self) -> list[Course]:
         """What all machines go through but for settings of motions; nothing where the load over time varies."""
         return [] if self._varies("load") else [Course(one, self.loads(one)) for one in self.motions.values()]
 
-    def _require_possible(self, numbers: np.ndarray, courses: Sequence[Course]) -> None:
-        self._require_machines(numbers)
-        least = min((float(np.min(course.load)) for course in courses), default=np.inf)
-        self._require_on_the_guides(numbers, np.full(len(numbers), least), lambda _: courses)
-
     def corners(self, motion: str, part: int = 0) -> list[Course]:
         """What the machines nearest to the ends of settings go through."""
         drawn = self.drawn(part)[:, self._settings]
         return self.courses_of(self.numbers(part)[at_corners(drawn)], motion)
-
-    def _require_machines(self, numbers: np.ndarray) -> None:
-        """Raises `ParameterError` that names the first machine that cannot be."""
-        try:
-            self._machines_and_ramps(numbers)
-        except ParameterError:
-            while len(numbers) > 1:
-                half = len(numbers) // 2
-                try:
-                    self._machines_and_ramps(numbers[:half])
-                    numbers = numbers[half:]
-                except ParameterError as found:
-                    numbers, problem = numbers[:half], found
-            raise ParameterError(f"sweep: machine {numbers[0]} cannot be: {problem}") from None
-
-    def _machines_and_ramps(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
-        machine, ramp, _, _ = self.machines(numbers)
-        if np.any((ramp.begin > ramp.end) & (ramp.change != 0.0)):
-            raise ParameterError("its load.from comes after its load.to: let them vary in ranges that do not overlap")
-        return machine, ramp
-
-    def _require_on_the_guides(
-        self, numbers: np.ndarray, least: np.ndarray, courses: Callable[[int], Sequence[Course]]
-    ) -> None:
-        """Raises `ParameterError` that names the first machine whose load lifts its table off the guides.
-
-        `least` are the loads over time at their least, `courses` those of a machine: where the least of all loads at
-        once would be too little, it is looked when each acts.
-        """
-        machine, ramp = self._machines_and_ramps(numbers)
-        bounds = -np.broadcast_to(np.asarray(machine.friction.initial_load), len(numbers))
-        for k in np.flatnonzero(np.asarray(least + ramp.load + np.minimum(ramp.change, 0.0)) <= bounds):
-            own = jax.tree.map(lambda leaf, k=k: leaf[k], ramp)
-            every = [
-                np.min(load + np.asarray(own.at(motion.time - motion.time[0]))) for motion, load in courses(int(k))
-            ]
-            if every and min(every) <= bounds[k]:
-                raise ParameterError(
-                    f"sweep: machine {numbers[k]} cannot be: a load of {min(every):g} N lifts the table off its "
-                    f"guides: it must stay above minus the initial load, {bounds[k]:g} N"
-                )
 
     def loads(self, motion: Motion) -> np.ndarray:
         """The load (N) along a motion as --load has it, beside what varies."""
@@ -278,10 +243,14 @@ class Plan:
                 group.append(under(name, course, samples, some))
         return {name: jax.tree.map(lambda *one: np.concatenate(one), *group) for name, group in groups.items()}
 
+    @cached_property
+    def _longest(self) -> dict[str, int]:
+        """Samples of the longest course of each motion, about."""
+        return {motion: max(len(course.load) for course in self.corners(motion)) for motion in self.motions}
+
     def _at_once(self, motion: str) -> int:
         """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
-        longest = max(len(course.load) for course in self.corners(motion))
-        blocks = int(MOST_HELD / (HELD * longest * block(own_courses=True)))
+        blocks = int(MOST_HELD / (HELD * self._longest[motion] * block(own_courses=True)))
         return block(own_courses=True) * max(1, min(blocks, len(jax.devices())))
 
     def costs(self, part: int) -> pa.Table:
