@@ -12,7 +12,7 @@ def gradients(report: Report) -> dict[str, float]:
     drive, controller = nominal()
     with report.working("derivatives"):
         compiled = loops.derivatives(drive, controller, loops.inputs(steps), sampling)
-        told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
+        told = clock.by_turns({name: one.run for name, one in compiled.items()})
     base = told["forward"].best
     rows = [
         [
@@ -34,7 +34,7 @@ def reverse(report: Report) -> dict[str, float]:
     drive, controller = nominal()
     with report.working("reverse mode over lanes"):
         compiled = loops.reverse(drive, controller, loops.inputs(steps), sampling, count)
-        told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
+        told = clock.by_turns({name: one.run for name, one in compiled.items()})
     judged = loops.KEPT[4]  # of many lanes in memory rather than in cache, the fewer kept the faster
     ratio = told[judged].best / told["forward"].best
     kept = {name: one.memory / count * 50_000 / steps / 1e6 for name, one in compiled.items()}

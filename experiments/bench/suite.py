@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 
@@ -35,6 +36,7 @@ BARS = {
     "reverse, MB a lane at 50,000 steps": ("at most", 6.0),
     "tuner's iteration over jacfwd": ("at most", 2.0),
     "controller over its arithmetic": ("at most", 1.5),
+    "effects switched off": ("at most", 1.03),
     "dearest effect": ("at most", 1.3),
     "whole catalogue": ("at most", 6.0),
     "cold start, s": ("at most", 6.0),
@@ -119,7 +121,9 @@ def _controllers(report: Report) -> dict[str, float]:
 
 
 def _effects(report: Report) -> dict[str, float]:
-    """Each effect of the catalogue in the drive, neutral but there, beside the drive without; then all of them."""
+    """Each effect of the catalogue in the drive, neutral but there, beside the drive without; then all of them, and all
+    switched off again.
+    """
     steps, sampling = 2_000, Sampling(RATE)
     drive, controller = nominal()
     given = loops.inputs(steps)
@@ -127,8 +131,10 @@ def _effects(report: Report) -> dict[str, float]:
         compiled = {"none": loops.lanes(drive, controller, given, sampling, 64)}
         for name in EFFECTS:
             compiled[name] = loops.lanes(with_effects(drive, [name]), controller, given, sampling, 64)
-        compiled["all"] = loops.lanes(with_effects(drive, EFFECTS), controller, given, sampling, 64)
-        told = clock.by_turns({name: one.run for name, one in compiled.items()}, rounds=5)
+        every = with_effects(drive, EFFECTS)
+        compiled["all"] = loops.lanes(every, controller, given, sampling, 64)
+        compiled["all, switched off"] = loops.lanes(replace(every, effects=()), controller, given, sampling, 64)
+        told = clock.by_turns({name: one.run for name, one in compiled.items()})
     base = told["none"].best
     rows = [
         [name, nanoseconds(told[name], steps, 64), told[name].best / base, "yes" if one.one_kernel else "NO"]
@@ -136,6 +142,7 @@ def _effects(report: Report) -> dict[str, float]:
     ]
     report.table("effects", ("effect", "ns a lane-step", "over none", "one kernel"), rows, "64 lanes, one core")
     return {
+        "effects switched off": told["all, switched off"].best / base,
         "dearest effect": max(told[name].best for name in EFFECTS) / base,
         "whole catalogue": told["all"].best / base,
     }
@@ -154,7 +161,7 @@ def _growth(report: Report) -> dict[str, float]:
     steps, coarse = 20_000, Sampling(RATE, COARSE)
     with report.working("growth with parameters"):
         by = loops.by_parameters(drive, controller, loops.inputs(steps), coarse, PARAMETERS)
-        told = clock.by_turns({str(n): one.run for n, one in by.items()}, rounds=5)
+        told = clock.by_turns({str(n): one.run for n, one in by.items()})
     report.table(
         "growth_with_parameters", ("parameters", "ns a step", "over forward", "compile s"),
         [[n, nanoseconds(told[str(n)], steps), told[str(n)].best / told["0"].best, by[n].compile_seconds] for n in by],
@@ -175,7 +182,7 @@ def _roof(report: Report) -> dict[str, float]:
         except DiffdriveError as problem:
             report.say(str(problem))
             return {}
-        told = clock.by_turns(jobs | {"ours": ours.run}, rounds=5)
+        told = clock.by_turns(jobs | {"ours": ours.run})
     rates = {name: times * roof.OPERATIONS / told[name].best / 1e9 for name, times in roof.KERNELS.items()}
     rates["ours"] = work * steps * 64 / told["ours"].best / 1e9
     rows = [[name, rate, rate / rates["added"]] for name, rate in rates.items()]
