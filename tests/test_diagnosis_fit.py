@@ -231,14 +231,18 @@ def test_parameters_of_the_session_are_one_for_each_log():
 
 @pytest.mark.slow
 def test_impossible_numbers_are_explained_before_anything_else():
-    """A force constant that is a fifth off, and cogging: recalibration hides the first, by moving all else as far."""
-    fitter = fitter_of(ForceGain(-0.2), Cogging(0.00125, 3.0, 1.0))
+    """A force constant that is a fifth off, and cogging: recalibration hides the first, by moving all else as far.
+
+    The cogging explains more, which would come first if the numbers were possible.
+    """
+    fitter = fitter_of(ForceGain(-0.2), Cogging(0.00125, 1.0, 0.3))
     base = recalibrated(fitter, TOLERANCE)
     assert strain(base) > IMPOSSIBLE
     few = [one for one in catalogue(fitter, base) if one.name in ("force_gain", "payload_mass", "cogging")]
     found = look(fitter, base, few, lambda what, done, most: None, lambda one: float(lacking(fitter, one) >= LACKING))
     first = found.fits[0]
     assert [member.candidate.name for member in first.model.members] == ["force_gain"]
+    assert first.evidence > found.fits[1].evidence + WORTH
     assert first.model.values(first.u)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)
     assert strain(first) < STRAINED
     assert base.evidence - first.evidence + found.allowance > WORTH
