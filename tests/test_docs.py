@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diffdrive.drive_file import read_drive, write_drive
+from experiments.demo import PAPER_DRIVE
 from experiments.motion_reference import markdown, reference
 from experiments.scenario import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
 
@@ -61,6 +63,15 @@ def test_every_link_leads_somewhere(page):
         there = page.parent / file if file else page
         assert there.exists(), link
         assert not anchor or anchor in anchors(there), link
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/sweeps.md"])
+def test_what_the_docs_say_in_python_runs(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_drive(tmp_path / "drive.toml", read_drive(PAPER_DRIVE))
+    (program,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
+    exec(compile(program, page, "exec"), {})
+    assert "um" in capsys.readouterr().out
 
 
 def test_every_page_is_in_the_readme():
