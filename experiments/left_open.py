@@ -11,7 +11,6 @@ from tuning.identification import Identified
 
 FILE = "uncertainty.toml"
 NOT_IN_A_FILE = ("coulomb_at_no_load", "delay")  # the first is told by others, the second is no number of its own
-LOOSE = 0.01  # correlation, below which there is none to speak of
 
 
 def uncertainty(found: Identified) -> dict[str, dict[str, object]]:
@@ -29,8 +28,7 @@ def uncertainty(found: Identified) -> dict[str, dict[str, object]]:
             name_of(found.estimates[j]): float(np.clip(found.scatter[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0))
             for j in kept[at + 1 :]
         }
-        others = {name: round(value, 6) for name, value in others.items() if abs(value) > LOOSE}
-        if others:
+        if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
             correlation[name_of(found.estimates[k])] = others
     return {"vary": dict(vary), "correlation": correlation}
 

@@ -319,6 +319,7 @@ def test_what_it_left_open_is_what_a_sweep_varies(identified):
     fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
     names = [text.partition("=")[0] for text in texts]
     assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
+    assert sum(map(len, together.values())) == len(names) * (len(names) - 1) / 2  # no pair is left out
     drawn = correlated(shares("sobol", len(texts), 0, 0, 4096), root_of(together, names))
     machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
     for name, value in values.items():

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from diffdrive.errors import DiffdriveError, ParameterError
 from experiments.demo import PAPER_DRIVE
@@ -101,6 +104,21 @@ def test_quantities_that_are_one_are_one():
 
 def test_nothing_hangs_together_by_itself():
     assert root_of({}, ["a"]) is None
+
+
+@given(hnp.arrays(float, (6, 3), elements=st.floats(-1.0, 1.0)), st.floats(1e-9, 1e-2))
+def test_what_hangs_together_but_for_a_little_is_taken_though_its_numbers_were_rounded(along, apart):
+    """An identification that holds the sum of two parameters and hardly either: rounded, the matrix is not positive."""
+    covariance = along @ along.T + apart * np.eye(6)
+    deviation = np.sqrt(np.diag(covariance))
+    matrix = covariance / np.outer(deviation, deviation)
+    names = list("abcdef")
+    rounded = {
+        one: {other: round(float(matrix[i, j]), 3) for j, other in enumerate(names) if j > i}
+        for i, one in enumerate(names)
+    }
+    root = root_of(rounded, names)
+    np.testing.assert_allclose(root @ root.T, matrix, atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from scipy.stats import qmc
 from diffdrive.errors import ParameterError
 
 Method = Literal["sobol", "latin-hypercube", "random"]
+ROUNDED = 0.01  # of a correlation: numbers that were rounded may be of no quantities by as much
 
 
 def shares(
@@ -49,7 +50,7 @@ def root_of(correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]
     """A matrix whose product with its transpose is the correlation between `names`; None where there is none.
 
     `correlation` holds pairs of names, each pair once or twice. Raises `ParameterError` for numbers that no quantities
-    can have.
+    can have. What rounding made impossible becomes what is possible nearby.
     """
     if not correlation:
         return None
@@ -66,10 +67,11 @@ def root_of(correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]
                 raise ParameterError(f"correlation: of {one} and {other} is {value!r}: one number from -1 to 1")
             matrix[a, b] = matrix[b, a] = value
     bends, along = np.linalg.eigh(matrix)
-    if bends[0] < -1e-6:
-        raise ParameterError("correlation: no quantities can be correlated like that (the matrix is not positive)")
     root = along * np.sqrt(np.clip(bends, 0.0, None)) @ along.T
-    return np.asarray(root / np.linalg.norm(root, axis=1, keepdims=True))
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    if np.abs(root @ root.T - matrix).max() > ROUNDED:
+        raise ParameterError("correlation: no quantities can be correlated like that (the matrix is not positive)")
+    return np.asarray(root)
 
 
 def correlated(shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:
