@@ -61,9 +61,10 @@ class Adequacy(NamedTuple):
                 f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
                 "parameters are the best compromise of an incomplete model, and so are their intervals"
             )
+        white = "white" if self.p_value >= IMPROBABLE else "as good as white"  # many samples show the least colour
         return (
-            f"nothing is missing that these logs would show: the force left over is {force}, the innovations are white "
-            f"(p = {self.p_value:.2g}, {100 * self.foretold:.2g} % of their variance foretold)"
+            f"nothing is missing that these logs would show: the force left over is {force}, the innovations are "
+            f"{white} (p = {self.p_value:.2g}, {100 * self.foretold:.2g} % of their variance foretold)"
         )
 
 
