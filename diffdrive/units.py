@@ -29,6 +29,7 @@ def to_si(text: str, unit: str) -> float:
             raise pint.DimensionalityError(text, unit)
         return float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
     except pint.DimensionalityError:
-        raise ValueError(f"'{text}' has the wrong unit: it must be in {unit} or a multiple of it") from None
+        wanted = "a plain number" if unit == "1" else f"in {unit} or a multiple of it"
+        raise ValueError(f"'{text}' has the wrong unit: it must be {wanted}") from None
     except Exception:
         raise ValueError(f"cannot read '{text}' as a number with a unit; write for example {example}") from None

@@ -1,5 +1,6 @@
 """The `diffdrive` command."""
 
+import errno
 import math
 import signal
 import sys
@@ -29,6 +30,7 @@ from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
 
 INTERRUPTED = 130
+FULL = (errno.ENOSPC, errno.EDQUOT)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -348,6 +350,15 @@ def main() -> None:
         app()
     except DiffdriveError as problem:
         error.print(f"error: {problem}", markup=False, style="red", soft_wrap=True)
+        sys.exit(2)
+    except OSError as problem:
+        if problem.errno not in FULL:
+            raise
+        error.print(
+            "error: no room is left on the disk: make some, or name another folder; what was written so far stays, and "
+            "where a sweep, a search or a study was under way the same command goes on",
+            markup=False, style="red", soft_wrap=True,
+        )  # fmt: skip
         sys.exit(2)
     except SystemExit as ended:
         if ended.code == INTERRUPTED:  # which typer makes of a Ctrl-C

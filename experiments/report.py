@@ -23,6 +23,8 @@ from rich.table import Table
 
 from diffdrive.errors import ParameterError
 
+RESULT = "result.json"
+
 
 def plain(value: Any, infinite: Callable[[float], Any] = str) -> Any:
     """The value as JSON can hold it, which has no infinite or undefined numbers: they become their names, or what
@@ -249,7 +251,9 @@ class Report:
         if self.out is None:
             return
         text = json.dumps(plain(self.data), indent=2, allow_nan=False)
-        (self.out / "result.json").write_text(text + "\n", encoding="utf-8")
+        half = self.out / f".{RESULT}"  # whole or not at all: a disk may be full
+        half.write_text(text + "\n", encoding="utf-8")
+        half.replace(self.out / RESULT)
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
         self.console.print(f"{stopped} {self.out}", markup=False)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive import load, motion
+from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.motion import Motion
 from diffdrive.units import to_si
@@ -57,6 +58,16 @@ def number(text: str, unit: str, where: str) -> float:
         return to_si(text, unit)
     except ValueError as problem:
         raise MotionError(f"{where}: {problem}") from None
+
+
+def require_rate(machine: DriveDescription, believed: DriveDescription) -> None:
+    """Raises `ParameterError` for a machine of another control rate than its controller's: it has delays in samples."""
+    mine, theirs = machine.sampling.rate, believed.sampling.rate
+    if mine != theirs:
+        raise ParameterError(
+            f"--machine: is sampled at {mine:g} Hz, the controller at {theirs:g} Hz: delays are told in samples: make "
+            "the rates equal"
+        )
 
 
 def at_least_zero(text: str, unit: str, where: str) -> float:

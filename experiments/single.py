@@ -18,7 +18,7 @@ from diffdrive.observer import KalmanObserver
 from diffdrive.run import Run
 from diffdrive.simulate import simulate
 from experiments.report import Report, new_figure
-from experiments.scenario import numbers, parse_load, parse_motion, require_left
+from experiments.scenario import numbers, parse_load, parse_motion, require_left, require_rate
 
 # what a machine could not log; the velocity gets another name there, as a log's is that which the machine reports
 _SIMULATED = {
@@ -46,14 +46,15 @@ def simulate_drive(
 ) -> bool:
     """`diffdrive simulate`; False if the loop diverged."""
     description = read_drive(drive)
-    truth = description.drive if machine is None else read_drive(machine).drive
+    other = description if machine is None else read_drive(machine)
+    require_rate(other, description)
     planned = parse_motion(motion, description.sampling.rate)
     require_left(settle, planned.name, planned)
     loads = parse_load(load, planned.time)
     with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
         with report.working("simulating"):
             run = simulate(
-                truth, description.controller, planned, loads,
+                other.drive, description.controller, planned, loads,
                 sampling=description.sampling, limits=description.limits, seed=seed,
             )  # fmt: skip
         report.values("run", status=run.status.message)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.errors import ParameterError
+from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.parameters import Sampling
 from diffdrive.presets import paper_drive
 from experiments import paper
@@ -103,11 +103,23 @@ def test_lanes_are_swept_in_both_precisions(tmp_path, monkeypatch):
     assert all(row[1] > 0.0 for row in rows)
 
 
+def test_a_step_by_hand_that_computes_something_else_or_nothing_is_not_compared():
+    by_hand._require_same({"C, one lane": lambda: (np.array([1e-8, 0.0]), None)}, 1e-8, 5)
+    for wrong in (2e-8, np.nan):
+        with pytest.raises(DiffdriveError, match="differs from ours"):
+            by_hand._require_same({"C, one lane": lambda wrong=wrong: (np.array([wrong, 0.0]), None)}, 1e-8, 5)
+
+
 def test_every_panel_is_drawn():
     lanes = {"columns": ["lanes", "ns a lane-step"], "rows": [[1, 500.0], [64, 50.0]]}
     others = {"columns": ["what", "ns", "over PD"], "rows": [["PD", 40.0, 1.0], ["PD+FC", 60.0, 1.5]]}
     figure = drawn({"lanes": lanes, "controllers": others, "effects": others})
-    assert [axis.get_title() for axis in figure.axes] == ["Lanes on one core", "controllers", "effects"]
+    assert [axis.get_title() for axis in figure.axes] == ["Lanes on one core", "Controllers", "Effects"]
+    assert [len(axis.patches) for axis in figure.axes] == [0, 2, 2]
+    rows = [[5, "ours", 260.0, 1.0, 400.0], [5, "C", 270.0, 1.0, 390.0]]
+    (axis,) = drawn({"single": {"columns": ["substeps", "what", "ns a step"], "rows": rows}}).axes
+    assert [bar.get_width() for bar in axis.patches] == [270.0, 260.0]
+    assert drawn({"start": others}) is None
 
 
 def test_operations_are_counted_through_loops_and_branches():

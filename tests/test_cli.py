@@ -1,8 +1,10 @@
 """The command line as a user meets it."""
 
+import errno
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import tomllib
@@ -15,6 +17,7 @@ from typer.testing import CliRunner
 from diffdrive.drive_file import read_drive
 from diffdrive.errors import DiffdriveError, LoadEstimatorWarning
 from diffdrive.logs import Mapping, read_log
+from experiments import cli
 from experiments.cli import app
 from experiments.report import Report
 from experiments.scenario import numbers as numbers_of
@@ -209,6 +212,25 @@ def test_a_command_that_is_refused_leaves_its_folder_as_it_was(drive_file, tmp_p
     assert {path.name: path.read_text() for path in good.iterdir()} == {"result.json": "an earlier one"}
     refused(command, drive_file, *options, "--out", tmp_path / "new" / "below")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_full_disk_ends_in_one_line_and_leaves_the_last_result_whole(monkeypatch, capsys, tmp_path):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(cli, "app", full)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert "no room is left on the disk" in capsys.readouterr().err
+    with Report("first", tmp_path) as report:
+        report.values("kept", number=1)
+    before = (tmp_path / "result.json").read_bytes()
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    with pytest.raises(OSError, match="No space"), Report("second", tmp_path) as report:
+        report.values("lost", number=2)
+    assert (tmp_path / "result.json").read_bytes() == before
 
 
 def test_a_log_that_cannot_be_read_leaves_the_folder_as_it_was(drive_file, tmp_path):

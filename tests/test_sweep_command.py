@@ -12,6 +12,7 @@ from diffdrive.drive_file import read_drive
 from diffdrive.errors import ParameterError
 from experiments.cli import app
 from experiments.demo import PAPER_DRIVE
+from experiments.sweeps import command
 
 MOTION = "sine:amplitude=1mm,frequency=10Hz,duration=0.1s"
 VARY = ("--vary", "plant.mass=lognormal:3%", "--vary", "load=uniform:0..10 kN")
@@ -45,7 +46,7 @@ def swept(drives):
     return result, out, json.loads((out / "result.json").read_text())
 
 
-def test_a_sweep_in_single_precision_is_another_sweep_and_replays_to_the_bit(drives, swept, tmp_path):
+def test_a_sweep_in_single_precision_is_another_sweep_and_replays_to_the_bit(drives, swept, tmp_path, monkeypatch):
     arguments = ("sweep", drives / "axis.toml", *VARY, "--motion", MOTION, "--samples", 64, "--settle", 0.02)
     result = run(*arguments, "--precision", "single", "--out", tmp_path / "swept")
     assert result.exit_code == 0, result.output
@@ -53,6 +54,10 @@ def test_a_sweep_in_single_precision_is_another_sweep_and_replays_to_the_bit(dri
     assert told["sweep"]["precision"] == "single"
     refused = run(*arguments, "--out", tmp_path / "swept")
     assert isinstance(refused.exception, ParameterError)
+    sweep = tmp_path / "swept"
+    monkeypatch.setattr(command, "ALIKE", 1e-9)
+    recorded = run(*arguments, "--precision", "single", "--record", "error", "--out", sweep)
+    assert "computed in double precision, the sweep in single" in " ".join(recorded.output.split())
     result = run("replay", tmp_path / "swept", "--machine", 5, "--out", tmp_path / "again")
     assert json.loads((tmp_path / "again" / "result.json").read_text())["as_in_the_sweep"]["to_the_last_bit"]
     assert "half" in str(run(*arguments, "--precision", "half").exception)
@@ -74,6 +79,9 @@ def test_it_says_how_often_the_axis_misses_and_why(swept):
     for name in written["figures"]:
         assert (out / name).stat().st_size > 5000, name
     assert {"distribution.png", "exceedance.png", "error_against_load.png"} <= set(written["figures"])
+    (_, unit, text, least, middle, most) = written["tables"]["varied"]["rows"][1]
+    assert (unit, text) == ("N", "uniform:0..10 kN")
+    assert 0.0 <= least < 500.0 < 4500.0 < middle < 5500.0 < 9500.0 < most <= 10_000.0
 
 
 def test_the_worst_machines_are_recorded(swept):
@@ -90,6 +98,7 @@ def test_the_worst_machines_are_recorded(swept):
             row = rows["controller"].index(controller) + int(number)
             assert rows["machine"][row] == number
             assert np.max(np.abs(after)) == pytest.approx(rows["peak_m"][row], rel=0.02)
+            assert np.max(np.abs(after)) == float(found.peak_m.sel(controller=controller, machine=number))
             assert float(found["plant.mass"].sel(machine=number)) == rows["plant.mass"][row]
     assert np.isnan(found.load_estimate.sel(controller="plain")).all()
 
@@ -106,6 +115,9 @@ def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_pat
     refused = run("replay", out, "--machine", 77, "--controller", "plian")
     assert "--controller 'plian': is not of this sweep; known: axis, plain" in str(refused.exception)
     assert not refused.output.strip()
+    before = (out / "result.json").read_bytes()
+    assert "holds a sweep" in str(run("replay", out, "--machine", 77, "--out", out).exception)
+    assert (out / "result.json").read_bytes() == before
     assert run("replay", out, "--machine", 128).exit_code != 0
     assert run("replay", tmp_path, "--machine", 1).exit_code != 0
 
@@ -125,6 +137,38 @@ def test_a_second_run_computes_nothing_and_another_sweep_is_refused(swept, drive
     assert other.exit_code != 0
     assert "is of another sweep" in str(other.exception)
     assert {name: (out / name).read_bytes() for name in before} == before
+
+
+def test_the_results_of_another_command_are_not_overwritten(drives, tmp_path):
+    (tmp_path / "result.json").write_text("{}")
+    refused = run("sweep", drives / "axis.toml", "--motion", MOTION, "--samples", 8, "--settle", 0, "--out", tmp_path)
+    assert "holds the results of another command" in str(refused.exception)
+    assert (tmp_path / "result.json").read_text() == "{}"
+
+
+def test_what_no_quantity_drives_is_said(drives, tmp_path):
+    """The load comes when the motion is over: nothing but noise is left."""
+    late = (
+        "--vary",
+        "load.change=uniform:0..10 kN",
+        "--vary",
+        "load.from=uniform:9..10 s",
+        "--vary",
+        "load.to=fixed:11 s",
+    )
+    result = run("sweep", drives / "axis.toml", *late, "--motion", MOTION, "--samples", 128, "--settle", 0.02)
+    assert result.exit_code == 0, result.output
+    assert "No quantity stands out" in result.output
+
+
+@pytest.mark.parametrize("command", ["sweep", "simulate"])
+def test_a_machine_of_another_rate_is_refused(drives, tmp_path, command):
+    (tmp_path / "slow.toml").write_text((drives / "plain.toml").read_text().replace('"10 kHz"', '"4 kHz"'))
+    assert read_drive(tmp_path / "slow.toml").sampling.rate == 4e3
+    refused = run(
+        command, drives / "plain.toml", "--machine", tmp_path / "slow.toml", "--motion", MOTION, "--settle", 0
+    )
+    assert "is sampled at 4000 Hz, the controller at 10000 Hz" in str(refused.exception)
 
 
 def test_machines_that_diverge_are_counted_and_the_code_is_3(drives, tmp_path):
@@ -168,6 +212,8 @@ def test_what_decides_over_divergence_is_said(drives, tmp_path):
         (("--method", "grid", "--out", "x"), "--method: no method 'grid'; known: sobol, latin-hypercube, random"),
         (("--load", "stepp:to=3"), "--load: no shape 'stepp'; known: constant, step, ramp, "),
         (("--load", "-90 kN", "--out", "x"), "lifts the table"),
+        (("--vary", "effects.loop_delay.delay=fixed:12", "--out", "x"), "at most 8"),
+        (("--vary", "effects.loop_delay.delay=uniform:0..0.2 ms", "--out", "x"), "it must be a plain number"),
         (("--cluster", "foo", "--out", "x"), "--cluster foo: write tcp://host:8786"),
         (("--settle", "0.5", "--out", "x"), "--settle: 0.5 s leaves nothing of sine (0.1 s)"),
         (("--tolerance", "2 N"), "--tolerance"),

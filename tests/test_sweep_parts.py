@@ -1,5 +1,7 @@
 """A sweep in parts: the same rows however it was run, and whatever was done stays done."""
 
+import dataclasses
+
 import numpy as np
 import pyarrow.compute as pc
 import pytest
@@ -88,6 +90,8 @@ def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, monkeypatch):
     run(plan(8), tmp_path, lambda done: None)
     before = path_of(tmp_path, 0).read_bytes()
     others = [plan(8, seed=6), plan(8, vary=VARY[:1]), plan(8, settle=0.01), plan(8, method="random")]
+    wider = dataclasses.replace(AXIS, limits=Limits(stroke=(-0.1, 0.1)))  # which says what has diverged
+    others.append(dataclasses.replace(plan(8), axis=wider))
     for other in others:
         with pytest.raises(ParameterError, match="is of another sweep"):
             run(other, tmp_path, lambda done: None)

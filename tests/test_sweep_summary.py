@@ -3,6 +3,7 @@
 import numpy as np
 import pyarrow as pa
 import pytest
+import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -151,3 +152,20 @@ def test_what_does_not_vary_has_no_influence():
     values = np.random.default_rng(7).random((500, 2))
     values[:, 1] = 3.0
     assert [one.name for one in influences(["a", "fixed"], values, np.exp(values[:, 0]))] == ["a"]
+
+
+@pytest.mark.parametrize("method", ["random", "sobol"])
+def test_the_interval_of_a_share_is_that_of_random_machines_and_wide_for_evenly_spread_ones(method):
+    weight = np.array([3.0, 2.0, 1.0] + [0.0] * 11)
+    true, names = weight**2 / np.sum(weight**2), [str(k) for k in range(14)]
+    off, wide = [], []
+    for seed in range(40):
+        drawn = shares(method, 14, seed, 0, 1024)
+        normal = scipy.stats.norm.ppf(np.clip(drawn, 1e-9, 1.0 - 1e-9))
+        told = {one.name: one for one in influences(names, drawn, np.exp(0.1 * normal @ weight), seed)}
+        off.append([told[name].share - true[k] for k, name in enumerate(names[:3])])
+        wide.append([told[name].uncertain for name in names[:3]])
+    held = np.mean(np.abs(off) <= wide)
+    assert 0.88 < held < 0.99 if method == "random" else held == 1.0
+    if method == "sobol":
+        assert np.all(1.96 * np.std(off, axis=0) < np.mean(wide, axis=0) / 3.0)

@@ -71,7 +71,7 @@ class LoopDelay(ActuatorEffect):
 
     name: ClassVar[str] = "loop_delay"
     stage: ClassVar[Stage] = Stage.DELAYED
-    delay: Scalar = quantity("1", "control periods", at_least=0.0, default=0.0)
+    delay: Scalar = quantity("1", "control periods", at_least=0.0, at_most=float(LONGEST_DELAY), default=0.0)
 
     def init(self, force: Scalar) -> Any:
         """Forces on their way, the latest first."""

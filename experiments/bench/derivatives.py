@@ -53,23 +53,23 @@ def reverse(report: Report) -> dict[str, float]:
 
 
 def tuner(report: Report) -> dict[str, float]:
-    """An iteration of the search that `diffdrive tune` makes, beside one pass for residuals and Jacobian."""
+    """An iteration of Levenberg-Marquardt as fits make it, beside one pass for residuals and Jacobian."""
     steps, sampling = 50_000, Sampling(RATE, COARSE)
     drive, controller = nominal()
     with report.working("the tuner's iteration"):
         given = loops.inputs(steps)
         (one_pass, few, less), (_, many, more) = (loops.tuner(drive, controller, given, sampling, n) for n in (2, 6))
-        told = clock.by_turns({"pass": one_pass.run, "few": few, "many": many}, rounds=3)
-    each = (told["many"].median - told["few"].median) / (more - less) if more > less else 0.0
+        told = clock.by_turns({"pass": one_pass.run, "few": few, "many": many}, rounds=7)
+    each = (told["many"].best - told["few"].best) / (more - less) if more > less else 0.0
     if not each > 0.0:
         report.say("The tuner's iteration is not told: more steps took no more time, or were none. Try again.")
         return {}
     rows = [
-        ["residuals and Jacobian", told["pass"].median, 1.0],
-        ["iteration", each, each / told["pass"].median],
+        ["residuals and Jacobian", told["pass"].best, 1.0],
+        ["iteration", each, each / told["pass"].best],
     ]
     report.table(
         "tuner", ("what", "s", "over the pass"), rows,
         f"Levenberg-Marquardt on {steps} residuals of one lane, eight parameters ({more} steps less {less})",
     )  # fmt: skip
-    return {"tuner's iteration over jacfwd": each / told["pass"].median}
+    return {"tuner's iteration over jacfwd": each / told["pass"].best}

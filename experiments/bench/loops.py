@@ -175,8 +175,8 @@ def reverse(drive: Drive, controller: Controller, given: Inputs, sampling: Sampl
 def tuner(
     drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, steps: int
 ) -> tuple[Loop, Callable[[], Any], int]:
-    """One pass that gives residuals and Jacobian; and a search of so many steps as `diffdrive tune` makes it, with how
-    many it takes.
+    """One pass that gives residuals and Jacobian; and a Levenberg-Marquardt search of so many steps, with how many it
+    takes.
     """
     eight = _Eight.of(drive, controller)
 

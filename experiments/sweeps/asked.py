@@ -11,7 +11,7 @@ from diffdrive.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.motion_file import parse_motion_table, read_motion
-from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion
+from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion, require_rate
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.samples import Method
@@ -64,6 +64,7 @@ class Asked:
         believed = parse_drive(self.drive, self.name)
         axis = believed if self.machine is None else parse_drive(self.machine, "the machine")
         sampling = believed.sampling
+        require_rate(axis, believed)
         axis = dataclasses.replace(axis, sampling=sampling, limits=believed.limits)
         controllers = {self.name: believed.controller}
         for name, tables in self.against.items():

@@ -16,11 +16,17 @@ BINS = 24
 def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     """How the error is distributed over the machines, a curve for each controller; lower and further left is better."""
     figure, axis = new_figure(width=8.0, height=4.0)
+    start, edge = _ends(groups, tolerance, by)
     for group in groups:
         errors = np.sort(1e6 * group.error(by))
-        shares = np.arange(1, len(errors) + 1) / len(errors)
-        finite = np.isfinite(errors)  # the curve of a controller that diverges ends below 100 %
-        axis.step(errors[finite], 100.0 * shares[finite], where="post", label=group.controller)
+        shares = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
+        good = np.isfinite(errors)
+        at, told = errors[good], shares[good]
+        if not good.all():  # goes on below 100 %, to the edge
+            at, told = np.append(at, 1e6 * edge), np.append(told, 100.0 * np.mean(good))
+        if not good.any():
+            at, told = 1e6 * np.array([start, edge]), np.zeros(2)
+        axis.step(at, told, where="post", label=_label(group))
     _tolerance(axis, tolerance)
     axis.set(xscale="log", xlabel=f"{_name(by)}, um", ylabel="machines with at most that, %", title=groups[0].motion)
     plain_logarithmic(axis.xaxis)
@@ -31,12 +37,15 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
 def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     """How probable it is that a machine misses a tolerance, over the tolerance, with its 95 % interval."""
     figure, axis = new_figure(width=8.0, height=4.0)
+    start, edge = _ends(groups, tolerance, by)
     for group in groups:
         errors = group.error(by)
         finite = errors[np.isfinite(errors)]
-        at = np.geomspace(max(np.min(finite), 1e-12), np.max(finite) * 1.05, 80)
+        first = np.min(finite, initial=edge) if finite.size else start
+        last = edge if finite.size < errors.size else np.max(finite) * 1.05  # who diverged misses any tolerance
+        at = np.geomspace(max(first, 1e-12), last, 80)
         told = [exceedance(errors, one) for one in at]
-        line = axis.plot(1e6 * at, [100 * one.value for one in told], label=group.controller)[0]
+        line = axis.plot(1e6 * at, [100 * one.value for one in told], label=_label(group))[0]
         low, high = ([100 * end for end in ends] for ends in zip(*(one[1:] for one in told), strict=True))
         axis.fill_between(1e6 * at, low, high, color=line.get_color(), alpha=0.2, lw=0)
     _tolerance(axis, tolerance)
@@ -52,7 +61,10 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
 
 
 def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> Any:
-    """The error over a quantity that varies: each machine, and median and 95 % of a slice of them."""
+    """The error over a quantity that varies: each machine, and median and 95 % of a slice of them.
+
+    Machines that diverged are crosses at the upper edge; a line ends where what it tells of is infinite.
+    """
     figure, axis = new_figure(width=8.0, height=4.0)
     scale, shown = _readable(unit, np.max(np.abs(groups[0].column(name))))
     for k, group in enumerate(groups):
@@ -60,7 +72,12 @@ def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | No
         good = np.isfinite(errors)
         some = np.flatnonzero(good)[:MOST_POINTS]
         axis.plot(values[some], errors[some], ".", ms=2, alpha=0.25, color=f"C{k}")
-        middles, medians, highs = _sliced(values[good], errors[good])
+        lost = np.flatnonzero(~good)[:MOST_POINTS]
+        if lost.size:
+            edge = np.full(lost.size, 1.0 - 0.02 * k)
+            axis.plot(values[lost], edge, "x", ms=4, alpha=0.5, color=f"C{k}", transform=axis.get_xaxis_transform(),
+                      clip_on=False, label=f"{group.controller}: diverged")  # fmt: skip
+        middles, medians, highs = _sliced(values, errors)
         axis.plot(middles, medians, color=f"C{k}", label=f"{group.controller}: median")
         axis.plot(middles, highs, "--", color=f"C{k}", label="95 %")
     _tolerance(axis, tolerance, horizontal=True)
@@ -68,6 +85,17 @@ def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | No
     plain_logarithmic(axis.yaxis)
     axis.legend(fontsize=8)
     return figure
+
+
+def _ends(groups: Sequence[Group], tolerance: float | None, by: str) -> tuple[float, float]:
+    """From which error to which a figure goes (m)."""
+    errors = np.concatenate([group.error(by) for group in groups])
+    told = np.append(errors[np.isfinite(errors) & (errors > 0.0)], [] if tolerance is None else tolerance)
+    return float(np.min(told)), 1.3 * float(np.max(told))
+
+
+def _label(group: Group) -> str:
+    return f"{group.controller}, all diverged" if group.diverged.all() else group.controller
 
 
 def _readable(unit: str, largest: float) -> tuple[float, str]:
@@ -81,9 +109,9 @@ def _sliced(values: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Median and 95 % over slices of equally many machines."""
     order = np.argsort(values, kind="stable")
     slices = [part for part in np.array_split(order, min(BINS, max(1, len(order) // 16))) if len(part)]
-    told = [(np.mean(values[part]), np.median(errors[part]), np.quantile(errors[part], 0.95)) for part in slices]
-    middles, medians, highs = np.array(told).reshape(-1, 3).T
-    return middles, medians, highs
+    shares = [np.quantile(errors[part], (0.5, 0.95), method="inverted_cdf") for part in slices]
+    medians, highs = np.where(np.isfinite(shares), shares, np.nan).T
+    return np.array([np.mean(values[part]) for part in slices]), medians, highs
 
 
 def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Generator
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
@@ -85,14 +86,17 @@ def run(plan: Plan, folder: Path, done: Done, engine: Engine = here, say: Say = 
     return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
 
 
-def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) -> tuple[float, float] | None:
-    """RMS and peak error (m) of one run of the sweep in `folder`; None where it is not there, or of another edition."""
+def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) -> list[float] | None:
+    """RMS and peak error (m) of one run of the sweep in `folder`, and when it diverged (s; NaN if it did not).
+
+    None where it is not there, or of another edition.
+    """
     path = path_of(folder, number // plan.part_size)
     if _question(path) != plan.question().encode():
         return None
     wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
-    rows = pq.read_table(path, columns=["rms_m", "peak_m"], filters=wanted).to_pylist()
-    return (rows[0]["rms_m"], rows[0]["peak_m"]) if rows else None
+    rows = pq.read_table(path, columns=["rms_m", "peak_m", "diverged_at_s"], filters=wanted).to_pylist()
+    return [np.nan if value is None else value for value in rows[0].values()] if rows else None
 
 
 def len_of(plan: Plan, part: int) -> int:

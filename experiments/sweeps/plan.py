@@ -308,6 +308,7 @@ class Plan:
         asked += [None if one is None else [one.kind, one.settings] for one in self.recipes.values()]
         text.update(json.dumps(asked).encode())
         models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
+        text.update(repr(self.axis.limits).encode())  # they say what has diverged
         text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())
         for name, motion in self.motions.items():
             text.update(name.encode() + np.ascontiguousarray(motion.position).tobytes())

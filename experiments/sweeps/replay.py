@@ -80,6 +80,13 @@ def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: in
     return judged(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
 
 
+def errors_of(plan: Plan, run: Run) -> tuple[float, float]:
+    """RMS and peak error (m) of a run from where errors count."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(run.error[run.time >= plan.settle])
+        return float(np.sqrt(np.mean(error**2))), float(np.max(error))
+
+
 def costs_again(plan: Plan, number: int, controller: str, motion: str) -> Outcome:
     """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
     return plan.costs_of(np.array([number]), motion, [controller])[controller]
@@ -91,6 +98,7 @@ def traces(
     """Signals of some machines along a motion as an xarray.Dataset: [controller, machine, time] each.
 
     A signal that a controller does not have is NaN, and so is one after the end of a course that is shorter.
+    `rms_m` and `peak_m` are the errors of what is recorded.
     Raises `ParameterError` for a signal that there is not.
     """
     import xarray as xr
@@ -111,15 +119,20 @@ def traces(
     def varied(name: str) -> tuple[str, list[float], dict[str, str]]:
         return "machine", [machine.values[name] for machine in drawn], {"units": plan.units[name]}
 
+    recorded = {
+        name: (
+            ("controller", "machine", "time"),
+            np.array([[told(run, name) for run in row] for row in runs]),
+            {"units": SIGNALS[name]},
+        )
+        for name in names
+    }
+    errors = np.array([[errors_of(plan, run) for run in row] for row in runs])
+    judged_by = {
+        name: (("controller", "machine"), errors[..., k], {"units": "m"}) for k, name in enumerate(("rms_m", "peak_m"))
+    }
     return xr.Dataset(
-        {
-            name: (
-                ("controller", "machine", "time"),
-                np.array([[told(run, name) for run in row] for row in runs]),
-                {"units": SIGNALS[name]},
-            )
-            for name in names
-        },
+        recorded | judged_by,
         {
             "controller": controllers,
             "machine": numbers,
