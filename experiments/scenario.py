@@ -18,6 +18,7 @@ from diffdrive.motion import Motion
 from diffdrive.units import to_si
 from experiments.motion_file import parse_motion_table, read_motion
 
+SAME_RATE = 1e-6  # relative: what units and rounding make of one rate
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
     "constant_speed": motion.constant_speed,
@@ -63,10 +64,10 @@ def number(text: str, unit: str, where: str) -> float:
 def require_rate(machine: DriveDescription, believed: DriveDescription) -> None:
     """Raises `ParameterError` for a machine of another control rate than its controller's: it has delays in samples."""
     mine, theirs = machine.sampling.rate, believed.sampling.rate
-    if mine != theirs:
+    if abs(mine / theirs - 1.0) > SAME_RATE:
         raise ParameterError(
-            f"--machine: is sampled at {mine:g} Hz, the controller at {theirs:g} Hz: delays are told in samples: make "
-            "the rates equal"
+            f"--machine: is sampled at {mine:.10g} Hz, the controller at {theirs:.10g} Hz: delays are told in samples: "
+            "make the rates equal"
         )
 
 

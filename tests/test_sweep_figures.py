@@ -45,6 +45,16 @@ def test_a_distribution_with_machines_that_diverged_ends_below_all_of_them():
     assert set(found["wild, all diverged"].get_data()[1]) == {0.0}
 
 
+@pytest.mark.parametrize("tolerance", [None, TOLERANCE])
+def test_an_axis_that_holds_still_has_no_error_and_is_drawn(tolerance):
+    still = group(np.zeros(100), "still")
+    for groups in ([still], [still, SOUND]):
+        misses = told(figures.exceeded(groups, tolerance, "peak_m"))["still"].get_data()[1]
+        assert set(misses) == {0.0}
+        assert told(figures.distribution(groups, tolerance, "peak_m"))["still"].get_data()[1][-1] == 100.0
+        figures.against(groups, "load", "N", tolerance, "peak_m").canvas.draw()
+
+
 def test_machines_that_diverged_are_marked_and_count_in_the_slices():
     figure = figures.against([PARTLY, WILD], "load", "N", TOLERANCE, "peak_m")
     found = told(figure)

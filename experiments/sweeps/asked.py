@@ -11,7 +11,7 @@ from diffdrive.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.motion_file import parse_motion_table, read_motion
-from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion, require_rate
+from experiments.scenario import MOTIONS, SAME_RATE, Recipe, motion_recipe, parse_motion, require_rate
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.samples import Method
@@ -69,7 +69,7 @@ class Asked:
         controllers = {self.name: believed.controller}
         for name, tables in self.against.items():
             other = parse_drive(tables, name)
-            if other.sampling.rate != sampling.rate:
+            if abs(other.sampling.rate / sampling.rate - 1.0) > SAME_RATE:
                 raise ParameterError(
                     f"{name}: is sampled at {other.sampling.rate:g} Hz, {self.name} at {sampling.rate:g} Hz: on the "
                     "same machines and motions they must be equal"

@@ -123,7 +123,7 @@ def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | 
         if told:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
             report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
-    strongest = [told[0].name for _, told in found if told]
+    strongest = [told[0].name for _, told in found if told and told[0].share > told[0].uncertain]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
         drawn = figures.against(every, name, plan.units[name], tolerance, by)
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)

@@ -11,6 +11,7 @@ from experiments.sweeps.summary import Group, exceedance
 
 MOST_POINTS = 4000  # of a cloud: more are a blot
 BINS = 24
+LEAST = 1e-12  # m, where a figure begins if no machine has an error at all
 
 
 def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
@@ -21,7 +22,7 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
         errors = np.sort(1e6 * group.error(by))
         shares = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
         good = np.isfinite(errors)
-        at, told = errors[good], shares[good]
+        at, told = np.maximum(errors[good], 1e6 * start), shares[good]
         if not good.all():  # goes on below 100 %, to the edge
             at, told = np.append(at, 1e6 * edge), np.append(told, 100.0 * np.mean(good))
         if not good.any():
@@ -43,7 +44,7 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
         finite = errors[np.isfinite(errors)]
         first = np.min(finite, initial=edge) if finite.size else start
         last = edge if finite.size < errors.size else np.max(finite) * 1.05  # who diverged misses any tolerance
-        at = np.geomspace(max(first, 1e-12), last, 80)
+        at = np.geomspace(max(first, start), max(last, start), 80)
         told = [exceedance(errors, one) for one in at]
         line = axis.plot(1e6 * at, [100 * one.value for one in told], label=_label(group))[0]
         low, high = ([100 * end for end in ends] for ends in zip(*(one[1:] for one in told), strict=True))
@@ -66,9 +67,10 @@ def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | No
     Machines that diverged are crosses at the upper edge; a line ends where what it tells of is infinite.
     """
     figure, axis = new_figure(width=8.0, height=4.0)
+    start, _ = _ends(groups, tolerance, by)  # where machines without any error are drawn
     scale, shown = _readable(unit, np.max(np.abs(groups[0].column(name))))
     for k, group in enumerate(groups):
-        values, errors = scale * group.column(name), 1e6 * group.error(by)
+        values, errors = scale * group.column(name), 1e6 * np.maximum(group.error(by), start)
         good = np.isfinite(errors)
         some = np.flatnonzero(good)[:MOST_POINTS]
         axis.plot(values[some], errors[some], ".", ms=2, alpha=0.25, color=f"C{k}")
@@ -91,6 +93,7 @@ def _ends(groups: Sequence[Group], tolerance: float | None, by: str) -> tuple[fl
     """From which error to which a figure goes (m)."""
     errors = np.concatenate([group.error(by) for group in groups])
     told = np.append(errors[np.isfinite(errors) & (errors > 0.0)], [] if tolerance is None else tolerance)
+    told = told if told.size else np.array([LEAST])
     return float(np.min(told)), 1.3 * float(np.max(told))
 
 

@@ -21,7 +21,7 @@ from diffdrive.parameters import Drive, require_double_precision
 from diffdrive.simulate import Costs
 from experiments.edition import edition
 from experiments.runtime import arithmetic
-from experiments.scenario import Recipe, load_recipe, parse_load, require_left
+from experiments.scenario import SAME_RATE, Recipe, load_recipe, parse_load, require_left
 from experiments.sweeps.courses import Course, Courses, at_corners, for_all, for_each, of_a_course, settings
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_of
 from experiments.sweeps.machines import Values, lane, machines
@@ -86,7 +86,7 @@ class Plan:
             if not plan._varies("motion"):  # else none of the machines may run that one
                 require_within(motion, axis.limits)
                 require_left(plan.settle, name, motion)
-            if abs(motion.rate / axis.sampling.rate - 1.0) > 1e-6:
+            if abs(motion.rate / axis.sampling.rate - 1.0) > SAME_RATE:
                 raise ParameterError(
                     f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
                     "make them equal"

@@ -150,10 +150,16 @@ def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
             f"What drives the spread: share of the variance of the logarithm of the {ERRORS[by]}, and its mean in the "
             "lowest and highest sixth" + (TOGETHER if plan.correlation else ""),
         )
-    elif any(every for _, every in found):
-        report.say("No quantity stands out by its share of the spread: more machines would tell smaller shares.")
-    elif plan.varied:
-        report.say(f"No sensitivities: they take {FEWEST} machines that did not diverge and are not all alike.")
+    for one, every in found if plan.varied else ():
+        place = f"{one.motion}, {one.controller}"
+        if not every:
+            report.say(
+                f"{place}: no sensitivities: they take {FEWEST} machines that did not diverge and are not all alike."
+            )
+        elif not any(each.share > each.uncertain for each in every):
+            report.say(
+                f"{place}: no quantity stands out by its share of the spread; more machines tell smaller shares."
+            )
 
 
 def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) -> None:
