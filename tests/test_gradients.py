@@ -215,9 +215,9 @@ def by_the_gain(kept, every, samples=SAMPLES):
     return jax.jit(jax.value_and_grad(cost)).lower(jnp.asarray(PAPER_KP)).compile()
 
 
-@pytest.mark.parametrize(("kept", "every"), [(2, 1), (3, 5)])
+@pytest.mark.parametrize(("kept", "every"), [(2, 1), (2, 4)])
 def test_how_many_steps_reverse_mode_keeps_changes_no_gradient(kept, every):
-    """A remainder in both: 1801 steps in pairs, the 4 between two recorded ones in threes."""
+    """A remainder in both: 1801 steps in pairs, and the 3 between two recorded ones."""
     at = jnp.asarray(PAPER_KP)
     np.testing.assert_allclose(by_the_gain(kept, every)(at), by_the_gain(1, every)(at), rtol=1e-9)
 
