@@ -123,7 +123,7 @@ def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | 
         if told:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
             report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
-    strongest = [told[0].name for _, told in found if told and told[0].share > told[0].uncertain]
+    strongest = [told[0].name for _, told in found if told and told[0].clear]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
         drawn = figures.against(every, name, plan.units[name], tolerance, by)
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)
@@ -159,10 +159,10 @@ def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequen
 
 def _why_apart(plan: Plan) -> str:
     if plan.precision == "single":
-        return "The signals are computed in double precision, the sweep in single, and differ by more than 1 %"
+        return f"The signals are computed in double precision, the sweep in single, and differ by more than {ALIKE:.0%}"
     return (
         "The signals are of a machine by itself, whose last digits differ; on a quantised scale, or at the edge of "
-        "stability, such runs part, here by more than 1 %"
+        f"stability, such runs part, here by more than {ALIKE:.0%}"
     )
 
 

@@ -42,7 +42,7 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     for group in groups:
         errors = group.error(by)
         finite = errors[np.isfinite(errors)]
-        first = np.min(finite, initial=edge) if finite.size else start
+        first = np.min(finite) if finite.size else start
         last = edge if finite.size < errors.size else np.max(finite) * 1.05  # who diverged misses any tolerance
         at = np.geomspace(max(first, start), max(last, start), 80)
         told = [exceedance(errors, one) for one in at]
@@ -123,9 +123,8 @@ def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
     errors = group.error(by)
     middle = 1e6 * float(np.exp(np.mean(np.log(errors[np.isfinite(errors) & (errors > 0.0)]))))
     for row, one in enumerate(reversed(found)):
-        told = one.share > one.uncertain
         for end, colour, side in ((one.low, "C0", 0.15), (one.high, "C1", -0.15)):
-            axis.barh(row + side, 1e6 * end - middle, left=middle, color=colour if told else "0.8", height=0.3)
+            axis.barh(row + side, 1e6 * end - middle, left=middle, color=colour if one.clear else "0.8", height=0.3)
         edge = max(1e6 * one.low, 1e6 * one.high, middle)
         axis.annotate(f" {100 * one.share:.0f} %", (edge, row), va="center", fontsize=8)
     axis.axvline(middle, color="0.3", lw=0.8)

@@ -36,6 +36,11 @@ class Influence(NamedTuple):
     high: float  # where it is high
     chance: float = 1.0  # of events: that they lie so by chance, in any of the quantities
 
+    @property
+    def clear(self) -> bool:
+        """Whether the share is more than its interval: the others may be noise."""
+        return self.share > self.uncertain
+
 
 def influences(
     names: Sequence[str], values: Float[np.ndarray, "n d"], errors: Float[np.ndarray, " n"], seed: int = 0
