@@ -1,6 +1,5 @@
 """The `diffdrive` command."""
 
-import errno
 import math
 import signal
 import sys
@@ -28,9 +27,9 @@ from experiments.cli_options import (
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
+from experiments.whole import FULL
 
 INTERRUPTED = 130
-FULL = (errno.ENOSPC, errno.EDQUOT)
 
 app = typer.Typer(
     no_args_is_help=True,

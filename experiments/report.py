@@ -22,6 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from diffdrive.errors import ParameterError
+from experiments.whole import whole
 
 RESULT = "result.json"
 
@@ -251,9 +252,8 @@ class Report:
         if self.out is None:
             return
         text = json.dumps(plain(self.data), indent=2, allow_nan=False)
-        half = self.out / f".{RESULT}"  # whole or not at all: a disk may be full
-        half.write_text(text + "\n", encoding="utf-8")
-        half.replace(self.out / RESULT)
+        with whole(self.out / RESULT) as half:
+            half.write_text(text + "\n", encoding="utf-8")
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
         self.console.print(f"{stopped} {self.out}", markup=False)
 

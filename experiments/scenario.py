@@ -61,12 +61,12 @@ def number(text: str, unit: str, where: str) -> float:
         raise MotionError(f"{where}: {problem}") from None
 
 
-def require_rate(machine: DriveDescription, believed: DriveDescription) -> None:
-    """Raises `ParameterError` for a machine of another control rate than its controller's: it has delays in samples."""
-    mine, theirs = machine.sampling.rate, believed.sampling.rate
+def require_rate(where: str, other: DriveDescription, believed: DriveDescription) -> None:
+    """Raises `ParameterError` for a machine or controller of another control rate: its delays are told in samples."""
+    mine, theirs = other.sampling.rate, believed.sampling.rate
     if abs(mine / theirs - 1.0) > SAME_RATE:
         raise ParameterError(
-            f"--machine: is sampled at {mine:.10g} Hz, the controller at {theirs:.10g} Hz: delays are told in samples: "
+            f"{where}: is sampled at {mine:.10g} Hz, the drive file at {theirs:.10g} Hz: delays are told in samples: "
             "make the rates equal"
         )
 

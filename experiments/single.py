@@ -47,7 +47,7 @@ def simulate_drive(
     """`diffdrive simulate`; False if the loop diverged."""
     description = read_drive(drive)
     other = description if machine is None else read_drive(machine)
-    require_rate(other, description)
+    require_rate("--machine", other, description)
     planned = parse_motion(motion, description.sampling.rate)
     require_left(settle, planned.name, planned)
     loads = parse_load(load, planned.time)

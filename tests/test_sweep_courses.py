@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,6 +21,7 @@ from experiments.cli import app
 from experiments.demo import PAPER_DRIVE
 from experiments.scenario import LOADS, MOTIONS, motion_recipe, parse_load, parse_motion
 from experiments.sweeps.courses import _rounded_up, at_corners
+from experiments.sweeps.engine import block
 from experiments.sweeps.machines import lane
 from experiments.sweeps.plan import Plan
 
@@ -104,13 +106,21 @@ def test_a_loop_that_runs_away_after_the_end_of_its_course_has_not_diverged():
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("held", [1.0, 1e12])
-def test_how_many_are_held_at_once_changes_nothing(monkeypatch, held):
+def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
     planned = plan()
-    wanted = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
-    monkeypatch.setattr("experiments.sweeps.plan.MOST_HELD", held)
-    found = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
-    assert all(np.array_equal(one, other) for one, other in zip(wanted, found, strict=True))
+    assert len(planned.numbers(0)) > 64
+    found = []
+    for held in (64, 128):  # in two portions, the second of them not full, and in one
+        monkeypatch.setattr(Plan, "_at_once", lambda *_, held=held: held)
+        found.append(planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs)
+    assert all(np.array_equal(one, other) for one, other in zip(*found, strict=True))
+
+
+def test_memory_bounds_how_many_are_held_at_once(monkeypatch):
+    planned = plan()
+    assert planned._at_once(SINE) == block(own_courses=True) * len(jax.devices())
+    monkeypatch.setattr("experiments.sweeps.plan.MOST_HELD", 1.0)
+    assert planned._at_once(SINE) == block(own_courses=True)
 
 
 def test_what_no_machine_runs_refuses_none():

@@ -11,10 +11,11 @@ from diffdrive.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
 from experiments.motion_file import parse_motion_table, read_motion
-from experiments.scenario import MOTIONS, SAME_RATE, Recipe, motion_recipe, parse_motion, require_rate
+from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion, require_rate
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.samples import Method
+from experiments.whole import whole
 
 FILE = "asked.json"
 
@@ -64,16 +65,12 @@ class Asked:
         believed = parse_drive(self.drive, self.name)
         axis = believed if self.machine is None else parse_drive(self.machine, "the machine")
         sampling = believed.sampling
-        require_rate(axis, believed)
+        require_rate("--machine", axis, believed)
         axis = dataclasses.replace(axis, sampling=sampling, limits=believed.limits)
         controllers = {self.name: believed.controller}
         for name, tables in self.against.items():
             other = parse_drive(tables, name)
-            if abs(other.sampling.rate / sampling.rate - 1.0) > SAME_RATE:
-                raise ParameterError(
-                    f"{name}: is sampled at {other.sampling.rate:g} Hz, {self.name} at {sampling.rate:g} Hz: on the "
-                    "same machines and motions they must be equal"
-                )
+            require_rate(f"--against {name}", other, believed)
             controllers[name] = other.controller
         origins = self.origins(sampling.rate)
         motions = {name: self._motion(origin, sampling.rate) for name, origin in origins.items()}
@@ -122,7 +119,8 @@ def _motion(text: str) -> tuple[str, str]:
 def keep(asked: Asked, folder: Path) -> None:
     """Write it into the folder of the sweep."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / FILE).write_text(to_text(asked), encoding="utf-8")
+    with whole(folder / FILE) as half:
+        half.write_text(to_text(asked), encoding="utf-8")
 
 
 def read_asked(folder: Path) -> Asked:

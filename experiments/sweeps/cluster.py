@@ -19,6 +19,7 @@ from experiments.runtime import configure, cores, keep_compiled, with_accelerato
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Computed, Engine, Say
 from experiments.sweeps.plan import Plan
+from experiments.whole import FULL
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
 SELDOM = 2.0  # s, between two looks at who is there
@@ -119,7 +120,9 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
         def reported() -> Computed:
             try:
                 yield from parts()
-            except (CancelledError, OSError, TimeoutError) as problem:
+            except (CancelledError, OSError) as problem:
+                if isinstance(problem, OSError) and problem.errno in FULL:
+                    raise  # of this machine's disk: nobody is lost
                 raise ParameterError(
                     f"{where} is lost ({problem}); the parts that were done are kept: the same command goes on there"
                 ) from None

@@ -8,7 +8,6 @@ from typing import get_args
 
 import numpy as np
 
-from diffdrive.controllers import Controller
 from diffdrive.convergence import advice
 from diffdrive.drive_file import drive_tables, parse_drive, write_drive
 from diffdrive.errors import ParameterError
@@ -41,12 +40,7 @@ def sweep_drive(
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
     plan = asked.plan()
-    warned = [
-        f"{motion}, {name}: {one}"
-        for motion in plan.motions
-        for name, controller in plan.controllers.items()
-        for one in _warnings(plan, controller, motion)
-    ]
+    warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:
         if (out / RESULT).exists() and not (out / FILE).exists():
@@ -73,10 +67,16 @@ def sweep_drive(
         return not any(one.diverged.any() for one in found)
 
 
-def _warnings(plan: Plan, controller: Controller, motion: str) -> list[str]:
-    """What to expect of a controller on a motion. Where settings vary, the first warning of each kind."""
-    told = (advice(controller, *one, 1.0 / plan.axis.sampling.rate) for one in plan.extremes(motion))
-    return list({text.partition(" at ")[0]: text for texts in told for text in reversed(texts)}.values())
+def _warnings(plan: Plan, motion: str) -> list[str]:
+    """What to expect of each controller on a motion. Where settings vary, the first warning of each kind."""
+    extremes, found = plan.extremes(motion), []
+    for name, controller in plan.controllers.items():
+        first: dict[str, str] = {}
+        for course in extremes:
+            for text in advice(controller, *course, plan.axis.sampling.period):
+                first.setdefault(text.partition(" at ")[0], text)
+        found += [f"{motion}, {name}: {text}" for text in first.values()]
+    return found
 
 
 def _legend(report: Report, origins: Mapping[str, str]) -> None:

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from diffdrive.errors import ParameterError
 from experiments.sweeps.plan import Plan
+from experiments.whole import whole
 
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
@@ -28,9 +29,8 @@ def path_of(folder: Path, part: int) -> Path:
 def keep(table: pa.Table, path: Path, question: str) -> None:
     """Write a part, whole or not at all, with the question that it answers."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    half = path.with_name(f".{path.name}")  # whoever reads the folder as a dataset passes over it
-    pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), half)
-    half.replace(path)
+    with whole(path) as half:
+        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), half)
 
 
 def missing(plan: Plan, folder: Path) -> list[int]:

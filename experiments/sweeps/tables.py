@@ -30,17 +30,17 @@ STUCK = 0.5  # share of the time at the force limit from which an axis is too we
 
 def announce(report: Report, plan: Plan) -> None:
     """What varies, and how far: a range without its unit is seen here."""
+    numbers, motion = plan.numbers(0), next(iter(plan.motions))
+    values = plan.values(numbers, motion)
     rows = [
-        [name, plan.units[name], one.text.partition("=")[2], *np.quantile(values, (0.0, 0.5, 1.0))]
-        for one, (name, values) in zip(
-            plan.varied, plan.values(plan.numbers(0), next(iter(plan.motions))).items(), strict=True
-        )
+        [one.name, one.unit, one.text.partition("=")[2], *np.quantile(values[one.name], (0.0, 0.5, 1.0))]
+        for one in plan.varied
     ]
     if rows:
         report.table(
             "varied", ("quantity", "unit", "as asked for", "least", "median", "most"), rows,
-            f"What varies, in SI units: of the first {len(plan.numbers(0))} machines"
-            + (f", on {next(iter(plan.motions))}" if len(plan.motions) > 1 else ""),
+            f"What varies, in SI units: of the first {len(numbers)} machines"
+            + (f", on {motion}" if len(plan.motions) > 1 else ""),
         )  # fmt: skip
 
 
