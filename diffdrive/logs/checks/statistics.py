@@ -8,6 +8,7 @@ from scipy.signal import savgol_filter
 from diffdrive.logs.log import Log, Signal
 
 SIGMA_PER_MAD = 1.4826  # of a normal distribution
+_ROUNDS = 15  # of Huber's weights, at most
 
 
 def scale(values: Signal) -> float:
@@ -29,18 +30,28 @@ def robust_fit(columns: list[Signal], y: Signal) -> Fit:
     The error is measured without the worst hundredth of the samples, so that spikes, clipped peaks and reversals do
     not decide whether two signals belong together.
     """
-    stack = np.column_stack([*columns, np.ones_like(y)])
-    norms = np.maximum(np.sqrt(np.mean(stack**2, axis=0)), np.finfo(float).tiny)
     size = float(np.std(y))
-    weights = np.ones_like(y)
-    for _ in range(12):
-        root = np.sqrt(weights)[:, None]
-        solution = np.linalg.lstsq(stack / norms * root, y * root[:, 0], rcond=None)[0] / norms
+    tiny = np.finfo(float).tiny
+    scales = np.array([max(float(np.sqrt(np.mean(column**2))), tiny) for column in columns] + [1.0])
+    stack = np.empty((len(y), len(scales)))
+    for k, column in enumerate(columns):
+        np.divide(column, scales[k], out=stack[:, k])
+    stack[:, -1] = 1.0
+    solution = np.zeros(len(scales))
+    residual = y.astype(float)
+    weights = np.ones_like(residual)
+    for _ in range(_ROUNDS):
+        # a correction by the normal equations: each round refines the last one, so that their rounding does not stay
+        weighted = stack * weights[:, None]
+        step = np.linalg.lstsq(weighted.T @ stack, weighted.T @ residual, rcond=None)[0]
+        solution = solution + step
         residual = y - stack @ solution
-        width = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-9 * size, np.finfo(float).tiny)
+        if float(np.max(np.abs(step))) < 1e-9 * size:
+            break
+        width = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-9 * size, tiny)
         weights = 1.0 / np.maximum(np.abs(residual) / width, 1.0)
-    kept = np.sort(np.abs(residual))[: max(1, int(0.99 * len(residual)))]
-    return Fit(solution, float(np.sqrt(np.mean(kept**2))) / max(size, np.finfo(float).tiny), residual)
+    kept = np.partition(np.abs(residual), max(0, int(0.99 * len(residual)) - 1))[: max(1, int(0.99 * len(residual)))]
+    return Fit(solution / scales, float(np.sqrt(np.mean(kept**2))) / max(size, tiny), residual)
 
 
 def percent(share: float) -> str:
