@@ -1,16 +1,15 @@
 """Find the traps that real logs hold, before anything is identified from them: docs/log-checks.md lists them."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks import (
     balance,
     clock,
-    comparison,
-    controller,
+    command,
     derived,
     grid,
     motion,
@@ -18,8 +17,10 @@ from diffdrive.logs.checks import (
     ranges,
     ratios,
     stuck,
+    wraps,
 )
 from diffdrive.logs.checks.finding import SEVERITIES, Finding
+from diffdrive.logs.checks.repair import Repair
 from diffdrive.logs.log import Log
 
 __all__ = ["Finding", "examine"]
@@ -29,14 +30,13 @@ def examine(log: Log, description: DriveDescription | None = None) -> list[Findi
     """What is wrong with a log, or could mislead who uses it, the worst first.
 
     Without a drive description the command's unit, its timing, the count grid and the clock's rate remain unchecked.
-    An identification should refuse a log with a `fatal` finding.
+    An identification should refuse a log with a `fatal` finding. A finding has a `repair` only where its cause is
+    certain and the mended log shows nothing else.
     """
     findings = _readable(log)
     if not findings:
-        units = _position_unit(log, description)
-        findings = [*units, *_signals(log, description)]
-        if all(finding.severity == "note" for finding in units):  # with a wrong position any command looks wrong
-            findings += _command(log, description)
+        findings = _found(log, description)
+        findings = [_confirmed(finding, findings, log, description) for finding in findings]
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
@@ -46,18 +46,71 @@ def _readable(log: Log) -> list[Finding]:
     return findings or [*clock.order(log)]
 
 
+def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
+    """All findings of a readable log; what is said of the command comes first, since it has looked at all channels."""
+    overflows = [*wraps.wrapped(log, None if description is None else description.drive.sensor.resolution)]
+    for finding in overflows:
+        assert finding.repair is not None
+        log = finding.repair.apply(log)
+    related = _command(log, description)
+    single = [*_position_unit(log, description), *_signals(log, description)]
+    return [*overflows, *related, *(one for one in single if not _is_said(one, related))]
+
+
+def _is_said(finding: Finding, related: list[Finding]) -> bool:
+    """Whether what one channel shows by itself is part of what all of them show together."""
+    explains = {
+        "rounded": ("rounded", "gain"),
+        "filtered": ("filtered", "swapped"),
+        "gain": ("gain", "reversed"),
+        "reversed": ("gain", "reversed"),
+        "motion": ("swapped", "decimated"),
+    }
+    return any(
+        one.severity != "note"
+        and one.cause in explains.get(finding.cause, ())
+        and (finding.channel in (one.channel, "time") or {finding.channel, one.channel} <= {"position", "reference"})
+        or one.cause in ("swapped", "decimated")
+        and finding.cause in ("filtered", "motion")
+        for one in related
+    )
+
+
+def _confirmed(finding: Finding, findings: list[Finding], log: Log, description: DriveDescription | None) -> Finding:
+    """The finding, without its repair if the mended log shows anything that the log does not."""
+    if finding.repair is None:
+        return finding
+    steps = tuple(step for one in findings if one.repair is not None for step in one.repair.steps)
+    mended = Repair(steps).apply(log)
+    worst = {(one.cause, one.channel): SEVERITIES.index(one.severity) for one in reversed(findings)}
+    left = [one for one in _found(mended, description) if one.severity != "note"]
+    mild = [
+        one for one in left if SEVERITIES.index(one.severity) > worst.get((one.cause, one.channel), len(SEVERITIES))
+    ]
+    same = [one for one in left if (one.cause, one.channel) in worst and one.cause != finding.cause]
+    new = [one for one in left if one not in mild and one not in same]
+    if not new:
+        return finding
+    doubts = "; ".join(f"{one.channel}: {one.found}" for one in new[:2])
+    return replace(
+        finding,
+        mend=f"{finding.mend}; but the log so mended is not sound either ({doubts}), so the cause is not certain",
+        rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
+        repair=None,
+    )
+
+
 def _position_unit(log: Log, description: DriveDescription | None) -> list[Finding]:
     """Unit and sign of reference and position, from their range, their ratio and their counts."""
-    counts = [*grid.position_grid(log, description)]
     return [
         *ranges.travel(log, description),
         *ratios.position_follows_reference(log),
-        *(finding for finding in counts if finding.severity == "fatal"),
+        *grid.position_grid(log, description),
     ]
 
 
 def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
-    """Everything that needs no controller."""
+    """What single channels show besides."""
     checks: list[Iterable[Finding]] = [
         clock.gaps(log),
         clock.stamps(log),
@@ -68,7 +121,6 @@ def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
         ranges.temperature(log),
         ratios.motor_follows_position(log),
         ratios.velocity_is_derivative(log),
-        (finding for finding in grid.position_grid(log, description) if finding.severity != "fatal"),
         grid.command_grid(log),
         stuck.constant(log),
         stuck.clipped_command(log, description),
@@ -88,18 +140,4 @@ def _command(log: Log, description: DriveDescription | None) -> list[Finding]:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     if np.ptp(log.command) == 0 or np.ptp(log.position) == 0:
         return []
-    if description is None:
-        return [*balance.command_opposes_friction(log)]
-    unknown = isinstance(description.controller, UnknownController)
-    found = None if unknown else comparison.compare(log, description)
-    if found is not None and found.related:
-        return [
-            *controller.timing(log, found, description),
-            *controller.unit_and_sign(log, found, description),
-            *controller.disturbance(log, found),
-            *controller.added(found),
-            *controller.explained(found, description),
-        ]
-    reversed_command = [*balance.command_opposes_friction(log)]
-    unexplained = [] if found is None else [*controller.explained(found, description)]
-    return [*unexplained, *(reversed_command or balance.command_unit(log, description))]
+    return [*(balance.command_sign(log) if description is None else command.command(log, description))]

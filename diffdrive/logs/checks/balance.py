@@ -1,116 +1,169 @@
-"""Command against what mass and friction ask for: its unit where no controller tells it, and its sign."""
+"""The command against mass and friction: what the log asks for beside the drive file, and what else would explain it."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
-from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit, smoothed
+from diffdrive.logs.checks.dynamics import Dynamics, Estimate, inverse_dynamics
+from diffdrive.logs.checks.explanation import Explanation, Fault, dynamics_of, judged, ranked, rivals_of
+from diffdrive.logs.checks.finding import CAUSES, Finding
+from diffdrive.logs.checks.hypotheses import SKIPPED
+from diffdrive.logs.checks.relation import Relation, Signals
+from diffdrive.logs.checks.repair import Repair, Scale, Swap
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, smoothed
 from diffdrive.logs.log import Log
-from diffdrive.parameters import Directional
 
-# Nominal mass and friction are right within a factor of two even on a neglected axis; three is a unit.
-UNIT_ERROR = 3.0
-
-
-class Balance(NamedTuple):
-    """Ratios of the command to the forces that the nominal drive asks for, over the sliding samples."""
-
-    whole: float  # of everything
-    moving: float  # of inertia and viscous drag, which scale with the unit of the position
-    dry: float  # of Coulomb friction, which does not
-    error: float  # of the fit of the whole, relative
+# Mass and friction must explain the command but for a tenth of its power, or they say nothing of it.
+EXPLAINS = 0.3
 
 
-def balance(log: Log, description: DriveDescription) -> Balance | None:
-    """The balance of forces, or None if the table hardly moves both ways."""
-    drive = description.drive
-    piece, step = longest_piece(log), mean_step(log)
-    position = smoothed(log.position[piece], step)
-    force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
-    command = smoothed(force, step).value
-    top = float(np.quantile(np.abs(position.rate), 0.999))
-    sliding = np.abs(position.rate) > 0.1 * top
-    ahead = position.rate > 0
-    if np.sum(sliding & ahead) < 50 or np.sum(sliding & ~ahead) < 50:
-        return None
-
-    def towards(value: Directional) -> np.ndarray:
-        return np.where(ahead, float(value.positive), float(value.negative))
-
-    friction = drive.friction
-    dry = towards(friction.coulomb_screw) + towards(friction.load_coefficient) * float(friction.initial_load)
-    drag = (towards(drive.plant.damping) + towards(friction.viscous)) * position.rate
-    inertia = float(drive.plant.mass) * position.curvature
-    motion, dry = (inertia + drag)[sliding], (dry * np.sign(position.rate))[sliding]
-    given = command[sliding]
-    if np.std(given) == 0:
-        return None
-    apart = robust_fit([motion, dry], given).coefficients
-    whole = robust_fit([motion + dry], given)
-    return Balance(float(whole.coefficients[0]), float(apart[0]), float(apart[1]), whole.error)
-
-
-def command_unit(log: Log, description: DriveDescription) -> Iterator[Finding]:
-    """The unit of the command from the nominal drive alone."""
-    found = balance(log, description)
-    if found is None or found.error > 0.7 or found.whole <= 0:  # the nominal drive must explain half of the command
+def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
+    """The command against mass and friction of the drive file, where no controller is known that gives it."""
+    relation = Relation(description, log, longest_piece(log))
+    dynamics = dynamics_of(relation, relation.logged)
+    if dynamics is None or dynamics.misfit > EXPLAINS:
         yield Finding(
             "note",
             "command",
             "the unit of the command cannot be checked: neither the drive file's controller nor its mass and friction "
             "explain it",
             "make sure that it is in newtons on the table",
+            "gain",
         )
         return
-    if 1 / UNIT_ERROR < found.whole < UNIT_ERROR:
-        return
-    factor = 1 / found.whole
-    yield Finding(
-        "fatal",
-        "command",
-        f"the command is {found.whole:.3g} times what mass and friction of the drive file ask for: volts, amperes or "
-        f"per cent taken as newtons? {who_is_wrong(found, found.whole)}",
-        f"give the force constant (about {factor:.3g} N per unit of the command), or correct the drive file",
+    ranking = ranked([judged(relation, faults, signals, None) for faults, signals in _hypotheses(relation, dynamics)])
+    best, rivals = ranking[0], rivals_of(ranking)
+    yield from _faults(best, rivals)
+    if not best.faults:
+        yield from machine(best.dynamics, description, tuple(sorted({c for one in rivals for c, _ in one.causes})))
+
+
+def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[Fault, ...], Signals]]:
+    """What may have happened to the log, and its signals without that."""
+    now = relation.logged
+    yield (), now
+    minus = Fault("reversed", "command", {"ratio": -1.0}, (Scale("command", -1.0),))
+    for signs, sign in (((), 1.0), ((minus,), -1.0)):
+        yield signs, now._replace(command=sign * now.command)
+        known = [one.value * sign for one in (dynamics.mass, dynamics.friction, dynamics.viscous) if one.determined]
+        ratios = [value for value in known if value > 0]
+        if ratios:
+            ratio = float(np.exp(np.median(np.log(ratios))))
+            unit = Fault("gain", "command", {"ratio": ratio}, (Scale("command", 1 / ratio),))
+            yield (*signs, unit), now._replace(command=sign * now.command / ratio)
+    if relation.log.reference is not None:
+        exchanged = Fault("swapped", "position", {}, (Swap("reference", "position"),))
+        yield (exchanged,), now._replace(reference=now.position, position=now.reference)
+    for count in SKIPPED:
+        slower = Fault("decimated", "time", {"skipped": float(count)}, (Scale("time", float(count)),))
+        yield (slower,), now._replace(period=count * now.period)
+    if np.min(now.command) >= 0:
+        speed = smoothed(now.position, now.period).rate
+        yield (Fault("rectified", "command", {}),), now._replace(command=now.command * np.sign(speed))
+
+
+def _faults(best: Explanation, rivals: list[Explanation]) -> Iterator[Finding]:
+    others = sorted({cause for one in rivals for cause in one.causes} - best.causes)
+    changed = [one for one in rivals if not one.faults]
+    causes = (*dict.fromkeys(cause for cause, _ in others), *(("other machine",) if changed else ()))
+    for fault in best.faults:
+        found, mend = _SENTENCES[fault.cause](fault)
+        if causes:
+            mend += "; the log does not rule out: " + "; ".join(CAUSES[cause] for cause in causes)
+        repair = None if causes or not fault.steps else Repair(fault.steps)
+        severity = "warning" if changed else "fatal"
+        yield Finding(severity, fault.channel, found, mend, fault.cause, causes, repair)
+
+
+def _gain(fault: Fault) -> tuple[str, str]:
+    ratio = fault.numbers["ratio"]
+    return (
+        f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per cent "
+        "taken as newtons?",
+        f"give the force constant (about {1 / ratio:.3g} N per unit of the command), or correct the drive file",
     )
 
 
-def who_is_wrong(found: Balance | None, ratio: float) -> str:
-    """Whether command or position has the wrong unit, told by Coulomb friction, which the position's does not touch."""
-    if found is None or found.dry <= 0:
-        return "(a wrong unit of position and reference would look alike)"
-    if abs(np.log(found.dry)) > np.log(UNIT_ERROR) and abs(np.log(found.dry / abs(ratio))) < np.log(UNIT_ERROR):
-        return f"(Coulomb friction says so too: it is {found.dry:.3g} times the drive file's)"
-    if abs(np.log(found.dry)) < np.log(UNIT_ERROR):
-        return (
-            f"(but Coulomb friction is {found.dry:.3g} times the drive file's, in order: rather position and reference "
-            f"are {1 / abs(ratio):.4g} times too large)"
-        )
-    return "(a wrong unit of position and reference would look alike)"
+def _reversed(fault: Fault) -> tuple[str, str]:
+    return (
+        "the command pushes against the motion: its sign is reversed",
+        'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position and '
+        "reference",
+    )
 
 
-def command_opposes_friction(log: Log) -> Iterator[Finding]:
-    """Friction costs force in the direction of motion; a command that pushes against every motion is reversed.
+def _decimated(fault: Fault) -> tuple[str, str]:
+    count = fault.numbers["skipped"]
+    return (
+        f"mass and friction are those of the drive file if the time runs {count:.0f} times slower: only one row in "
+        f"{count:.0f} was kept, and the time was counted at the full rate?",
+        f"multiply the time by {count:.0f}, or log every sample",
+    )
 
-    Inertia and a constant force average out over motion both ways, so what is left is friction.
-    """
-    piece, step = longest_piece(log), mean_step(log)
-    speed = smoothed(log.position[piece], step).rate
-    force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
-    top = float(np.quantile(np.abs(speed), 0.999))
-    ahead, back = force[speed > 0.2 * top], force[speed < -0.2 * top]
-    if len(ahead) < 50 or len(back) < 50 or np.ptp(force) == 0:
+
+_SENTENCES = {
+    "gain": _gain,
+    "reversed": _reversed,
+    "decimated": _decimated,
+    "swapped": lambda fault: (
+        "reference and position are exchanged: only the other way round mass and friction are those of the drive file",
+        "exchange the two columns",
+    ),
+    "rectified": lambda fault: (
+        "the command is never negative, although the table moves both ways: its absolute value was logged",
+        "log the command with its sign",
+    ),
+}
+
+
+def machine(found: Dynamics | None, description: DriveDescription, rivals: tuple[str, ...] = ()) -> Iterator[Finding]:
+    """Mass and friction that the log asks for, where they are not those of the drive file."""
+    if found is None or not found.changed:
         return
-    loss = (float(np.median(ahead)) - float(np.median(back))) / 2
-    spread = float(np.hypot(np.std(ahead), np.std(back))) / 2
-    # the samples of a stroke are not independent: ask for half their spread rather than for a standard error
-    if loss < -0.5 * spread and loss < 0:
-        yield Finding(
-            "fatal",
-            "command",
-            f"the command pushes against the motion, by {-loss:.4g} N both ways: its sign is reversed",
-            'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '
-            "and reference",
-        )
+    drive = description.drive
+    friction = drive.friction
+    screw, guide, pressed = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)
+    nominal = (
+        float(screw.positive) + float(guide.positive) * pressed,
+        float(screw.negative) + float(guide.negative) * pressed,
+    )
+    asked = [
+        _value("a mass of", found.mass, float(drive.plant.mass), "kg"),
+        _value("Coulomb friction of", found.positive, nominal[0], "N forwards"),
+        _value("and", found.negative, nominal[1], "N backwards"),
+    ]
+    beyond = "by more than a factor of two " if found.beyond_tolerance else ""
+    yield Finding(
+        "warning" if found.beyond_tolerance else "note",
+        "command",
+        f"the log asks for {', '.join(one for one in asked if one)}: {beyond}other than the drive file's",
+        "the log of another machine, a load that no column holds, a machine that has changed, or a drive file that is "
+        "not its own; several logs of one machine, or its log of another day, decide",
+        "other machine",
+        rivals,
+    )
+
+
+def _value(what: str, one: Estimate, nominal: float, unit: str) -> str:
+    return f"{what} {one.value * nominal:.3g} {unit} ({one.value:.2g} times)" if nominal else ""
+
+
+def command_sign(log: Log) -> Iterator[Finding]:
+    """Friction costs force in the direction of motion: a command that pushes against every motion is reversed."""
+    piece, step = longest_piece(log), mean_step(log)
+    force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
+    found = inverse_dynamics(log.position[piece], force, step)
+    if found is None or found.friction.positive or found.misfit > EXPLAINS:
+        return
+    mass = "" if found.mass.positive else " and inertia"
+    yield Finding(
+        "fatal",
+        "command",
+        f"the command pushes against the motion, by {-found.friction.value:.4g} N both ways: its sign is reversed, or "
+        f"that of position and reference, or these two are exchanged: friction{mass} would be negative",
+        'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '
+        "and reference; a drive file with the controller decides",
+        "reversed",
+        ("swapped",),
+    )

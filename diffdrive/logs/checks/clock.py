@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
-from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import mean_step
 from diffdrive.logs.log import Log
@@ -28,6 +28,7 @@ def order(log: Log) -> Iterator[Finding]:
             "time",
             f"{np.sum(steps <= 0)} time stamps do not increase, first at sample {k} (t = {log.time[k]:g} s)",
             "sort the rows and drop repeated ones",
+            "unreadable",
         )
 
 
@@ -44,6 +45,7 @@ def gaps(log: Log) -> Iterator[Finding]:
             f"{len(log.gaps)} gaps, {lost.sum():.4g} s in all, the longest {lost.max():.4g} s at "
             f"t = {log.time[log.gaps[int(np.argmax(lost))] - 1]:.6g} s",
             "the stretches between the gaps are used one by one",
+            "lost rows",
         )
     missed = np.flatnonzero(~listed & (steps > 1.5 * step))
     if len(missed):
@@ -53,6 +55,7 @@ def gaps(log: Log) -> Iterator[Finding]:
             "time",
             f"{count} samples are missing at {len(missed)} places, first after t = {log.time[missed[0]]:.6g} s",
             f"list the gaps (Log.gaps = {tuple(int(k) + 1 for k in missed[:5])}...) or cut the log there",
+            "lost rows",
         )
 
 
@@ -68,6 +71,7 @@ def stamps(log: Log) -> Iterator[Finding]:
             "time",
             f"the time stamps scatter by up to {1e6 * off:.4g} us, {100 * off / step:.3g} % of the step",
             "they are not the controller's clock; if the controller runs on a timer, take the samples as uniform",
+            "rate",
         )
     elif off > CLOCK_ERROR * step:
         usual = float(1.0 / np.median(regular))
@@ -84,6 +88,7 @@ def stamps(log: Log) -> Iterator[Finding]:
             "time",
             f"the time stamps are rounded by up to {1e9 * off:.3g} ns: {which}",
             f"take the samples as uniform, {step:.10g} s apart (the mean over the whole log)",
+            "rate",
         )
 
 
@@ -101,14 +106,16 @@ def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
             "time",
             f"the log holds one sample in {skipped}: {1 / step:.6g} Hz, while the controller runs at {stated:g} Hz",
             "log every sample; until then the controller cannot be replayed, nor its delays seen",
+            "decimated",
         )
     elif abs(off) > WRONG_RATE:
         yield Finding(
             "fatal",
             "time",
             f"the log is sampled at {1 / step:.6g} Hz, {1 / (step * stated):.4g} times the drive file's {stated:g} Hz"
-            + told(step * stated),
+            + name_in_brackets(step * stated),
             "correct sampling.rate, or the unit of the time column",
+            "rate",
         )
     elif abs(off) > max(CLOCK_ERROR, doubt):
         yield Finding(
@@ -117,4 +124,5 @@ def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
             f"the log's rate of {1 / step:.9g} Hz is off the drive file's {stated:g} Hz by {off:.3g}, which drifts by "
             f"{1e3 * abs(off) * log.duration:.3g} ms over the log",
             "trust the controller's clock: take the samples as uniform at sampling.rate, or correct it",
+            "rate",
         )

@@ -25,6 +25,7 @@ def copies(log: Log) -> Iterator[Finding]:
             "position",
             "the tracking error is zero throughout: position and reference are one signal",
             "one of them is a copy: log the measured position and the set-point",
+            "duplicate",
         )
     if log.motor_position is not None and _same(log.motor_position, log.position):
         yield Finding(
@@ -32,6 +33,7 @@ def copies(log: Log) -> Iterator[Finding]:
             "motor_position",
             "the motor position is a copy of the position",
             "leave it out: it would prove that there is neither backlash nor wind-up",
+            "duplicate",
         )
 
 
@@ -57,6 +59,7 @@ def velocity(log: Log) -> Iterator[Finding]:
                     "velocity",
                     f"the velocity is the {name} of the position",
                     "it holds nothing that the position does not: do not count it as a second sensor",
+                    "duplicate",
                 )
                 return
 
@@ -73,6 +76,7 @@ def load(log: Log) -> Iterator[Finding]:
             "load",
             f"the load is {gain:.4g} times the command plus {offset:.4g} N: it was computed, not measured",
             "leave it out: friction fitted against it would explain the command by itself",
+            "duplicate",
         )
 
 
@@ -94,4 +98,5 @@ def feedforward(log: Log) -> Iterator[Finding]:
             f"the command follows from the reference alone to {100 * fit.error:.2g} %: it is a feed-forward, without "
             "the feedback",
             "log the whole command, feedback included",
+            "feedforward only",
         )

@@ -31,7 +31,7 @@ def name_of(ratio: float) -> str | None:
     return None
 
 
-def told(ratio: float) -> str:
+def name_in_brackets(ratio: float) -> str:
     """The name in brackets, for a sentence, or nothing."""
     name = name_of(ratio)
     return f" ({name}?)" if name else ""

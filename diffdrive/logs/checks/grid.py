@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
-from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.ranges import LONGEST
 from diffdrive.logs.checks.statistics import scale
@@ -19,6 +19,8 @@ ON_GRID = 0.15
 STORAGE = 1e-10
 # A sensor that is this much coarser than its data sheet is another sensor, or another setting.
 COARSER = 1.5
+# Steps that are this much coarser may be a wrong unit as well.
+UNIT_OF_STEPS = 100.0
 # Distinct values below which a command is a staircase: its steps are above 2 % of its range.
 COARSE_LEVELS = 50
 
@@ -100,17 +102,21 @@ def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Fi
                 "position",
                 "no count grid: interpolated, filtered or floating point",
                 "if the encoder has counts, log them; a filter before the log delays the position",
+                "filtered",
             )
         return
     stated = float(stated)
     if found is not None and found.step > COARSER * stated:
         ratio = found.step / stated
         yield Finding(
-            "fatal" if ratio > 100 else "warning",
+            "fatal" if ratio > UNIT_OF_STEPS else "warning",
             "position",
             f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
-            f"{stated:g} m{told(ratio)}",
-            "correct the unit of the position" if ratio > 100 else "correct sensor.resolution, or log all digits",
+            f"{stated:g} m",
+            "log all digits, or correct sensor.resolution"
+            + ("; or the unit of position and reference is wrong" if ratio > UNIT_OF_STEPS else ""),
+            "rounded",
+            ("gain",) if ratio > UNIT_OF_STEPS else (),
         )
         return
     ratio = 1.0 if found is None else found.step / stated
@@ -120,8 +126,9 @@ def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Fi
             "fatal",
             "position",
             f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
-            f"{stated:g} m{told(ratio)}",
+            f"{stated:g} m{name_in_brackets(ratio)}",
             "correct the unit of the position, or sensor.resolution",
+            "gain",
         )
         return
     share = off_grid_share(log.position, stated)
@@ -133,6 +140,7 @@ def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Fi
             f"{100 * share:.0f} % of the moving stretches are off the count grid of {stated:g} m{where}: the position "
             "was resampled or filtered",
             "log the raw counts; until then do not trust this position at high frequency, nor its delay",
+            "filtered",
         )
 
 
@@ -147,4 +155,5 @@ def command_grid(log: Log) -> Iterator[Finding]:
             "command",
             f"the command takes only {levels} values, {step:.4g} apart over a range of {span:.4g}",
             "log it with more digits, or before the converter",
+            "rounded",
         )

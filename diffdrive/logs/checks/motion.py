@@ -25,13 +25,18 @@ def variety(log: Log) -> Iterator[Finding]:
             "position",
             f"the table rests throughout: it travels {np.ptp(position):.3g} m, its noise is {noise:.2g} m",
             "friction at speed, mass and damping cannot be learnt from it: log a motion",
+            "motion",
         )
         return
     moving = np.abs(speed) > 0.05 * top
     time = float(np.sum(moving)) * step
     if time < SHORT:
         yield Finding(
-            "note", "position", f"the table moves for {time:.3g} s only", "log several strokes, some seconds in all"
+            "note",
+            "position",
+            f"the table moves for {time:.3g} s only",
+            "log several strokes, some seconds in all",
+            "motion",
         )
     positive = float(np.mean(speed[moving] > 0))
     if not 0.02 < positive < 0.98:
@@ -41,6 +46,7 @@ def variety(log: Log) -> Iterator[Finding]:
             "position",
             f"the table moves in the {way} direction only ({100 * max(positive, 1 - positive):.0f} % of its motion)",
             "a constant force and the friction of the other direction cannot be told from it: log both",
+            "motion",
         )
     levels = np.quantile(np.abs(speed[np.abs(speed) > 0.2 * top]), [0.1, 0.9])
     if levels[1] < 1.5 * levels[0]:
@@ -49,6 +55,7 @@ def variety(log: Log) -> Iterator[Finding]:
             "position",
             f"the table moves at one speed ({levels[0]:.4g} to {levels[1]:.4g} m/s most of the time)",
             "Coulomb and viscous friction cannot be told apart at one speed: log several",
+            "motion",
         )
 
 
@@ -75,4 +82,5 @@ def begins_in_motion(log: Log) -> Iterator[Finding]:
             "position",
             f"the log begins in motion, at {1e3 * speed:.3g} mm/s{behind}",
             "begin a simulation in that state (position, speed, controller's past), not at rest on the reference",
+            "motion",
         )

@@ -26,6 +26,7 @@ def finite(log: Log) -> Iterator[Finding]:
                 name,
                 f"{bad.sum()} of {len(bad)} samples are not finite numbers, first sample {k}",
                 "cut the stretch out and list it as a gap, or leave the channel out",
+                "unreadable",
             )
 
 
@@ -34,9 +35,17 @@ def lengths(log: Log) -> Iterator[Finding]:
     sizes = {name: len(signal) for name, signal in log.channels.items()}
     if len(set(sizes.values())) > 1:
         told = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        yield Finding("fatal", "time", f"the channels differ in length: {told}", "read them from the same rows")
+        yield Finding(
+            "fatal", "time", f"the channels differ in length: {told}", "read them from the same rows", "unreadable"
+        )
     elif sizes["time"] < 100:
-        yield Finding("fatal", "time", f"only {sizes['time']} samples", "log at least some hundred samples of a motion")
+        yield Finding(
+            "fatal",
+            "time",
+            f"only {sizes['time']} samples",
+            "log at least some hundred samples of a motion",
+            "unreadable",
+        )
 
 
 def _bend(signal: Signal) -> Signal:
@@ -84,6 +93,7 @@ def spikes(log: Log) -> Iterator[Finding]:
                 f"{len(k)} single-sample spikes, the largest {bend[worst]:.4g} {CHANNELS[name].unit} at "
                 f"t = {log.time[worst + 1]:.6g} s",
                 "mask these samples or replace them by the mean of their neighbours",
+                "outliers",
             )
 
 
@@ -144,4 +154,5 @@ def lost_rows(log: Log) -> Iterator[Finding]:
                 f"are uniform, first at t = {log.time[which[0]]:.6g} s: reference and position jump there by whole "
                 "steps",
                 "list these places as gaps (repeated rows: drop them), and find out what the logger does",
+                "lost rows",
             )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
-from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import longest_piece, mean_step, top_speed
 from diffdrive.logs.log import Log
@@ -29,7 +29,9 @@ def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
         # a twentieth beyond is overshoot, soft limits, or a stroke given roughly
         if np.isfinite(high - low) and reach > 1.05 * (high - low):
             ratio = reach / (high - low)
-            problems.append(f"travels {reach:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{told(ratio)}")
+            problems.append(
+                f"travels {reach:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{name_in_brackets(ratio)}"
+            )
         elif reach > LONGEST:
             problems.append(f"travels {reach:.4g} m, more than any axis")
         if speed > FASTEST:
@@ -42,6 +44,7 @@ def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
                 name,
                 f"the {name} " + " and ".join(problems) + ": millimetres, counts or degrees taken as metres?",
                 f"correct the unit of the {name}, or the drive file's limits",
+                "gain",
             )
         elif 0 < reach < SMALLEST:
             yield Finding(
@@ -49,6 +52,7 @@ def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
                 name,
                 f"the {name} travels only {reach:.3g} m in all",
                 "metres are expected: correct its unit, or log a motion",
+                "motion",
             )
         elif np.isfinite(high - low) and (np.max(signal) > high + 1e-3 or np.min(signal) < low - 1e-3):
             yield Finding(
@@ -57,6 +61,7 @@ def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
                 f"the {name} runs from {np.min(signal):.4g} to {np.max(signal):.4g} m, outside the stroke "
                 f"[{low:g}, {high:g}] m, though not longer than it",
                 "its zero is not that of the drive file: shift one of them if position-dependent effects matter",
+                "offset",
             )
 
 
@@ -71,6 +76,7 @@ def load(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
             "load",
             f"the load is negative throughout ({least:.4g} to {np.max(log.load):.4g} N): its sign is reversed",
             "a load on the guides counts positive: reverse it",
+            "reversed",
         )
     elif description is not None and least < -float(description.drive.friction.initial_load):
         yield Finding(
@@ -79,6 +85,7 @@ def load(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
             f"the load falls to {least:.4g} N, below minus the initial load of "
             f"{float(description.drive.friction.initial_load):g} N: the table would lift off",
             "correct the sign, the unit or the zero of the load",
+            "offset",
         )
     elif least < -0.01 * float(np.max(log.load)):
         yield Finding(
@@ -86,6 +93,7 @@ def load(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
             "load",
             f"the load is negative at times, down to {least:.4g} N",
             "check the zero of the load cell",
+            "offset",
         )
 
 
@@ -100,4 +108,5 @@ def temperature(log: Log) -> Iterator[Finding]:
             "temperature",
             f"the temperature is {middle:.4g} degC in the middle, which no axis survives",
             "kelvin, or a raw sensor value? give degrees Celsius",
+            "gain",
         )

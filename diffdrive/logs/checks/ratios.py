@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.logs.checks.factors import told
+from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit, smoothed
 from diffdrive.logs.log import Log, Signal
@@ -30,6 +30,7 @@ def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bo
                 channel,
                 f"the {channel} runs against the {other} (correlation {plain:.2f}): its sign is reversed",
                 f"reverse the {channel}, or the {other}",
+                "reversed",
             )
         return
     if ratio < 0:
@@ -37,15 +38,17 @@ def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bo
             "fatal",
             channel,
             f"the {channel} is {ratio:.4g} times the {other}: its sign is reversed"
-            + (told(ratio) if abs(ratio) > UNIT_ERROR or abs(ratio) < 1 / UNIT_ERROR else ""),
+            + (name_in_brackets(ratio) if abs(ratio) > UNIT_ERROR or abs(ratio) < 1 / UNIT_ERROR else ""),
             f"reverse the {channel}, or the {other}",
+            "reversed",
         )
     elif not 1 / UNIT_ERROR < ratio < UNIT_ERROR:
         yield Finding(
             "fatal",
             channel,
-            f"the {channel} is {ratio:.4g} times the {other}{told(ratio)}",
+            f"the {channel} is {ratio:.4g} times the {other}{name_in_brackets(ratio)}",
             f"correct the unit of the {channel}, or of the {other}",
+            "gain",
         )
     elif abs(ratio - 1) > SCALE_ERROR and (trusted or fit.error < 0.03):
         yield Finding(
@@ -53,6 +56,7 @@ def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bo
             channel,
             f"the {channel} is {ratio:.4g} times the {other}, which no loop and no kinematic error explains",
             "check the lead, the gear or the counts per turn behind either",
+            "gain",
         )
 
 

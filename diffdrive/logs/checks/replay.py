@@ -12,7 +12,6 @@ from diffdrive import actuator
 from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
 from diffdrive.drive_file import DriveDescription
 from diffdrive.friction import bristle_at
-from diffdrive.logs.log import Signal
 from diffdrive.parameters import Drive, as_arrays, require_double_precision
 
 SETTLE = 10  # samples until differences over the controller's past are those of the log
@@ -20,7 +19,7 @@ SETTLE = 10  # samples until differences over the controller's past are those of
 
 @eqx.filter_jit
 def _outputs(
-    controller: Controller, drive: Drive, references: Reference, positions: Any, speed: Any, given: Any, period: float
+    controller: Controller, drive: Drive, references: Reference, positions: Any, speed: Any, given: Any, period: Any
 ) -> Any:
     def one(reference: Reference, position: Any) -> Any:
         def body(carry: Any, at: Any) -> Any:
@@ -53,15 +52,16 @@ def outputs(
     positions: np.ndarray,
     speed: float = 0.0,
     given: np.ndarray | None = None,
+    period: float | None = None,
 ) -> np.ndarray:
     """Commands (N) [m, n] of the controller for m pairs of reference and position (m) [m, n].
 
     It begins at `speed` (m/s). Its observer is fed what it asks for itself, or the command `given` (N) [n], as on the
     machine: then it forgets how it began. The reference's velocity and acceleration, which the log does not hold, are
-    its central differences.
+    its central differences. Its samples are `period` (s) apart, by default the drive file's.
     """
     require_double_precision()
-    period = 1.0 / description.sampling.rate
+    period = 1.0 / description.sampling.rate if period is None else period
     count = references.shape[1]
     # the length is rounded up, at rest at the end, so that logs of similar length share one compiled program
     width = 4096 * -(-count // 4096)
@@ -75,17 +75,8 @@ def outputs(
     positions = np.pad(positions, pad, mode="edge")
     given = None if given is None else np.pad(given, (0, width - count), mode="edge")
     controller, drive = as_arrays((description.controller, description.drive))
-    signals = as_arrays((reference, positions, np.asarray(speed), given))
-    return np.asarray(_outputs(controller, drive, *signals, period))[:, :count]
-
-
-def shifted(signal: Signal, samples: int) -> Signal:
-    """The signal some samples later (negative: earlier), its end values repeated."""
-    if samples == 0:
-        return signal
-    if samples > 0:
-        return np.concatenate([np.full(samples, signal[0]), signal[:-samples]])
-    return np.concatenate([signal[-samples:], np.full(-samples, signal[-1])])
+    signals = as_arrays((reference, positions, np.asarray(speed), given, np.asarray(period)))
+    return np.asarray(_outputs(controller, drive, *signals))[:, :count]
 
 
 def remembers_nothing(controller: Controller) -> bool:

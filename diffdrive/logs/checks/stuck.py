@@ -29,6 +29,7 @@ def constant(log: Log) -> Iterator[Finding]:
                 name,
                 f"the {name} is {signal[0]:.6g} throughout, while {' and '.join(sorted(moving))} change",
                 "the channel is dead or the wrong column was taken",
+                "duplicate",
             )
 
 
@@ -66,6 +67,7 @@ def clipped_command(log: Log, description: DriveDescription | None) -> Iterator[
             "command",
             f"the command sits at {at:.6g} for {100 * np.mean(there):.2g} % of the samples: it is clipped there",
             "that is the drive file's force_limit" if known else f"set actuator.force_limit = {abs(at):.6g} N",
+            "clipped",
         )
 
 
@@ -125,6 +127,7 @@ def frozen_position(log: Log) -> Iterator[Finding]:
                 name,
                 what + f"samples, longest {span}: clipped or frozen",
                 "widen the logger's range, or cut these stretches out and list the gaps",
+                "clipped",
             )
         else:
             yield Finding(
@@ -132,6 +135,7 @@ def frozen_position(log: Log) -> Iterator[Finding]:
                 name,
                 f"the {name} is frozen at {level:.6g} m, longest {span}, {100 * share:.2g} % of the samples in all",
                 "encoder dead or logger stuck: cut the stretch out and list the gap",
+                "frozen",
             )
 
 
@@ -161,4 +165,5 @@ def frozen_command(log: Log) -> Iterator[Finding]:
             "command",
             f"the command is frozen at {log.command[run.start]:.6g} from {span} while the table moves {travel:.3g} m",
             "the logger was stuck: cut the stretch out and list the gap",
+            "frozen",
         )

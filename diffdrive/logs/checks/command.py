@@ -1,0 +1,126 @@
+"""The logged command against the drive file's controller, and against mass and friction: findings in words."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.controllers import UnknownController
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks import balance, consistency, words
+from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, Outcome
+from diffdrive.logs.checks.explanation import WRONG_UNIT
+from diffdrive.logs.checks.finding import CAUSES, Finding
+from diffdrive.logs.checks.relation import relation_of
+from diffdrive.logs.checks.repair import Repair, shifted
+from diffdrive.logs.checks.replay import remembers_nothing
+from diffdrive.logs.checks.statistics import percent
+from diffdrive.logs.log import Log
+
+# A structure that leaves more than this of the command explains nothing.
+EXPLAINS = 0.2
+
+
+def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
+    """The command against the controller, or where that does not answer, against the balance of forces."""
+    unknown = isinstance(description.controller, UnknownController)
+    relation = None if unknown else relation_of(log, description)
+    outcome = None if relation is None else consistency.examined(relation)
+    if outcome is None:
+        yield from balance.command(log, description)
+        return
+    fit = outcome.best.fit
+    assert fit is not None
+    if fit.error > EXPLAINS and outcome.plain.error > RELATED:
+        yield from explained(outcome, description)
+        yield from balance.command(log, description)
+        return
+    yield from timing(outcome, description)
+    yield from faults(log, outcome, description)
+    yield from disturbance(log, outcome)
+    yield from explained(outcome, description)
+    yield from balance.machine(outcome.best.dynamics, description)
+
+
+def timing(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
+    """That no channel is shifted, where the controller tells."""
+    if outcome.best.faults and any(one.cause not in ("gain", "reversed", "offset") for one in outcome.best.faults):
+        return
+    early, now, late = _around(outcome)
+    if outcome.plain.error < 0.1 and min(early, late) > 2 * now:
+        delay = description.drive.actuator.delay_samples
+        also = f", so actuator.delay_samples = {delay} must lie between the command and the force" if delay else ""
+        over = " over the later half of the log, its past being unknown" if outcome.relation.late else ""
+        yield Finding(
+            "note",
+            "command",
+            f"the drive file's controller gives the logged command to {percent(now)} % at shift 0{over}, one "
+            f"sample earlier to {percent(early)} %, one later to {percent(late)} %: no unit delay is in the "
+            f"recording{also}",
+            "nothing to mend: command, reference and position are recorded in time",
+            "shifted",
+        )
+
+
+def _around(outcome: Outcome) -> tuple[float, float, float]:
+    """Relative errors with the controller's output one sample early, in time, and one late."""
+    relation, plain = outcome.relation, outcome.plain
+    given, gain = relation.judged(relation.logged.command), plain.coefficients[0]
+    changes = (relation.judged(outcome.output - shifted(outcome.output, s)) for s in (-1, 0, 1))
+    misses = (plain.residual + gain * change for change in changes)
+    early, now, late = (float(np.linalg.norm(miss) / np.linalg.norm(given)) for miss in misses)
+    return early, now, late
+
+
+def faults(log: Log, outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
+    """What the best explanation says; what the log does not rule out beside it is named, and no mend is certain then."""
+    best = outcome.best
+    others = sorted({cause for one in outcome.rivals for cause in one.causes} - best.causes)
+    rivals = tuple(dict.fromkeys(cause for cause, _ in others))
+    mendable = not rivals and all(one.steps for one in best.faults)
+    for fault in best.faults:
+        said = words.of(fault, log, outcome, description)
+        mend = said.mend
+        if others:
+            mend += "; the log does not rule out: " + "; ".join(f"{on}: {CAUSES[cause]}" for cause, on in others)
+        repair = Repair(fault.steps) if mendable else None
+        yield Finding(
+            said.severity, said.channel, said.found, mend, fault.cause, rivals, repair,
+            said.resembles, said.amount, said.voids,
+        )  # fmt: skip
+
+
+def disturbance(log: Log, outcome: Outcome) -> Iterator[Finding]:
+    """How much of the known disturbance is in the command: none, if it is a force beside the command."""
+    fit = outcome.best.fit
+    if outcome.relation.disturbance is None or fit is None or len(fit.coefficients) < 3:
+        return
+    ratio, inside = float(fit.coefficients[0]), float(fit.coefficients[-2])
+    if abs(inside) * np.std(log.disturbance) < max(10 * fit.error, 1e-3) * np.std(log.command) or ratio == 0:
+        return
+    newtons = inside / ratio
+    right = abs(newtons - 1) < 0.02
+    raw = f" ({inside:.5g} units of the command)" if abs(ratio - 1) > WRONG_UNIT else ""
+    yield Finding(
+        "warning" if right else "fatal",
+        "disturbance",
+        f"the command contains {newtons:.5g} N per unit of the disturbance{raw}"
+        + (": the disturbance is counted twice" if right else ": its scale is wrong, and it is counted twice"),
+        "subtract it from the command" + ("" if right else f", and multiply the disturbance by {newtons:.5g}"),
+        "disturbance",
+    )
+
+
+def explained(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
+    """A controller that is not, or not quite, the one that made this command."""
+    fit = outcome.best.fit
+    assert fit is not None
+    if fit.error > EXPLAINED and not any(one.cause == "rounded" for one in outcome.best.faults):
+        yield Finding(
+            "warning",
+            "command",
+            f"the drive file's controller gives the logged command only to {percent(min(fit.error, 1.0))} %, whatever "
+            "the shift and the scale",
+            "another kind of controller, other gains, a filter, or something that is added to the command"
+            + ("" if remembers_nothing(description.controller) else "; or what it remembered: log a longer motion"),
+            "other controller",
+        )

@@ -1,0 +1,191 @@
+"""The controller's relation put to a log: what explains the command best, chosen among all hypotheses."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive.logs.checks import hypotheses
+from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, ranked, readings, rivals_of
+from diffdrive.logs.checks.hypotheses import Hypothesis, shift
+from diffdrive.logs.checks.relation import LONGEST, Relation
+from diffdrive.logs.checks.replay import remembers_nothing
+from diffdrive.logs.checks.statistics import Fit, robust_fit
+from diffdrive.logs.checks.switching import switching
+from diffdrive.logs.log import Signal
+
+# A controller is software: put to its own inputs it gives back its output to the rounding of the log. 3 % is the most
+# that a coarse log or numerical derivatives of the reference cost; beyond half it is another controller.
+EXPLAINED, RELATED = 0.03, 0.5
+# What explains the command this well needs no other explanation; a load that is slow to be forgotten leaves the latter.
+PLAINLY, PLAINLY_LATE = 1e-3, 3e-3
+# A hypothesis must leave less than these shares of the misfit; a past can look a little like a shift.
+CLEAR, CLEAR_OF_THE_PAST = 0.5, 0.1
+# An observer fed by the log follows it even where its scale is wrong, so it must come as close as this to be believed.
+EXACT = 0.01
+FINALISTS = 4  # of a family, whose quick fits are made robust
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The best explanation, its rivals, the fit of the log as it is, and how the relation was judged."""
+
+    relation: Relation
+    best: Explanation
+    rivals: tuple[Explanation, ...]
+    output: Signal  # N, of the controller, for the log as it is
+    plain: Fit
+
+
+def examined(relation: Relation) -> Outcome | None:
+    """What explains the command best; None where the controller or the log gives nothing."""
+    whole = relation.plain()
+    if whole is None:
+        return None
+    output, fit = whole
+    if fit.error >= PLAINLY and not remembers_nothing(relation.description.controller):
+        later = replace(relation, late=True)
+        late = later.plain()
+        if late is not None and _is_the_past(fit, late[1]):
+            relation, (output, fit) = later, late
+    found = readings(relation, hypotheses.as_logged(relation), fit)
+    if fit.error >= (PLAINLY_LATE if relation.late else PLAINLY) or any(one.faults for one in found):
+        found += _others(relation)
+    ranking = ranked([*found, *_with_pulses(relation, found)])
+    return Outcome(relation, ranking[0], tuple(rivals_of(ranking)), output, fit)
+
+
+def _is_the_past(whole: Fit, late: Fit) -> bool:
+    """Whether the later half is explained better, and by the same controller: a constant explains a rest, too."""
+    closer = late.error < min(0.5 * whole.error, EXACT)
+    scales = late.coefficients[0], whole.coefficients[0]
+    return closer and 0.5 * abs(scales[1]) < abs(scales[0]) < 2.0 * abs(scales[1])
+
+
+def _others(relation: Relation) -> list[Explanation]:
+    """The readings of every hypothesis that explains the command clearly better than the log as it is."""
+    piece = relation.piece
+    relation = replace(relation, piece=slice(piece.start, min(piece.stop, piece.start + LONGEST)))
+    short = relation.plain()
+    if short is None:
+        return []
+    output, now = short
+    clear = CLEAR if remembers_nothing(relation.description.controller) else CLEAR_OF_THE_PAST
+    found = []
+    for hypothesis, fit in _fitted(relation, output, now):
+        if fit.error < max(clear * now.error, PLAINLY):
+            found += readings(relation, hypothesis, fit)
+    return found
+
+
+def _fitted(relation: Relation, output: Signal, now: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
+    ratio = _tracking_ratio(relation)
+    single = [*hypotheses.swapped(relation), *hypotheses.rounded(relation)]
+    if ratio is not None:
+        single += hypotheses.position_and_reference(relation, ratio)
+    for one, command in zip(single, relation.outputs([one.signals for one in single]), strict=True):
+        yield one, relation.fit(one.signals.command, command)
+    for one in hypotheses.decimated(relation):
+        yield one, relation.fit(one.signals.command, relation.outputs([one.signals])[0])
+    yield from _shifts(relation)
+    families: dict[str, list[Hypothesis]] = {}
+    for one in hypotheses.filtered(relation):
+        families.setdefault(one.channel, []).append(one)
+    for family in families.values():
+        yield from _finalists(relation, family)
+    for one in (*hypotheses.rectified(relation, output),):
+        yield one, relation.fit(np.abs(one.signals.command), np.abs(output))
+    for one in (*hypotheses.offset(relation, output), *hypotheses.other_gains(relation, output)):
+        yield one, relation.fit(one.signals.command, *one.columns)
+    for one in hypotheses.filtered_velocity(relation, output):
+        yield one, relation.fit(one.signals.command, *one.columns)
+
+
+def _tracking_ratio(relation: Relation) -> float | None:
+    """Position over reference where they are one motion in different units or signs."""
+    now = relation.logged
+    if np.std(now.reference) == 0 or np.std(now.position) == 0:
+        return None
+    fit = robust_fit([now.reference], now.position)
+    ratio = float(fit.coefficients[0])
+    return ratio if fit.error < 0.5 and not 0.97 < ratio < 1.03 else None
+
+
+def _finalists(relation: Relation, family: list[Hypothesis]) -> Iterator[tuple[Hypothesis, Fit]]:
+    commands = relation.outputs([one.signals for one in family])
+    quick = [_quick(relation, one, command) for one, command in zip(family, commands, strict=True)]
+    for k in np.argsort(quick)[:FINALISTS]:
+        yield family[k], relation.fit(family[k].signals.command, commands[k])
+
+
+def _quick(relation: Relation, one: Hypothesis, output: Signal) -> float:
+    """The misfit by plain least squares, without the worst hundredth."""
+    given, mine = relation.judged(one.signals.command), relation.judged(output)
+    if np.std(mine) == 0 or not np.all(np.isfinite(mine)):
+        return np.inf
+    slope = float(np.cov(given, mine)[0, 1] / np.var(mine))
+    left = np.abs(given - given.mean() - slope * (mine - mine.mean()))
+    kept = np.partition(left, int(0.99 * len(left)) - 1)[: int(0.99 * len(left))]
+    return float(np.sqrt(np.mean(kept**2))) / float(np.std(given))
+
+
+def _shifts(relation: Relation) -> Iterator[tuple[Hypothesis, Fit]]:
+    """Whole shifts, and the parts of a sample beside the best of each axis."""
+    whole = list(hypotheses.whole_shifts(relation))
+    now = hypotheses.as_logged(relation)
+    commands = relation.outputs([now.signals, *(one.signals for one in whole)])
+    at = {(0, 0): commands[0]} | {
+        (int(one.numbers["reference"]), int(one.numbers["position"])): command
+        for one, command in zip(whole, commands[1:], strict=True)
+    }
+    fits = {pair: _quick(relation, now, command) for pair, command in at.items()}
+    for pair in sorted(fits, key=fits.__getitem__)[: 2 * FINALISTS]:
+        if pair != (0, 0):
+            yield shift(relation, *pair), relation.fit(now.signals.command, at[pair])
+    if relation.late or remembers_nothing(relation.description.controller):
+        for axis in ((1, 1), (1, 0), (0, 1)):
+            yield from _parts(relation, at, axis, fits)
+
+
+def _parts(
+    relation: Relation, at: dict[tuple[int, int], Signal], axis: tuple[int, int], fits: dict[tuple[int, int], float]
+) -> Iterator[tuple[Hypothesis, Fit]]:
+    """Between the best whole shift along an axis and its better neighbour, by interpolation."""
+    line = [(k * axis[0], k * axis[1]) for k in range(-hypotheses.REACH, hypotheses.REACH + 1)]
+    k = int(np.argmin([fits[pair] for pair in line]))
+    for beside in (k - 1, k + 1):
+        if not 0 <= beside < len(line):
+            continue
+        first, second = at[line[k]], at[line[beside]]
+        command = relation.logged.command
+        ratio, change = relation.fit(command, first, second - first).coefficients[:2]
+        share = float(change / ratio) if ratio else 0.0
+        if 0.05 < share < 0.95:
+            by = [a + share * (b - a) for a, b in zip(line[k], line[beside], strict=True)]
+            yield shift(relation, *by), relation.fit(command, first + share * (second - first))
+
+
+def _with_pulses(relation: Relation, found: list[Explanation]) -> list[Explanation]:
+    """The likeliest explanation, and the log as it is, with a force beside them that is switched on and off."""
+    best = ranked(found)[0]
+    if best.fit is None or best.fit.error < EXPLAINED or relation.disturbance is not None:
+        return []
+    more = []
+    for signals, steps in {id(one.signals): (one.signals, one.faults) for one in (best, found[0])}.values():
+        whole = replace(relation, piece=slice(relation.piece.start, relation.piece.start + len(signals.command)))
+        command, output = whole.judged(signals.command), whole.judged(whole.outputs([signals])[0])
+        switched = switching(command, output)
+        if switched is None or switched.fit.error > CLEAR * best.fit.error:
+            continue
+        if switched.changes == 1 and not remembers_nothing(relation.description.controller):
+            continue  # the friction that held the table as the log began, until it moved
+        ratio = float(switched.fit.coefficients[0])
+        numbers = {"newtons": switched.height / ratio, "changes": switched.changes, "share": switched.share}
+        fault = Fault("burst", "command", {name: float(value) for name, value in numbers.items()})
+        fit = switched.fit._replace(coefficients=np.array([ratio, switched.fit.coefficients[-1]]))
+        hypothesis = Hypothesis("", "command", signals)
+        more += [
+            replace(one, faults=(*steps, fault, *one.faults), cost=one.cost + FAULT * (1 + len(steps)))
+            for one in readings(whole, hypothesis, fit)
+        ]
+    return more

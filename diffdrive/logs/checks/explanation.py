@@ -1,0 +1,239 @@
+"""Which hypothesis explains a log: rivals compete by what each leaves unexplained and by what it has to assume.
+
+An explanation is a set of faults. Its cost is minus the logarithm of its posterior probability, up to a constant, in
+nats:
+
+- each fault costs ln 100: of a hundred logs one has it;
+- what the controller leaves of the command counts by the logarithm of its RMS, for each independent sample;
+- what the position leaves of the reference counts likewise, as far as no loop at its bandwidth explains it;
+- mass and friction that the mended log asks for count by how far they are from the drive file's tolerance.
+
+Explanations within ln 100 of the best are its rivals: the log does not rule them out.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive.logs.checks.dynamics import Dynamics, inverse_dynamics
+from diffdrive.logs.checks.hypotheses import Hypothesis
+from diffdrive.logs.checks.relation import Relation, Signals
+from diffdrive.logs.checks.repair import Add, Scale, Step
+from diffdrive.logs.checks.replay import is_linear, remembers_nothing
+from diffdrive.logs.checks.statistics import Fit
+from diffdrive.logs.log import Log, Signal
+
+FAULT = float(np.log(100.0))
+CERTAIN = float(np.log(100.0))
+# Some hundred samples are one correlation time of what a controller leaves: that many count as one.
+SAMPLES_PER_INDEPENDENT = 100.0
+# What is left below these shares is explained: the rounding of a log, and a loop that lags by 6 degrees.
+EXPLAINED_COMMAND, EXPLAINED_POSITION = 1e-3, 0.1
+MOST_SURPRISE = 100.0  # nats: no machine is less likely than that it is not as we think
+# A force constant is known to some per cent; an error above a tenth is a unit or a wrong gain.
+WRONG_UNIT, OFF = 0.1, 0.005
+# A match beyond this says nothing about a few per cent.
+ROUGH = 0.1
+# A load that an observer remembers wrongly scales friction, and so most of the command: in logs cut out of others by up
+# to 18 times what it leaves unexplained.
+REMEMBERED = 20.0
+# An amplifier's offset is some per cent of its rated current; that of a zero is anything from 1 um to 0.1 m, 12 e-folds.
+AMPLIFIER_OFFSET, ZERO_OFFSET = 0.05, float(np.log(12.0))
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong, how large, and the steps that undo it (empty where nothing does)."""
+
+    cause: str
+    channel: str
+    numbers: dict[str, float]
+    steps: tuple[Step, ...] = ()
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Faults, what they leave of the command, the mended signals, and the cost."""
+
+    faults: tuple[Fault, ...]
+    fit: Fit | None
+    signals: Signals
+    dynamics: Dynamics | None
+    cost: float
+
+    @property
+    def causes(self) -> frozenset[tuple[str, str]]:
+        """What is wrong, without numbers."""
+        return frozenset((one.cause, one.channel) for one in self.faults)
+
+
+def readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Explanation]:
+    """All that a hypothesis and its fit may mean: a factor is a unit or a gain, a constant an offset of either end."""
+    own = (_own_fault(hypothesis),) if hypothesis.cause else ()
+    signals = hypothesis.signals
+    if hypothesis.columns and hypothesis.cause != "rectified":  # the factors are those of the controller's gains
+        if hypothesis.cause == "offset":
+            own = (_zero(relation, float(fit.coefficients[1] / fit.coefficients[0])),)
+        elif not _stabilises(hypothesis, fit) or _constant(relation, signals, fit):
+            return []
+        else:
+            own = (replace(own[0], numbers=own[0].numbers | _multipliers(fit)),)
+        found = judged(relation, own, signals, fit)
+        return [replace(found, cost=found.cost + _parameters(len(hypothesis.columns) - 1, fit))]
+    found = []
+    ratio, constant = float(fit.coefficients[0]), float(fit.coefficients[-1])
+    if hypothesis.cause == "rounded":  # it is judged by smoothed signals, but mass and friction by those of the log
+        signals = relation.logged
+    for factor_faults, factor in _factors(relation, fit, ratio, hypothesis.cause == "rounded"):
+        for offset_faults, subtract in _offsets(relation, signals, fit, ratio, constant):
+            mended = factor(signals._replace(command=signals.command - subtract))
+            found.append(judged(relation, (*own, *offset_faults, *factor_faults), mended, fit))
+    return found
+
+
+def _own_fault(hypothesis: Hypothesis) -> Fault:
+    return Fault(hypothesis.cause, hypothesis.channel, dict(hypothesis.numbers), hypothesis.steps)
+
+
+def _parameters(count: int, fit: Fit) -> float:
+    """What free parameters cost, each by the Bayesian information criterion."""
+    return 0.5 * count * float(np.log(max(1.0, len(fit.residual) / SAMPLES_PER_INDEPENDENT)))
+
+
+def _stabilises(hypothesis: Hypothesis, fit: Fit) -> bool:
+    """Whether a controller's gains are above zero, as in every loop that follows its reference."""
+    taps = int(hypothesis.numbers.get("taps", 0))
+    gains = fit.coefficients[: taps or hypothesis.gains]
+    if taps:  # on the last errors: their sum is the stiffness, their first moment minus the damping
+        return float(np.sum(gains)) > 0 and float(np.arange(taps) @ gains) < 0
+    return bool(np.all(gains > 0))
+
+
+def _multipliers(fit: Fit) -> dict[str, float]:
+    return {f"part {k}": float(c) for k, c in enumerate(fit.coefficients[:-1])}
+
+
+def _zero(relation: Relation, metres: float) -> Fault:
+    return Fault("offset", "reference", {"metres": metres}, (Add("reference", metres),))
+
+
+Mend = Callable[[Signals], Signals]
+
+
+def _factors(relation: Relation, fit: Fit, ratio: float, smoothed: bool) -> list[tuple[tuple[Fault, ...], Mend]]:
+    """Readings of the factor between the logged command and the controller's."""
+
+    def same(signals: Signals) -> Signals:
+        return signals
+
+    large = not 1 / 3 < abs(ratio) < 3
+    if smoothed and abs(ratio - 1) < WRONG_UNIT:  # what smoothing leaves of coarse steps scales the rest
+        return [((), same)]
+    if ratio == 0 or (ratio > 0 and not large and (fit.error > ROUGH or abs(ratio - 1) <= doubt(relation, fit))):
+        return [((), same)]
+    reversed_ = (Fault("reversed", "command", {"ratio": ratio}, (Scale("command", -1.0),)),) if ratio < 0 else ()
+    size = abs(ratio)
+    if ratio < 0 and abs(size - 1) <= max(doubt(relation, fit), WRONG_UNIT):
+        return [(reversed_, lambda signals: signals._replace(command=-signals.command))]
+    unit = Fault("gain", "command", {"ratio": size}, (Scale("command", 1 / size),))
+    found: list[tuple[tuple[Fault, ...], Mend]] = [
+        ((*reversed_, unit), lambda signals: signals._replace(command=signals.command / ratio))
+    ]
+    if ratio > 0:
+        found.append(((Fault("other controller", "command", {"ratio": ratio}),), same))
+        if is_linear(relation.description.controller):
+            both = (Scale("position", ratio), Scale("reference", ratio))
+            found.append(
+                (
+                    (Fault("gain", "position", {"ratio": 1 / ratio, "both": 1.0}, both),),
+                    lambda one: one._replace(position=ratio * one.position, reference=ratio * one.reference),
+                )
+            )
+    return found
+
+
+def doubt(relation: Relation, fit: Fit) -> float:
+    """By how much the factor may be off 1 all the same."""
+    if not remembers_nothing(relation.description.controller):
+        return max(OFF, REMEMBERED * fit.error)
+    return max(OFF, 3 * fit.error / float(np.sqrt(max(1.0, len(fit.residual) / SAMPLES_PER_INDEPENDENT))))
+
+
+def _constant(relation: Relation, signals: Signals, fit: Fit) -> bool:
+    """Whether a constant stands beside the controller's command; one that remembers may have begun with it."""
+    least = max(0.02, 3 * fit.error) * float(np.std(signals.command))
+    return remembers_nothing(relation.description.controller) and abs(float(fit.coefficients[-1])) > least
+
+
+def _offsets(
+    relation: Relation, signals: Signals, fit: Fit, ratio: float, constant: float
+) -> list[tuple[tuple[Fault, ...], float]]:
+    """Readings of the constant beside the controller's command, and what is to be taken off the command."""
+    if ratio == 0 or not _constant(relation, signals, fit):
+        return [((), 0.0)]
+    small = 1e-6
+    moved = relation.outputs([signals._replace(reference=signals.reference + small), signals])
+    stiffness = float(np.median(moved[0] - moved[1])) / small
+    found = [((Fault("offset", "command", {"newtons": constant / ratio}, (Add("command", -constant),)),), constant)]
+    if stiffness > 0:
+        found.append(((_zero(relation, constant / (ratio * stiffness)),), 0.0))
+    return found
+
+
+def judged(relation: Relation | None, faults: tuple[Fault, ...], signals: Signals, fit: Fit | None) -> Explanation:
+    """The explanation with its cost."""
+    cost = FAULT * len(faults)
+    cost += sum(_unlikely(fault, signals) for fault in faults)
+    if fit is not None:
+        cost += len(fit.residual) / SAMPLES_PER_INDEPENDENT * float(np.log(max(fit.error, EXPLAINED_COMMAND)))
+    cost += _tracking(signals)
+    dynamics = None
+    if relation is not None:
+        dynamics = dynamics_of(relation, signals)
+        if dynamics is not None:
+            cost += min(dynamics.surprise, MOST_SURPRISE)
+    return Explanation(faults, fit, signals, dynamics, cost)
+
+
+def dynamics_of(relation: Relation, signals: Signals) -> Dynamics | None:
+    """The inverse dynamics of mended signals."""
+    log, piece = relation.log, relation.piece
+    load = 0.0 if log.load is None else log.load[piece]
+    force = signals.command if log.disturbance is None else signals.command + log.disturbance[piece]
+    return inverse_dynamics(signals.position, force, signals.period, relation.description.drive, load)
+
+
+def _unlikely(fault: Fault, signals: Signals) -> float:
+    """What the size of a fault costs: an amplifier's offset is small beside the forces that it gives."""
+    if fault.cause != "offset":
+        return 0.0
+    if fault.channel != "command":
+        return ZERO_OFFSET
+    return 0.5 * min(fault.numbers["newtons"] / (AMPLIFIER_OFFSET * float(np.max(np.abs(signals.command)))), 20.0) ** 2
+
+
+def _tracking(signals: Signals) -> float:
+    """What the position leaves of the reference: a loop follows it."""
+    size = float(np.std(signals.reference))
+    if size == 0:
+        return 0.0
+    left = signals.reference - signals.position
+    share = min(float(np.std(left)) / size, 1e3)
+    return len(left) / SAMPLES_PER_INDEPENDENT * float(np.log(max(share, EXPLAINED_POSITION) / EXPLAINED_POSITION))
+
+
+def ranked(explanations: Sequence[Explanation]) -> list[Explanation]:
+    """The likeliest first."""
+    return sorted(explanations, key=lambda one: one.cost)
+
+
+def rivals_of(ranking: Sequence[Explanation]) -> list[Explanation]:
+    """Those that the log does not rule out beside the first, each set of causes once; none that only assumes more."""
+    first, seen = ranking[0], {ranking[0].causes}
+    found = []
+    for one in ranking[1:]:
+        if one.cost < first.cost + CERTAIN and one.causes not in seen and not one.causes > first.causes:
+            seen.add(one.causes)
+            found.append(one)
+    return found

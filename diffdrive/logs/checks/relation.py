@@ -1,0 +1,108 @@
+"""The controller as a relation between reference, position and command: which of several logs does it hold for?
+
+A controller is software: put to its own inputs it gives back its output to the rounding of the log. So each hypothesis
+on what happened to a log is judged by the command that the drive file's controller gives in the log as it would be
+without that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.motion import speed_at
+from diffdrive.logs.checks.replay import SETTLE, is_linear, outputs, remembers_nothing
+from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
+from diffdrive.logs.checks.stuck import clipped
+from diffdrive.logs.log import Log, Signal
+
+LONGEST = 40_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
+LANES = 16  # replays that run side by side: a fixed number, so that one compiled program serves all
+# s: a controller that remembers is not judged by less; in it the table may hardly leave its rest.
+SHORTEST = 0.5
+
+
+class Signals(NamedTuple):
+    """The part of a log that the controller connects, [n] each, at samples `period` (s) apart."""
+
+    reference: Signal  # the position itself where none was logged
+    position: Signal
+    command: Signal
+    period: float
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A drive file's controller put to a stretch of a log; `late`: judged by its later half, where the past is forgotten."""
+
+    description: DriveDescription
+    log: Log
+    piece: slice
+    late: bool = False
+
+    @property
+    def logged(self) -> Signals:
+        """The stretch as it was logged."""
+        log, piece = self.log, self.piece
+        reference = log.position if log.reference is None else log.reference
+        return Signals(reference[piece], log.position[piece], log.command[piece], mean_step(log))
+
+    @property
+    def disturbance(self) -> Signal | None:
+        """The known disturbance of the stretch, where there is one."""
+        whole = self.log.disturbance
+        return None if whole is None or np.std(whole[self.piece]) == 0 else whole[self.piece]
+
+    def outputs(self, cases: Sequence[Signals]) -> list[Signal]:
+        """The controller's command (N) for each, all of one length and period."""
+        fed = self.late and not is_linear(self.description.controller)
+        speed = speed_at(self.log, self.piece.start)
+        given: list[Signal] = []
+        for first in range(0, len(cases), LANES):
+            some = list(cases[first : first + LANES])
+            count = len(some)
+            some += [some[-1]] * (0 if count == 1 else LANES - count)
+            command = outputs(
+                self.description,
+                np.stack([one.reference for one in some]),
+                np.stack([one.position for one in some]),
+                speed,
+                some[0].command if fed else None,
+                period=some[0].period,
+            )
+            given += list(command[:count])
+        return given
+
+    def judged(self, signal: Signal) -> Signal:
+        """A signal without its ends, without what the controller's past reaches, and without clipped samples."""
+        within = slice(len(signal) // 2 if self.late else SETTLE, -SETTLE)
+        return signal[within][~self._at_limit[within]]
+
+    @cached_property
+    def _at_limit(self) -> np.ndarray:
+        return clipped(self.log.command)[self.piece]
+
+    def fit(self, command: Signal, *columns: Signal) -> Fit:
+        """The command as a combination of columns, the known disturbance and a constant, in this order."""
+        known = [] if self.disturbance is None else [self.judged(self.disturbance)]
+        return robust_fit([*(self.judged(column) for column in columns), *known], self.judged(command))
+
+    def plain(self) -> tuple[Signal, Fit] | None:
+        """The controller's command for the log as it is, and the logged one by it; None where it gives nothing."""
+        output = self.outputs([self.logged])[0]
+        if not np.all(np.isfinite(output)) or np.std(output) == 0 or np.std(self.logged.command) == 0:
+            return None
+        return output, self.fit(self.logged.command, output)
+
+
+def relation_of(log: Log, description: DriveDescription) -> Relation | None:
+    """The relation over the log's most varied stretch; None without a reference, at another rate, or if too short."""
+    piece, step = longest_piece(log), mean_step(log)
+    count = piece.stop - piece.start
+    forgets = remembers_nothing(description.controller)
+    if log.reference is None or count < 20 * SETTLE or (not forgets and count * step < SHORTEST):
+        return None
+    return Relation(description, log, piece)

@@ -1,0 +1,105 @@
+"""What undoes a fault of a log, as data: steps that are applied to a log one after the other."""
+
+import abc
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive.logs.log import Log, Signal
+
+
+def shifted(signal: Signal, samples: float) -> Signal:
+    """The signal some samples later (negative: earlier), between samples by interpolation, its end values repeated."""
+    at = np.arange(len(signal)) - samples
+    if samples == round(samples):
+        return signal[np.clip(at, 0, len(signal) - 1).astype(int)]
+    return np.interp(at, np.arange(len(signal)), signal)
+
+
+class Step(abc.ABC):
+    """One elementary repair."""
+
+    @abc.abstractmethod
+    def apply(self, log: Log) -> Log:
+        """The log after it."""
+
+
+def _with(log: Log, channel: str, signal: Signal | None) -> Log:
+    return replace(log, **{channel: signal})  # type: ignore[arg-type]
+
+
+def _require(log: Log, channel: str) -> Signal:
+    signal = log.channels.get(channel)
+    if signal is None:
+        raise KeyError(f"{log.name} has no {channel}")
+    return signal
+
+
+@dataclass(frozen=True)
+class Scale(Step):
+    """Multiply a channel; of `time`, its distance from the first sample."""
+
+    channel: str
+    factor: float
+
+    def apply(self, log: Log) -> Log:
+        signal = _require(log, self.channel)
+        origin = float(signal[0]) if self.channel == "time" else 0.0
+        return _with(log, self.channel, origin + self.factor * (signal - origin))
+
+
+@dataclass(frozen=True)
+class Add(Step):
+    """Add a constant to a channel."""
+
+    channel: str
+    amount: float
+
+    def apply(self, log: Log) -> Log:
+        return _with(log, self.channel, _require(log, self.channel) + self.amount)
+
+
+@dataclass(frozen=True)
+class Shift(Step):
+    """Move a channel by some samples: positive later."""
+
+    channel: str
+    samples: float
+
+    def apply(self, log: Log) -> Log:
+        return _with(log, self.channel, shifted(_require(log, self.channel), self.samples))
+
+
+@dataclass(frozen=True)
+class Swap(Step):
+    """Exchange two channels."""
+
+    one: str
+    other: str
+
+    def apply(self, log: Log) -> Log:
+        return replace(log, **{self.one: _require(log, self.other), self.other: _require(log, self.one)})
+
+
+@dataclass(frozen=True)
+class Unwrap(Step):
+    """Take out the jumps of a counter that overflows."""
+
+    channel: str
+    span: float  # of the counter, in the channel's unit
+
+    def apply(self, log: Log) -> Log:
+        return _with(log, self.channel, np.unwrap(_require(log, self.channel), period=self.span))
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Steps that undo a fault of a log, the first to be done first."""
+
+    steps: tuple[Step, ...]
+
+    def apply(self, log: Log) -> Log:
+        """The mended log; raises `KeyError` where the log has not the channel."""
+        for step in self.steps:
+            log = step.apply(log)
+        return log

@@ -1,0 +1,302 @@
+"""Faults of a log in sentences: what was found, with numbers, and what to do about it."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.consistency import EXACT, Outcome
+from diffdrive.logs.checks.explanation import ROUGH, WRONG_UNIT, Fault
+from diffdrive.logs.checks.factors import name_in_brackets
+from diffdrive.logs.checks.finding import Severity
+from diffdrive.logs.checks.statistics import percent
+from diffdrive.logs.log import Log
+
+# A shift is certain if it explains the command five times better, and to EXACT.
+BETTER = 0.2
+UNIT_MEND = '--unit command=-N or [units] command = "-N" (in volts -V)'
+
+
+class Words(NamedTuple):
+    """One fault as a finding says it."""
+
+    severity: Severity
+    channel: str
+    found: str
+    mend: str
+    resembles: str | None = None  # an effect of the catalogue that would look alike
+    amount: float | None = None
+    voids: bool = False
+
+
+def of(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    """The sentences for one fault of an explanation."""
+    return _SENTENCES[fault.cause](fault, log, outcome, description)
+
+
+def _left(outcome: Outcome) -> float:
+    assert outcome.best.fit is not None
+    return outcome.best.fit.error
+
+
+def _misfits(outcome: Outcome) -> str:
+    return f"({percent(_left(outcome))} % instead of {percent(min(outcome.plain.error, 1.0))} %)"
+
+
+def _swapped(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    return Words(
+        "fatal",
+        "position",
+        "reference and position are exchanged: only the other way round the drive file's controller gives the command, "
+        f"to {percent(_left(outcome))} %, and mass and friction are positive",
+        "exchange the two columns",
+        voids=True,
+    )
+
+
+def _rounded(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    step, ratio = fault.numbers["step"], fault.numbers["ratio"]
+    return Words(
+        "fatal" if ratio > 100 else "warning",
+        fault.channel,
+        f"the {fault.channel} moves in steps of {step:.4g} m, {ratio:.4g} times the drive file's resolution of "
+        f"{step / ratio:g} m; smoothed, it belongs to the command {_misfits(outcome)}",
+        "log all digits, or correct sensor.resolution if the scale is so coarse",
+    )
+
+
+def _filtered(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    numbers = fault.numbers
+    if numbers["lag"]:
+        what = f"a first-order lag of {numbers['lag']:.3g} samples"
+    else:
+        where = "centred" if numbers["centred"] else "the last ones"
+        what = f"an average over {numbers['length']:.0f} samples, {where}"
+    late = f", {numbers['delay']:.3g} samples late" if numbers["delay"] else ""
+    return Words(
+        "fatal" if numbers["delay"] >= 1 else "warning",
+        fault.channel,
+        f"the {fault.channel} was filtered before it was logged: {what}{late} {_misfits(outcome)}",
+        f"log the raw {fault.channel}; until then put the same filter on the other channels, so that they belong "
+        "together again",
+    )
+
+
+def _decimated(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    count = fault.numbers["skipped"]
+    return Words(
+        "fatal",
+        "time",
+        f"only one row in {count:.0f} was kept, and the time was counted at the full rate: {count:.0f} times slower the "
+        f"drive file's controller gives the command {_misfits(outcome)}",
+        f"multiply the time by {count:.0f}; better, log every sample",
+        voids=True,
+    )
+
+
+def _rectified(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    return Words(
+        "fatal",
+        "command",
+        f"the command is the absolute value of what the drive file's controller gives {_misfits(outcome)}",
+        "log the command with its sign",
+        voids=True,
+    )
+
+
+def _reversed(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    assert outcome.best.fit is not None
+    if fault.channel != "command":
+        return Words(
+            "fatal",
+            fault.channel,
+            f"the position is {fault.numbers['ratio']:.4g} times the reference: its sign is reversed, and the command "
+            f"says that it is the {fault.channel}'s {_misfits(outcome)}",
+            f"reverse the {fault.channel}",
+            voids=True,
+        )
+    ratio = fault.numbers["ratio"]
+    size = f", and 1 unit of it is {1 / abs(ratio):.4g} N" if abs(abs(ratio) - 1) > WRONG_UNIT else ""
+    return Words(
+        "fatal",
+        "command",
+        f"the command is {ratio:.4g} times what the drive file's controller gives: its sign is reversed{size}",
+        f"reverse the command, in newtons by {UNIT_MEND}, or position and reference (the controller cannot tell which)",
+        voids=outcome.best.fit.error < ROUGH,
+    )
+
+
+def _gain(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    ratio, fit = fault.numbers["ratio"], outcome.best.fit
+    assert fit is not None
+    if fault.numbers.get("both"):
+        return Words(
+            "fatal",
+            "position",
+            f"position and reference are {ratio:.4g} times what they should be{name_in_brackets(ratio)}: the command fits the "
+            "drive file's controller otherwise, and mass and friction are then those of the drive file",
+            "correct the unit of position and reference",
+            voids=not 1 / 3 < ratio < 3,
+        )
+    if fault.channel != "command":
+        return Words(
+            "fatal" if not 1 / 1.5 < ratio < 1.5 else "warning",
+            fault.channel,
+            f"the position is {ratio:.4g} times the reference{name_in_brackets(ratio)}, and the command says that it is "
+            f"the {fault.channel} that has the wrong unit {_misfits(outcome)}",
+            f"correct the unit of the {fault.channel}, or the lead, gear or counts per turn behind it",
+        )
+    factor, off = 1 / ratio, abs(ratio - 1)
+    large = not 1 / 3 < ratio < 3
+    gains = "" if large else ", or correct the controller's gains"
+    if off <= WRONG_UNIT:
+        return Words(
+            "warning",
+            "command",
+            f"the command is {ratio:.5g} times what the drive file's controller gives: force constant or gains are off "
+            f"by {percent(ratio - 1)} %",
+            f"correct the gains, or multiply the command by {factor:.5g}",
+        )
+    what = "volts, amperes or per mille taken as newtons?" if large else "a force constant or a gain is wrong"
+    return Words(
+        "fatal",
+        "command",
+        f"the command is {ratio:.5g} times what the drive file's controller gives (to {percent(fit.error)} %): {what}",
+        f"multiply the command by {factor:.4g} N per unit of it (where [units] says what one is, multiply that by "
+        f"{factor:.4g}){gains}",
+        None if large else "force_gain",
+        None if large else factor - 1.0,
+    )
+
+
+def _offset(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    if fault.channel == "command":
+        return Words(
+            "warning",
+            "command",
+            f"the command carries a constant {fault.numbers['newtons']:.4g} N that the drive file's controller does not "
+            "give",
+            "an offset of the amplifier or of the logger, or a weight that is fed forward: subtract it if nothing acts",
+        )
+    metres = fault.numbers["metres"]
+    return Words(
+        "warning",
+        "reference",
+        f"the zero of the reference lies {1e3 * -metres:.6g} mm from that of the position",
+        f"add {1e3 * metres:.6g} mm to the reference, or take it off the position",
+    )
+
+
+def _controller(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    taps = fault.numbers.get("taps")
+    if "ratio" in fault.numbers:
+        what = f"with all gains {fault.numbers['ratio']:.4g} times the drive file's"
+    elif taps:
+        what = f"that forms its velocity over up to {taps:.0f} samples, as a filter or a fit does"
+    else:
+        parts = [value for name, value in sorted(fault.numbers.items()) if name.startswith("part")]
+        what = (
+            f"with other gains, whose parts are {', '.join(f'{value:.4g}' for value in parts)} times the drive file's"
+        )
+    return Words(
+        "warning",
+        "command",
+        f"the command is that of a controller {what} {_misfits(outcome)}",
+        "state the controller that ran in the drive file; no channel is to be moved or scaled",
+    )
+
+
+def _burst(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    numbers = fault.numbers
+    return Words(
+        "warning",
+        "command",
+        f"a force of {numbers['newtons']:.4g} N is added to what the drive file's controller gives, "
+        f"{numbers['changes']:.0f} times switched, in {100 * numbers['share']:.0f} % of the samples: test pulses?",
+        "give it to the log as its disturbance, and subtract it from the command",
+    )
+
+
+def _shifted(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+    assert outcome.best.fit is not None
+    i, j = fault.numbers["reference"], fault.numbers["position"]
+    error = outcome.best.fit.error
+    severity: Severity = (
+        "fatal" if i % 1 == 0 and j % 1 == 0 and error < EXACT and error < BETTER * outcome.plain.error else "warning"
+    )
+    numbers = _misfits(outcome)
+    # A table seems to answer so many samples sooner as its command is recorded late, or its position early.
+    if i == j:
+        way = "late" if i > 0 else "early"
+        also = "; if the controller really computes that long, set actuator.delay_samples besides" if i > 0 else ""
+        return Words(
+            severity,
+            "command",
+            f"the recorded command is {_samples(i)} {way} (shift {i:+.2g}) against reference and position: the "
+            f"controller gives it from the values of sample k{-i:+.2g} {numbers}",
+            _moved(log, "command", -i) + also,
+            "loop_delay",
+            -i,
+        )
+    if (i - j) % 1 != 0:
+        way = "early" if j > i else "late"
+        return Words(
+            severity,
+            "position",
+            f"the position is {abs(j - i):.2g} of a sample {way} (shift {i - j:+.2g}) against the reference {numbers}; "
+            "which of the two is out of time cannot be told",
+            "resampled, or logged by another interrupt: log the raw samples of one interrupt",
+        )
+    if i == 0 or j == 0:
+        channel, by = ("position", j) if i == 0 else ("reference", i)
+        way = "early" if by > 0 else "late"
+        real = " or the controller works on an older measurement" if i == 0 and by > 0 else ""
+        return Words(
+            severity,
+            channel,
+            f"the recorded {channel} is {_samples(by)} {way} (shift {-by:+.2g}) against the other channels{real}:"
+            f" the controller gives the command from its value of sample k{-by:+.2g} {numbers}",
+            _moved(log, channel, by),
+            "loop_delay" if channel == "position" else None,
+            -by if channel == "position" else None,
+        )
+    return Words(
+        severity,
+        "command",
+        f"reference and position are shifted against the command by different amounts, {-i:+.2g} and {-j:+.2g} samples "
+        f"{numbers}",
+        f"{_moved(log, 'reference', i)} and {_moved(log, 'position', j)}; which channel is in time cannot be told",
+        "loop_delay",
+        -j,
+    )
+
+
+def _samples(count: float) -> str:
+    return "one sample" if abs(count) == 1 else f"{abs(count):.2g} samples"
+
+
+def _moved(log: Log, channel: str, by: float) -> str:
+    """Where to move a channel of a log, and the option that does it, beyond what it was moved by already."""
+    mend = f"shift the {channel} by {by:+.2g} samples"
+    if by % 1:
+        return mend
+    before = log.moved.get(channel, 0)
+    key, whole = f"{log.name}:{channel}", round(before + by)
+    given = f'"{key}={whole:+d}"' if " " in key else f"{key}={whole:+d}"
+    more = f" more than the {before:+d} by which it was moved" if before else ""
+    return f'{mend}{more} (--shift {given}, or "{key}" = {whole} in [shifts])'
+
+
+_SENTENCES: dict[str, Callable[[Fault, Log, Outcome, DriveDescription], Words]] = {
+    "swapped": _swapped,
+    "rounded": _rounded,
+    "filtered": _filtered,
+    "decimated": _decimated,
+    "rectified": _rectified,
+    "reversed": _reversed,
+    "gain": _gain,
+    "offset": _offset,
+    "other controller": _controller,
+    "burst": _burst,
+    "shifted": _shifted,
+}

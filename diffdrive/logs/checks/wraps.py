@@ -1,0 +1,66 @@
+"""Counters that overflow: jumps back by the whole span of the counter."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.repair import Repair, Unwrap
+from diffdrive.logs.log import Log, Signal
+
+# A jump is one where it is this many times the largest step that the channel otherwise makes.
+JUMP = 20.0
+# All jumps are the span, but for the motion meanwhile.
+ALIKE = 0.02
+WIDTHS = (8, 10, 12, 14, 15, 16, 18, 20, 22, 24, 32)  # bits
+
+
+def span_of(signal: Signal) -> float | None:
+    """The span of a counter that overflows within a signal; None where there is none."""
+    steps = np.diff(signal)
+    size = np.abs(steps)
+    jumps = size > 0.5 * size.max(initial=0.0)
+    others = size[~jumps]
+    if not jumps.any() or len(others) < 100 or size.max() <= JUMP * max(others.max(), 1e-300):
+        return None
+    # the span is the jump and the motion that goes on through it
+    before = np.clip(np.flatnonzero(jumps) - 1, 0, None)
+    spans = np.abs(steps[jumps] - steps[before] * ~jumps[before])
+    span = float(np.median(spans))
+    # it jumps where it reaches its end, and only there
+    full = np.ptp(signal) < span * (1 + ALIKE) and np.ptp(signal) > span * (1 - ALIKE)
+    return span if full and np.all(np.abs(spans / span - 1) < ALIKE) else None
+
+
+def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
+    """Position, reference or motor position whose counter overflows."""
+    for name in ("reference", "position", "motor_position"):
+        signal = log.channels.get(name)
+        span = None if signal is None else span_of(signal)
+        if span is None:
+            continue
+        counts = "" if resolution is None else _bits(span / resolution)
+        span = span if resolution is None else resolution * _whole(span / resolution)
+        yield Finding(
+            "fatal",
+            name,
+            f"the {name} jumps by {span:.6g} m and back{counts}: its counter overflows",
+            f"add {span:.9g} m at each jump, or log a wider counter",
+            "wrapped",
+            repair=Repair((Unwrap(name, span),)),
+        )
+
+
+def _bits(counts: float) -> str:
+    bits = _width(counts)
+    return "" if bits is None else f", 2^{bits} counts"
+
+
+def _width(counts: float) -> int | None:
+    return next((bits for bits in WIDTHS if abs(counts / 2**bits - 1) < ALIKE), None)
+
+
+def _whole(counts: float) -> float:
+    """The span in counts: a power of two where it is near one."""
+    bits = _width(counts)
+    return float(2**bits) if bits is not None else float(round(counts))
