@@ -10,7 +10,7 @@ from diffdrive.drive_file import DriveDescription, read_drive
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.mapping import log_and_channel, means
-from diffdrive.logs.plausibility import Finding, examine
+from diffdrive.logs.plausibility import Finding, examine, examine_together
 from diffdrive.logs.rate import RATE_TOLERANCE
 from experiments.report import Report
 from experiments.scenario import number
@@ -58,6 +58,8 @@ def looked_over(
         _require_different(paths, logs, beside)
         logs = tuple(_under(log, (loads or {}).get(path.name)) for path, log in zip(paths, logs, strict=True))
         found = [(log.name, finding) for log in logs for finding in examine(log, description)]
+        together = examine_together([*beside, *logs], description)
+        found += [(f"{len(beside) + len(logs)} logs", finding) for finding in together]
     for log in logs:
         for note in log.notes:
             report.say(f"{log.name}: {note}")

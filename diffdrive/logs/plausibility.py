@@ -1,6 +1,6 @@
 """Find the traps that real logs hold, before anything is identified from them: docs/log-checks.md lists them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,22 +8,25 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks import (
     balance,
+    bursts,
     clock,
     command,
     derived,
+    encoders,
     grid,
     motion,
     outliers,
     ranges,
     ratios,
     stuck,
+    together,
     wraps,
 )
 from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.checks.repair import Repair
 from diffdrive.logs.log import Log
 
-__all__ = ["Finding", "examine"]
+__all__ = ["Finding", "examine", "examine_together"]
 
 
 def examine(log: Log, description: DriveDescription | None = None) -> list[Finding]:
@@ -38,6 +41,12 @@ def examine(log: Log, description: DriveDescription | None = None) -> list[Findi
         findings = _found(log, description)
         findings = [_confirmed(finding, findings, log, description) for finding in findings]
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def examine_together(logs: Sequence[Log], description: DriveDescription | None = None) -> list[Finding]:
+    """Where several logs of one machine contradict one another: none if each asks for the same mass and friction."""
+    readable = [log for log in logs if not _readable(log)]
+    return [*together.contradictions(readable, description)]
 
 
 def _readable(log: Log) -> list[Finding]:
@@ -67,11 +76,14 @@ def _is_said(finding: Finding, related: list[Finding]) -> bool:
         "motion": ("swapped", "decimated"),
     }
     return any(
-        one.severity != "note"
-        and one.cause in explains.get(finding.cause, ())
-        and (finding.channel in (one.channel, "time") or {finding.channel, one.channel} <= {"position", "reference"})
-        or one.cause in ("swapped", "decimated")
-        and finding.cause in ("filtered", "motion")
+        (
+            one.severity != "note"
+            and one.cause in explains.get(finding.cause, ())
+            and (
+                finding.channel in (one.channel, "time") or {finding.channel, one.channel} <= {"position", "reference"}
+            )
+        )
+        or (one.cause in ("swapped", "decimated") and finding.cause in ("filtered", "motion"))
         for one in related
     )
 
@@ -117,6 +129,8 @@ def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
         clock.rate(log, description) if description is not None else [],
         outliers.spikes(log),
         outliers.lost_rows(log),
+        bursts.without_reaction(log, description),
+        encoders.lost_motion(log, description),
         ranges.load(log, description),
         ranges.temperature(log),
         ratios.motor_follows_position(log),

@@ -7,12 +7,13 @@ from diffdrive.logs.grid import Grid
 RATE_TOLERANCE = 1e-3
 _TOLD = 0.01  # periods of drift over the log
 LARGEST_FACTOR = 50  # of decimation or oversampling
-_UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns", 60.0: "min"}
+_UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}  # s
 
 
-def compared(source: str, grid: Grid, rate: float | None) -> list[str]:
+def compared(source: str, grid: Grid, rate: float | None, unit: float = 1.0) -> list[str]:
     """Notes on how the log's rate compares with the drive file's `rate` (Hz), if that is known.
 
+    The time stamps were read in a `unit` of so many seconds.
     Raises `LogError` where they differ by more than two clocks do, and not by a whole factor.
     """
     if rate is None:
@@ -29,12 +30,13 @@ def compared(source: str, grid: Grid, rate: float | None) -> list[str]:
             f"own stamps, {1e3 * drift:.3g} ms over the log: its own period was kept"
         ]
     ratio = max(found / rate, rate / found)
-    for factor, unit in _UNITS.items():
-        if abs(ratio / factor - 1) < 0.01:
-            text = unit if (found < rate) != (unit == "min") else "s"
+    read = next((name for name, seconds in _UNITS.items() if abs(seconds / unit - 1) < 1e-6), None)
+    for name, seconds in _UNITS.items():
+        if name != read and abs(seconds / unit * rate / found - 1) < 0.01:
             raise LogError(
-                f"{source}: the time stamps, read as seconds, make {found:.6g} Hz, the drive file says {rate:g} Hz; is "
-                f'the time in another unit? Write [units] time = "{text}", or correct [sampling] rate'
+                f"{source}: the time stamps, read in {read or f'units of {unit:g} s'}, make {found:.6g} Hz, the drive "
+                f'file says {rate:g} Hz; is the time in another unit? Write [units] time = "{name}", or correct '
+                "[sampling] rate"
             )
     whole = round(ratio)
     if 2 <= whole <= LARGEST_FACTOR and abs(ratio / whole - 1) <= RATE_TOLERANCE:

@@ -82,7 +82,7 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     signals = {name: values[rows] for name, values in signals.items()} | {"time": times}
     signals, said = without_missing(table.source, signals)
     notes += said
-    signals, gaps, said = on_uniform_clock(table.source, signals, rate)
+    signals, gaps, said = on_uniform_clock(table.source, signals, rate, clock.factor)
     notes += said
     shifts = mapping.moves(Path(path))
     if "injected" in signals and "command" in shifts:  # of which it is a part

@@ -87,9 +87,11 @@ def _uncoarsened(table: Table, times: Signal, rows: np.ndarray) -> Signal:
 
 
 def on_uniform_clock(
-    source: str, signals: dict[str, Signal], rate: float | None
+    source: str, signals: dict[str, Signal], rate: float | None, unit: float = 1.0
 ) -> tuple[dict[str, Signal], tuple[int, ...], list[str]]:
     """The signals on the uniform clock behind their times, the gaps, and notes; `rate` (Hz) is that of the drive file.
+
+    The times were read in a `unit` of so many seconds.
 
     Exact stamps stay as they are, rounded ones are replaced, and signals with jittered ones are interpolated. Nothing
     is invented where samples are missing. Raises `LogError` for irregular stamps and for another rate.
@@ -99,7 +101,7 @@ def on_uniform_clock(
         raise LogError(f"{source}: has {len(times)} usable samples; a log needs at least {FEWEST}")
     grid = fit_grid(times, None if rate is None else 1.0 / rate)
     notes = [] if times[0] == 0 else [f"time starts at {times[0]:.9g} s"]
-    notes += compared(source, grid, rate)
+    notes += compared(source, grid, rate, unit)
     if grid.gaps:
         notes.append(
             f"samples are missing at {len(grid.gaps)} places, the first after t = {times[grid.gaps[0] - 1]:.9g} s"

@@ -1,14 +1,15 @@
-"""The command against mass and friction: what the log asks for beside the drive file, and what else would explain it."""
+"""The command against mass and friction: what the log asks for beside the drive file, and what would explain it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.dynamics import Dynamics, Estimate, inverse_dynamics
-from diffdrive.logs.checks.explanation import Explanation, Fault, dynamics_of, judged, ranked, rivals_of
+from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, dynamics_of, judged, ranked, rivals_of
 from diffdrive.logs.checks.finding import CAUSES, Finding
-from diffdrive.logs.checks.hypotheses import SKIPPED
+from diffdrive.logs.checks.hypotheses import SKIPPED, on_grid
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Repair, Scale, Swap
 from diffdrive.logs.checks.statistics import longest_piece, mean_step, smoothed
@@ -16,6 +17,8 @@ from diffdrive.logs.log import Log
 
 # Mass and friction must explain the command but for a tenth of its power, or they say nothing of it.
 EXPLAINS = 0.3
+# nats: a filtered position and a set-point on just the counts of the scale are two coincidences
+COUNTS = 3 * FAULT
 
 
 def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
@@ -32,11 +35,18 @@ def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
             "gain",
         )
         return
-    ranking = ranked([judged(relation, faults, signals, None) for faults, signals in _hypotheses(relation, dynamics)])
+    ranking = ranked([_judged(relation, *one) for one in _hypotheses(relation, dynamics)])
     best, rivals = ranking[0], rivals_of(ranking)
     yield from _faults(best, rivals)
     if not best.faults:
         yield from machine(best.dynamics, description, tuple(sorted({c for one in rivals for c, _ in one.causes})))
+
+
+def _judged(relation: Relation, faults: tuple[Fault, ...], signals: Signals) -> Explanation:
+    """The explanation; that a reference lies on the scale's counts and the position does not asks for a fault."""
+    found = judged(relation, faults, signals, None)
+    unexplained = counts_exchanged(relation) and not any(one.cause == "swapped" for one in faults)
+    return replace(found, cost=found.cost + COUNTS) if unexplained else found
 
 
 def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[Fault, ...], Signals]]:
@@ -52,7 +62,7 @@ def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[
             ratio = float(np.exp(np.median(np.log(ratios))))
             unit = Fault("gain", "command", {"ratio": ratio}, (Scale("command", 1 / ratio),))
             yield (*signs, unit), now._replace(command=sign * now.command / ratio)
-    if relation.log.reference is not None:
+    if relation.log.reference is not None and counts_exchanged(relation):
         exchanged = Fault("swapped", "position", {}, (Swap("reference", "position"),))
         yield (exchanged,), now._replace(reference=now.position, position=now.reference)
     for count in SKIPPED:
@@ -61,6 +71,14 @@ def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[
     if np.min(now.command) >= 0:
         speed = smoothed(now.position, now.period).rate
         yield (Fault("rectified", "command", {}),), now._replace(command=now.command * np.sign(speed))
+
+
+def counts_exchanged(relation: Relation) -> bool:
+    """Whether the reference lies on the counts of the scale, and the position does not."""
+    now, stated = relation.logged, relation.description.drive.sensor.resolution
+    if stated is None:
+        return False
+    return on_grid(now.reference, float(stated)) and not on_grid(now.position, float(stated))
 
 
 def _faults(best: Explanation, rivals: list[Explanation]) -> Iterator[Finding]:
@@ -79,8 +97,8 @@ def _faults(best: Explanation, rivals: list[Explanation]) -> Iterator[Finding]:
 def _gain(fault: Fault) -> tuple[str, str]:
     ratio = fault.numbers["ratio"]
     return (
-        f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per cent "
-        "taken as newtons?",
+        f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per "
+        "cent taken as newtons?",
         f"give the force constant (about {1 / ratio:.3g} N per unit of the command), or correct the drive file",
     )
 
@@ -107,7 +125,7 @@ _SENTENCES = {
     "reversed": _reversed,
     "decimated": _decimated,
     "swapped": lambda fault: (
-        "reference and position are exchanged: only the other way round mass and friction are those of the drive file",
+        "reference and position are exchanged: the reference lies on the counts of the scale, the position does not",
         "exchange the two columns",
     ),
     "rectified": lambda fault: (

@@ -72,7 +72,7 @@ def _around(outcome: Outcome) -> tuple[float, float, float]:
 
 
 def faults(log: Log, outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
-    """What the best explanation says; what the log does not rule out beside it is named, and no mend is certain then."""
+    """What the best explanation says. Where the log does not rule out another one, no mend is certain."""
     best = outcome.best
     others = sorted({cause for one in outcome.rivals for cause in one.causes} - best.causes)
     rivals = tuple(dict.fromkeys(cause for cause, _ in others))

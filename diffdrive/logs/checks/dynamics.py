@@ -18,7 +18,7 @@ from diffdrive.parameters import Directional, Drive
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.
 SLIDING = 0.1
 FEWEST = 50  # sliding samples in a direction
-# A nominal mass or friction is right within a factor of two on a neglected axis: two standard deviations of its logarithm.
+# A nominal mass or friction is right within a factor of two on a neglected axis: two deviations of its logarithm.
 NOMINAL_STD = np.log(2.0) / 2
 # One machine of a hundred is another one, or has changed: by a factor e, give or take.
 CHANGED, CHANGED_STD = np.log(100.0), 1.0
@@ -74,7 +74,7 @@ class Dynamics(NamedTuple):
         """
         parts = (self.mass, self.friction, self.viscous)
         impossible = sum(0.5 * (one.value / one.std) ** 2 for one in parts[:2] if not one.positive)
-        known = [one for one in parts if one.value > 2 * one.std]
+        known = [one for one in parts if 2 * one.std < max(1.0, one.value)]
         nominal = sum(_squared(one, NOMINAL_STD) for one in known)
         other = CHANGED + sum(_squared(one, CHANGED_STD) + np.log(CHANGED_STD / NOMINAL_STD) for one in known)
         return float(impossible + min(nominal, other))
@@ -91,7 +91,9 @@ class Dynamics(NamedTuple):
 
 
 def _squared(one: Estimate, std: float) -> float:
-    return float(0.5 * np.log(one.value) ** 2 / (std**2 + (one.std / one.value) ** 2))
+    """Of a value that may be zero, that of the largest that it may have."""
+    value = max(one.value, 2 * one.std)
+    return float(0.5 * np.log(value) ** 2 / (std**2 + (one.std / value) ** 2))
 
 
 def inverse_dynamics(

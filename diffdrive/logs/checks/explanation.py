@@ -22,7 +22,6 @@ from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Add, Scale, Step
 from diffdrive.logs.checks.replay import is_linear, remembers_nothing
 from diffdrive.logs.checks.statistics import Fit
-from diffdrive.logs.log import Log, Signal
 
 FAULT = float(np.log(100.0))
 CERTAIN = float(np.log(100.0))
@@ -38,7 +37,7 @@ ROUGH = 0.1
 # A load that an observer remembers wrongly scales friction, and so most of the command: in logs cut out of others by up
 # to 18 times what it leaves unexplained.
 REMEMBERED = 20.0
-# An amplifier's offset is some per cent of its rated current; that of a zero is anything from 1 um to 0.1 m, 12 e-folds.
+# An amplifier's offset is some per cent of its rated current; a zero is off by anything from 1 um to 0.1 m, 12 e-folds.
 AMPLIFIER_OFFSET, ZERO_OFFSET = 0.05, float(np.log(12.0))
 
 

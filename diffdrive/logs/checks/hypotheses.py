@@ -26,6 +26,7 @@ LONGEST_AVERAGE = 48  # samples
 SLOWEST_LAG = 48.0  # samples
 SKIPPED = range(2, 11)  # rows of which one was kept
 SMOOTHED = (0.02, 0.04, 0.08)  # s: as long as an acceleration of a feed axis takes, and longer
+FEWEST = 50  # samples that show whether there is a grid
 ROUNDED = 0.05  # of a step: what digits and the estimate of the step leave of a rounded value
 TAPS = 9  # samples over which a controller may form its velocity
 
@@ -165,7 +166,7 @@ def rounded(relation: Relation) -> Iterator[Hypothesis]:
     for channel in ("position", "reference"):
         signal = getattr(now, channel)
         grid = grid_of(signal)
-        if grid is not None and grid.step > COARSER * float(stated) and _on_grid(signal, grid.step):
+        if grid is not None and grid.step > COARSER * float(stated) and on_grid(signal, grid.step):
             numbers = {"step": grid.step, "ratio": grid.step / float(stated)}
             for seconds in SMOOTHED:
                 length = min(window(1.0 / now.period, seconds), len(now.position) // 2 * 2 - 1)
@@ -173,10 +174,17 @@ def rounded(relation: Relation) -> Iterator[Hypothesis]:
                 yield Hypothesis("rounded", channel, mended, (), numbers)
 
 
-def _on_grid(signal: Signal, step: float) -> bool:
-    """Whether every value lies on the grid, as after rounding: a smooth motion has increments that look like one."""
+def on_grid(signal: Signal, step: float) -> bool:
+    """Whether the values lie on the grid, as after rounding.
+
+    Only samples between unequal increments count: a smooth motion at a speed of whole steps a sample has a grid, too.
+    """
     counts = (signal - signal[0]) / step
-    return float(np.quantile(np.abs(counts - np.round(counts)), 0.9)) < ROUNDED
+    uneven = np.abs(np.diff(counts, 2)) > 1e-3
+    if np.sum(uneven) < FEWEST:
+        return False
+    inner = counts[1:-1][uneven]
+    return float(np.quantile(np.abs(inner - np.round(inner)), 0.9)) < ROUNDED
 
 
 def offset(relation: Relation, output: Signal) -> Iterator[Hypothesis]:

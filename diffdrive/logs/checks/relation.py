@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.bursts import bursts
 from diffdrive.logs.checks.motion import speed_at
 from diffdrive.logs.checks.replay import SETTLE, is_linear, outputs, remembers_nothing
 from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
@@ -36,7 +37,7 @@ class Signals(NamedTuple):
 
 @dataclass(frozen=True)
 class Relation:
-    """A drive file's controller put to a stretch of a log; `late`: judged by its later half, where the past is forgotten."""
+    """A drive file's controller put to a stretch of a log; `late`: judged by its later half, its past forgotten."""
 
     description: DriveDescription
     log: Log
@@ -77,13 +78,18 @@ class Relation:
         return given
 
     def judged(self, signal: Signal) -> Signal:
-        """A signal without its ends, without what the controller's past reaches, and without clipped samples."""
+        """A signal without its ends, what the controller's past reaches, and what no controller gave."""
         within = slice(len(signal) // 2 if self.late else SETTLE, -SETTLE)
-        return signal[within][~self._at_limit[within]]
+        return signal[within][~self._not_the_controllers[within]]
 
     @cached_property
-    def _at_limit(self) -> np.ndarray:
-        return clipped(self.log.command)[self.piece]
+    def _not_the_controllers(self) -> np.ndarray:
+        """Samples at which the command is not the controller's: at a limit, or in a burst."""
+        command = self.log.command[self.piece]
+        found = clipped(self.log.command)[self.piece]
+        for one in bursts(command, mean_step(self.log)):
+            found[max(0, one.start - 2) : one.stop + 2] = True
+        return found
 
     def fit(self, command: Signal, *columns: Signal) -> Fit:
         """The command as a combination of columns, the known disturbance and a constant, in this order."""

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.consistency import EXACT, Outcome
 from diffdrive.logs.checks.explanation import ROUGH, WRONG_UNIT, Fault
@@ -87,8 +86,8 @@ def _decimated(fault: Fault, log: Log, outcome: Outcome, description: DriveDescr
     return Words(
         "fatal",
         "time",
-        f"only one row in {count:.0f} was kept, and the time was counted at the full rate: {count:.0f} times slower the "
-        f"drive file's controller gives the command {_misfits(outcome)}",
+        f"only one row in {count:.0f} was kept, and the time was counted at the full rate: {count:.0f} times slower "
+        f"the drive file's controller gives the command {_misfits(outcome)}",
         f"multiply the time by {count:.0f}; better, log every sample",
         voids=True,
     )
@@ -133,8 +132,8 @@ def _gain(fault: Fault, log: Log, outcome: Outcome, description: DriveDescriptio
         return Words(
             "fatal",
             "position",
-            f"position and reference are {ratio:.4g} times what they should be{name_in_brackets(ratio)}: the command fits the "
-            "drive file's controller otherwise, and mass and friction are then those of the drive file",
+            f"position and reference are {ratio:.4g} times what they should be{name_in_brackets(ratio)}: the command "
+            "fits the drive file's controller otherwise, and mass and friction are then those of the drive file",
             "correct the unit of position and reference",
             voids=not 1 / 3 < ratio < 3,
         )
@@ -142,8 +141,8 @@ def _gain(fault: Fault, log: Log, outcome: Outcome, description: DriveDescriptio
         return Words(
             "fatal" if not 1 / 1.5 < ratio < 1.5 else "warning",
             fault.channel,
-            f"the position is {ratio:.4g} times the reference{name_in_brackets(ratio)}, and the command says that it is "
-            f"the {fault.channel} that has the wrong unit {_misfits(outcome)}",
+            f"the position is {ratio:.4g} times the reference{name_in_brackets(ratio)}, and the command says that it "
+            f"is the {fault.channel} that has the wrong unit {_misfits(outcome)}",
             f"correct the unit of the {fault.channel}, or the lead, gear or counts per turn behind it",
         )
     factor, off = 1 / ratio, abs(ratio - 1)
@@ -174,8 +173,8 @@ def _offset(fault: Fault, log: Log, outcome: Outcome, description: DriveDescript
         return Words(
             "warning",
             "command",
-            f"the command carries a constant {fault.numbers['newtons']:.4g} N that the drive file's controller does not "
-            "give",
+            f"the command carries a constant {fault.numbers['newtons']:.4g} N that the drive file's controller does "
+            "not give",
             "an offset of the amplifier or of the logger, or a weight that is fed forward: subtract it if nothing acts",
         )
     metres = fault.numbers["metres"]

@@ -1,0 +1,90 @@
+"""Bursts of the command that the table does not react to: forces that were logged, but never acted."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.dynamics import inverse_dynamics
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.grid import noise_of
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, scale
+from diffdrive.logs.log import Log, Signal
+
+WINDOW = 0.2  # s: what is usual is that of the samples around
+UNUSUAL = 12.0  # standard deviations of the samples around; a reversal's jerk reaches 10
+LARGE = 0.1  # of the command's range
+SHORTEST = 3  # samples: fewer are outliers
+MOVED = 5.0  # noises of the position that a burst must have moved the table by, had it acted
+
+
+class Burst(NamedTuple):
+    """A stretch of samples [start, stop), and the force (N) that it adds to what is usual around."""
+
+    start: int
+    stop: int
+    force: float
+
+
+def bursts(command: Signal, step: float) -> list[Burst]:
+    """Stretches of the command far from what the samples before and after make likely."""
+    length = max(5, 2 * int(WINDOW / step / 2) + 1)
+    if len(command) < 3 * length:
+        return []
+    rest = command - _usual(command, length)
+    around = np.maximum(_usual(np.abs(rest), length) * 1.4826, 0.02 * scale(command))
+    unusual = (np.abs(rest) > UNUSUAL * around) & (np.abs(rest) > LARGE * float(np.ptp(command)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], unusual.astype(int), [0]])))
+    found = [Burst(int(a), int(b), float(np.mean(rest[a:b]))) for a, b in edges.reshape(-1, 2)]
+    return [one for one in found if SHORTEST <= one.stop - one.start < length]
+
+
+def _usual(signal: Signal, length: int) -> Signal:
+    """Running median over `length` samples, from fifty of them."""
+    thin = max(1, length // 50)
+    coarse = median_filter(signal[::thin], size=max(5, length // thin), mode="nearest")
+    return np.interp(np.arange(len(signal)), np.arange(len(signal))[::thin], coarse)
+
+
+def without_reaction(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+    """Bursts that would have moved a table of this mass, and did not."""
+    piece, step = longest_piece(log), mean_step(log)
+    position, command = log.position[piece], log.command[piece]
+    found = bursts(command, step)
+    mass = _mass(position, command, step, description)
+    if not found or mass is None:
+        return
+    noise = noise_of(position)
+    silent = []
+    for one in found:
+        long = one.stop - one.start
+        # what the impulse alone would have done within its own length and as long after, and what the table did
+        expected = one.force / mass * (long * step) ** 2 * 1.5
+        after = min(one.stop + long, len(position) - 1)
+        before = max(one.start - 2 * long, 0)
+        line = np.polynomial.Polynomial.fit(np.arange(before, one.start + 1), position[before : one.start + 1], 1)
+        moved = float(position[after] - line(after))
+        if abs(expected) > MOVED * noise and abs(moved / expected) < 0.25:
+            silent.append(one)
+    if not silent:
+        return
+    largest = max(silent, key=lambda one: abs(one.force))
+    start = log.time[piece.start + largest.start]
+    yield Finding(
+        "warning",
+        "command",
+        f"{len(silent)} bursts of up to {largest.force:.4g} N, the largest at t = {start:.6g} s for "
+        f"{1e3 * (largest.stop - largest.start) * step:.3g} ms, to which the table does not react: this force "
+        "never acted",
+        "cut these stretches out and list the gaps, or log the command that reached the amplifier",
+        "burst",
+    )
+
+
+def _mass(position: Signal, command: Signal, step: float, description: DriveDescription | None) -> float | None:
+    if description is not None:
+        return float(description.drive.plant.mass)
+    found = inverse_dynamics(position, command, step)
+    return found.mass.value if found is not None and found.mass.value > 2 * found.mass.std else None

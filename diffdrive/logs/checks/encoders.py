@@ -1,0 +1,47 @@
+"""Two encoders of one axis: whether the difference of motor and table depends on the direction of motion."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.grid import noise_of
+from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit, smoothed
+from diffdrive.logs.log import Log
+
+SLIDING = 0.1  # share of the top speed above which the direction is clear
+# Wind-up of a screw under friction alone is some micrometres: 100 N on 50 N/um are 2 um, either way.
+WIND_UP = 5e-6
+
+
+def lost_motion(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+    """Motor minus table while it moves forwards against while it moves backwards: play, or wind-up under friction."""
+    if log.motor_position is None:
+        return
+    piece, step = longest_piece(log), mean_step(log)
+    motor, table = log.motor_position[piece], log.position[piece]
+    speed = smoothed(table, step).rate
+    moving = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
+    ahead = moving & (speed > 0)
+    if min(int(np.sum(ahead)), int(np.sum(moving & ~ahead))) < 50:
+        return
+    force = smoothed(log.command[piece], step).value
+    columns = [np.sign(speed)[moving], table[moving] - table.mean(), force[moving]]
+    fit = robust_fit([one for one in columns if np.std(one) > 0], (motor - table)[moving])
+    lost = 2.0 * float(fit.coefficients[0])
+    apart = 2.0 * float(np.median((motor - table)[ahead]) - np.median((motor - table)[moving & ~ahead])) / 2
+    noise = np.hypot(noise_of(motor), noise_of(table))
+    if abs(apart) < max(WIND_UP, 10 * noise):
+        return
+    spread = 1.4826 * float(np.median(np.abs(fit.residual)))
+    play = lost if np.sign(lost) == np.sign(apart) else apart
+    yield Finding(
+        "warning",
+        "motor_position",
+        f"motor and table are {1e6 * apart:.3g} um apart between the two directions, {1e6 * play:.3g} um of it "
+        f"whatever the force (scatter {1e6 * spread:.2g} um): lost motion",
+        "a play of screw, nut or coupling, or wind-up under friction: state it in the drive file as [effects.backlash] "
+        "or [effects.compliance], or let a diagnosis find it; identify with the encoder that the controller uses",
+        "lost motion",
+    )

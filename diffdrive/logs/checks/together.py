@@ -1,0 +1,76 @@
+"""Several logs of one machine: where they contradict one another."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.dynamics import ACCURACY, Dynamics, Estimate, inverse_dynamics
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.statistics import longest_piece, mean_step
+from diffdrive.logs.log import Log
+
+CLEAR = 3.0  # standard deviations
+
+
+class _Seen(NamedTuple):
+    log: Log
+    dynamics: Dynamics
+
+
+def contradictions(logs: Sequence[Log], description: DriveDescription | None = None) -> Iterator[Finding]:
+    """Mass and friction that two logs of one machine ask for, where they differ by more than both may be off."""
+    seen = [_Seen(log, found) for log in logs if (found := _dynamics(log, description)) is not None]
+    for quantity, what, unit in (("mass", "mass", "kg"), ("friction", "Coulomb friction", "N")):
+        known = [(one.log, getattr(one.dynamics, quantity)) for one in seen]
+        known = [(log, estimate) for log, estimate in known if estimate.determined and estimate.value > 0]
+        if len(known) < 2:
+            continue
+        (low_log, low), (high_log, high) = (pick(known, key=lambda pair: pair[1].value) for pick in (min, max))
+        if _apart(low, high) <= CLEAR:
+            continue
+        size = _nominal(quantity, description)
+        yield Finding(
+            "warning",
+            "command",
+            f"{low_log.name} asks for {what} of {size * low.value:.3g} {unit}, {high_log.name} for "
+            f"{size * high.value:.3g} {unit}: one machine has not both",
+            "logs of two machines, of two loads that no column holds, or before and after a change: identify each by "
+            "itself, or state what lay on the table (--load)",
+            "machines differ",
+            ("other machine", "gain"),
+        )
+
+
+def _dynamics(log: Log, description: DriveDescription | None) -> Dynamics | None:
+    piece, step = longest_piece(log), mean_step(log)
+    force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
+    if np.ptp(force) == 0 or np.ptp(log.position[piece]) == 0:
+        return None
+    drive = None if description is None else description.drive
+    load = 0.0 if log.load is None else log.load[piece]
+    return inverse_dynamics(log.position[piece], force, step, drive, load)
+
+
+def _apart(low: Estimate, high: Estimate) -> float:
+    """Standard deviations between two estimates, the accuracy of both included."""
+    relative = np.sqrt(2 * ACCURACY**2 + (low.std / low.value) ** 2 + (high.std / high.value) ** 2)
+    return float(np.log(high.value / low.value) / relative)
+
+
+def _nominal(quantity: str, description: DriveDescription | None) -> float:
+    if description is None:
+        return 1.0
+    if quantity == "mass":
+        return float(description.drive.plant.mass)
+    friction = description.drive.friction
+    pressed = float(friction.initial_load)
+    sides = [
+        float(screw) + float(guide) * pressed
+        for screw, guide in (
+            (friction.coulomb_screw.positive, friction.load_coefficient.positive),
+            (friction.coulomb_screw.negative, friction.load_coefficient.negative),
+        )
+    ]
+    return sum(sides) / 2
