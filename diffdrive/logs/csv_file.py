@@ -1,15 +1,13 @@
 """Reads CSV and its relatives: any delimiter, decimal comma, a preamble, a unit row, comments, several encodings."""
 
-import contextlib
-import csv
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.csv_dialect import Dialect, dialect_of, first_row
+from diffdrive.logs.csv_dialect import dialect_of, first_row
 from diffdrive.logs.csv_header import header_of
+from diffdrive.logs.csv_rows import cells_of, column_of, rows_of
 from diffdrive.logs.csv_unquoted import refuse_unquoted
 from diffdrive.logs.table import Table
 
@@ -42,9 +40,9 @@ def read_csv(path: Path) -> Table:
     # a header may itself be a comment, as numpy.savetxt writes it
     preamble = [line.lstrip("".join(_COMMENTS) + " ") for line in lines[: begin - 1] if line]
     header = header_of(preamble, dialect)
-    rows, notes = _rows(path, kept[start:], dialect)
-    cells = _cells([line for _, line in rows], dialect)
-    columns = {name: _column(column, dialect) for name, column in zip(header.names, cells, strict=True)}
+    rows, notes = rows_of(path, kept[start:], dialect)
+    cells = cells_of([line for _, line in rows], dialect)
+    columns = {name: column_of(column, dialect) for name, column in zip(header.names, cells, strict=True)}
     named = {name: values for name, values in columns.items() if not _is_trailing(name, values)}
     units = {name: unit for name, unit in header.units.items() if name in named}
     numbers = np.array([number for number, _ in rows])
@@ -65,45 +63,6 @@ def _decoded(path: Path, raw: bytes) -> str:
     if strange > 0.001 * len(text):
         raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
     return text
-
-
-def _rows(path: Path, kept: list[tuple[int, str]], dialect: Dialect) -> tuple[list[tuple[int, str]], list[str]]:
-    """The rows with as many cells as the table has columns; a last one that was cut off is left out."""
-    rows, notes = [], []
-    for number, line in kept:
-        found = _width(line, dialect)
-        if found == dialect.width:
-            rows.append((number, line))
-        elif number != kept[-1][0]:
-            raise LogError(
-                f"{path}: line {number} has {found} columns, the other rows have {dialect.width}; correct this line"
-            )
-        elif line != "EOF":  # TwinCAT's end mark
-            notes.append(f"line {number}, the last, is cut off and was left out")
-    return rows, notes
-
-
-def _width(line: str, dialect: Dialect) -> int:
-    if dialect.delimiter == " ":
-        return len(line.split())
-    return len(dialect.split(line)) if '"' in line else line.count(dialect.delimiter) + 1
-
-
-def _cells(lines: list[str], dialect: Dialect) -> Iterable[tuple[str, ...]]:
-    """The table column by column."""
-    if dialect.delimiter == " ":
-        return zip(*map(dialect.split, lines), strict=True)
-    return zip(*csv.reader(lines, delimiter=dialect.delimiter, skipinitialspace=True), strict=True)
-
-
-def _column(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
-    """Whole numbers, numbers, or text for `Table.numbers` to judge, such as points beside decimal commas."""
-    mixed = dialect.decimal == "," and any("." in cell for cell in cells)
-    plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]
-    for kind in () if mixed else (np.int64, np.float64):
-        with contextlib.suppress(ValueError, OverflowError):
-            return np.array(plain, dtype=kind)
-    return np.array([cell.strip() for cell in cells], dtype=object)
 
 
 def _is_trailing(name: str, values: np.ndarray) -> bool:
