@@ -1,7 +1,7 @@
 """What was done to a log, as the scorer has to know it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,6 @@ class Fault:
     channels: tuple[str, ...] = ANY
     rivals: tuple[str, ...] = ()
     undo: Callable[[Log], Log] | None = None
-    lost: dict[str, float] = field(default_factory=dict)  # by channel, RMS of what no mend brings back
 
 
 @dataclass(frozen=True)

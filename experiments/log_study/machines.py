@@ -81,7 +81,10 @@ def lost_motion(case: Case, rng: np.random.Generator) -> Fault:
 
 def side(made: Motion, rate: float) -> np.ndarray:
     """On which side of its play the motor lies, from -1 to 1: it crosses in 10 ms as the motion begins or reverses."""
-    way = np.sign(made.velocity)
+    still = np.abs(made.velocity) < 1e-6 * np.max(
+        np.abs(made.velocity)
+    )  # a sum of pieces does not rest at zero exactly
+    way = np.where(still, 0.0, np.sign(made.velocity))
     last = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way)), 0))
     way = way[last]
     width = max(1, round(0.01 * rate))

@@ -1,58 +1,57 @@
 """Whether a mended log is the log as it should have been."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from diffdrive.logs.log import Log, Signal
 from experiments.log_study.fault import Fault, following_error
 
 LENGTHS = ("reference", "position", "motor_position")
+ERROR = "following error"
 # What a mended log may be off by and still give the same drive: force constants are known to 2 %, scales to 0.1 %.
-COMMAND, LENGTH, ERROR, RATE = 0.02, 1e-3, 0.05, 1e-4
+COMMAND_SHARE, LENGTH_SHARE, ERROR_SHARE, RATE = 0.02, 1e-3, 0.05, 1e-4
+LOST = 1.5  # times what the best mend leaves, that another may leave
 MOST_LAG = 8  # samples by which all channels may be moved together: that changes nothing
 MARGIN = 0.02  # of the log at either end, where a shifted channel repeats its last value
-
-
-def lost_by(fault: Fault) -> dict[str, float]:
-    """By channel, the RMS of what cannot be brought back: after `undo`, or as the log is where nothing undoes it."""
-    best = fault.log if fault.undo is None else fault.undo(fault.log)
-    inner = _inner(len(best.time))
-    lost = {name: _rms((best.channels[name] - signal)[inner]) for name, signal in fault.true.channels.items()}
-    lost["error"] = _rms((following_error(best) - following_error(fault.true))[inner])
-    return {name: 1.5 * size for name, size in lost.items()}
 
 
 def differences(mended: Log, fault: Fault, resolution: float) -> list[str]:
     """In what the mended log is not the true one, channel by channel; empty where it is.
 
-    A common zero of all lengths, and a common delay of all channels, count as equal: no log has a zero of its own.
+    A common zero of all lengths, and a common delay of all channels, count as equal: no log has a zero of its own. What
+    even `undo` cannot bring back is allowed for; where nothing undoes the fault, its channel may stay as it is.
     """
     true = fault.true
     if set(mended.channels) != set(true.channels) or len(mended.time) != len(true.time):
         return ["channels or rows"]
-    found = []
-    if abs(_step(mended) / _step(true) - 1.0) > RATE:
-        found.append("time")
-    lag = _lag(mended, true)
+    best = fault.log if fault.undo is None else fault.undo(fault.log)
     inner = _inner(len(true.time))
-    mended = replace(
-        mended, **{name: np.roll(mended.channels[name], lag) for name in mended.channels if name != "time"}
-    )
-    zero = float(np.median((mended.position - true.position)[inner]))
-    lost = lost_by(fault)
-    for name, signal in true.channels.items():
-        if name == "time":
-            continue
-        ours = mended.channels[name] - (zero if name in LENGTHS else 0.0)
-        allowed = LENGTH * float(np.ptp(signal)) + resolution if name in LENGTHS else COMMAND * float(np.std(signal))
-        if not _rms((ours - signal)[inner]) <= allowed + lost[name]:
+    lag = _lag(mended, true)
+    ours = {name: np.roll(signal, lag)[inner] for name, signal in _compared(mended).items()}
+    theirs, possible = ({name: one[inner] for name, one in _compared(log).items()} for log in (true, best))
+    zero = float(np.median(ours["position"] - theirs["position"]))
+    found = [] if abs(_step(mended) / _step(true) - 1.0) <= RATE else ["time"]
+    for name, signal in theirs.items():
+        allowed = _allowed(name, signal, resolution)
+        off = ours[name] - (zero if name in LENGTHS else 0.0)
+        lost = LOST * _rms(possible[name] - signal) if fault.undo is not None else 0.0
+        untouched = fault.undo is None and _rms(ours[name] - possible[name]) <= allowed
+        if not (untouched or _rms(off - signal) <= allowed + lost):
             found.append(name)
-    error = following_error(true)
-    allowed = max(ERROR * float(np.std(error)), 2 * resolution) + lost["error"]
-    if not _rms((following_error(mended) - error)[inner]) <= allowed:
-        found.append("following error")
     return found
+
+
+def _compared(log: Log) -> dict[str, Signal]:
+    """The channels but time, and the following error, to which small changes of large lengths matter."""
+    return {name: signal for name, signal in log.channels.items() if name != "time"} | {ERROR: following_error(log)}
+
+
+def _allowed(name: str, signal: Signal, resolution: float) -> float:
+    """RMS by which a mended channel may be off and still give the same drive."""
+    if name == ERROR:
+        return max(ERROR_SHARE * float(np.std(signal)), 2.0 * resolution)
+    if name in LENGTHS:
+        return LENGTH_SHARE * float(np.ptp(signal)) + resolution
+    return COMMAND_SHARE * float(np.std(signal))
 
 
 def _step(log: Log) -> float:

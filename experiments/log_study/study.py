@@ -42,9 +42,8 @@ class Answered(NamedTuple):
     score: Score
 
 
-def drawn(count: int, seed: int, drives: Sequence[StudyDrive] | None = None) -> Iterator[Drawn]:
+def drawn(count: int, seed: int, axes: Sequence[StudyDrive]) -> Iterator[Drawn]:
     """So many logs with a fault: the kinds in turn, each on the axis that has had the fewest of those that show it."""
-    axes = study_drives() if drives is None else drives
     had = dict.fromkeys((axis.name for axis in axes), 0)
     order = np.random.default_rng([seed, CASES]).permutation(len(FAULTS))
     for number in range(count):
@@ -69,31 +68,40 @@ def _on(kind: Draw, axis: StudyDrive, rng: np.random.Generator) -> tuple[Case, F
 
 
 def log_study(
-    report: Report, cases: int, healthy: int, pairs: int, seed: int, examine: Examine, together: Together
-) -> None:
-    """All three parts into a report: so many faulty logs, sound ones, and pairs of two logs."""
-    faulty_logs(report, cases, seed, examine)
-    sound_logs(report, healthy, seed, examine)
-    pairs_of_logs(report, pairs, seed, together)
+    report: Report, *, cases: int, healthy: int, pairs: int, seed: int, examine: Examine, together: Together,
+    axes: Sequence[StudyDrive] | None = None,
+) -> None:  # fmt: skip
+    """All three parts into a report: so many faulty logs, sound ones, and pairs of two logs; of all axes by default."""
+    axes = study_drives() if axes is None else axes
+    with report.working("logs with a fault"):
+        tell_faulty(report, faulty_logs(report, cases, seed, axes, examine))
+    with report.working("sound logs"):
+        sound_logs(report, healthy, seed, axes, examine)
+    with report.working("pairs of logs"):
+        pairs_of_logs(report, pairs, seed, axes, together)
 
 
-def faulty_logs(report: Report, count: int, seed: int, examine: Examine) -> list[Answered]:
+def faulty_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive], examine: Examine) -> list[Answered]:
     """Logs with a fault: is it named first, named at all, is a mend right?"""
     answers = []
-    with report.working("logs with a fault"), report.stages() as advance:
-        for one in drawn(count, seed):
+    with report.stages() as advance:
+        for one in drawn(count, seed, axes):
             description, resolution = one.case.description, one.case.drive.resolution
             answers.append(Answered(one, scored(one.fault, description, resolution, examine)))
             advance("logs with a fault", one.number + 1, count)
+    return answers
+
+
+def tell_faulty(report: Report, answers: Sequence[Answered]) -> None:
+    """The tables by fault, by axis and by log, and the totals."""
     head = ("what", "logs", "named first", "named", "rivals missing", "mended", "wrong mends")
     for name, of, caption in (
         ("by_fault", lambda one: one.drawn.kind, "By fault"),
         ("by_drive", lambda one: one.drawn.case.drive.name, "By axis"),
     ):
         groups = sorted({of(one) for one in answers})
-        report.table(
-            name, head, [_row(group, [one for one in answers if of(one) == group]) for group in groups], caption
-        )
+        rows = [_row(group, [one.score for one in answers if of(one) == group]) for group in groups]
+        report.table(name, head, rows, caption)
     report.table(
         "cases",
         ("case", "axis", "motion", "fault", "amount", "first finding", "severity", "named first", "named", "mend"),
@@ -104,20 +112,17 @@ def faulty_logs(report: Report, count: int, seed: int, examine: Examine) -> list
     if wrong:
         rows = [[one.drawn.number, one.drawn.kind, one.drawn.fault.amount, one.score.wrong_mend] for one in wrong]
         report.table("wrong_mends", ("case", "fault", "amount", "wrong in"), rows, "Wrong mends")
-    total = len(answers)
-    first, named = sum(one.score.first for one in answers), sum(one.score.named for one in answers)
+    total, scores = len(answers), [one.score for one in answers]
+    first, named = sum(one.first for one in scores), sum(one.named for one in scores)
     report.values(
-        "faulty", logs=total, drives=len({one.drawn.case.drive.name for one in answers}), named_first=first,
-        named_first_share=share(first, total), named=named, named_share=share(named, total),
-        neither_first_nor_named=sum(not (one.score.first or one.score.named) for one in answers),
-        rivals_missing=sum(not one.score.rivals for one in answers), mended=sum(one.score.mended for one in answers),
-        wrong_mends=len(wrong), wrong_mends_share=share(len(wrong), total),
+        "faulty_logs", logs=total, axes=len({one.drawn.case.drive.name for one in answers}),
+        named_first=first, named_first_share=share(first, total), named=named, named_share=share(named, total),
+        not_named=total - named, rivals_missing=sum(not one.rivals for one in scores),
+        mended=sum(one.mended for one in scores), wrong_mends=len(wrong), wrong_mends_share=share(len(wrong), total),
     )  # fmt: skip
-    return answers
 
 
-def _row(name: str, answers: Sequence[Answered]) -> list[object]:
-    scores = [one.score for one in answers]
+def _row(name: str, scores: Sequence[Score]) -> list[object]:
     return [
         name, len(scores), sum(one.first for one in scores), sum(one.named for one in scores),
         sum(not one.rivals for one in scores), sum(one.mended for one in scores),
@@ -138,10 +143,11 @@ def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
-def sound_logs(report: Report, count: int, seed: int, examine: Examine) -> None:
+def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive], examine: Examine) -> None:
     """Sound logs of all axes in turn: what is found in them is a false alarm, but for notes."""
-    axes, rows, worst = study_drives(), [], []
-    with report.working("sound logs"), report.stages() as advance:
+    rows: list[list[object]] = []
+    worst: list[str] = []
+    with report.stages() as advance:
         for number in range(count):
             case = sound(axes[number % len(axes)], np.random.default_rng([seed, SOUND, number]))
             findings = list(examine(case.log, case.description))
@@ -165,11 +171,10 @@ def sound_logs(report: Report, count: int, seed: int, examine: Examine) -> None:
     )  # fmt: skip
 
 
-def pairs_of_logs(report: Report, count: int, seed: int, together: Together) -> None:
+def pairs_of_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive], together: Together) -> None:
     """Two logs under one name: of one machine, of two that differ in mass, of two that differ in friction, in turn."""
-    axes = study_drives()
     rows: list[list[object]] = []
-    with report.working("pairs of logs"), report.stages() as advance:
+    with report.stages() as advance:
         for number in range(count):
             rng = np.random.default_rng([seed, PAIRS, number])
             pair = _pair(axes, ("same", "mass", "friction")[number % 3], number // 3, rng)
