@@ -114,6 +114,9 @@ def test_mends_are_applied_one_after_the_other_and_at_most_three():
     assert score.wrong_mend.startswith("command")
 
 
+BOTH = ("position", "reference")
+
+
 def unfaulted(**channels):
     return Fault(CASE.log, CASE.log, "", ("gain",)), dataclasses.replace(CASE.log, **channels)
 
@@ -134,6 +137,7 @@ def test_a_common_zero_and_a_common_delay_are_no_difference():
         ({"reference": lambda log: log.reference + 1e-5}, "following error"),
         ({"position": lambda log: 1.01 * log.position, "reference": lambda log: 1.01 * log.reference}, "position"),
         ({"position": lambda log: later(log.position, 1)}, "following error"),
+        ({name: lambda log, n=name: later(getattr(log, n), 0.5) for name in BOTH}, "delay between channels"),
         ({"time": lambda log: 1.001 * log.time}, "time"),
     ],
 )

@@ -29,6 +29,7 @@ class StudyDrive:
     hidden: Mapping[str, Any] | None = None
     motor_step: float | None = None
     reversible: bool = True  # whether the mirrored axis is one with the same drive file
+    settled: float = 0.0  # s, for which the loop has held the axis before the log begins
     description: DriveDescription = field(init=False)
 
     def __post_init__(self) -> None:
@@ -186,6 +187,6 @@ def study_drives() -> tuple[StudyDrive, ...]:
                 {"kind": "cascade", "kp": 70.0, "kv": 8e4, "ki": 1.5e6, "velocity_feedforward": 1.0},
                 constant_force=-900.0,
             ),
-            0.2, 0.2, 1.5, 4.0, reversible=False,
+            0.2, 0.2, 1.5, 4.0, reversible=False, settled=0.5,
         ),
     )  # fmt: skip

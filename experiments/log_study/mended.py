@@ -9,6 +9,8 @@ LENGTHS = ("reference", "position", "motor_position")
 ERROR = "following error"
 # What a mended log may be off by and still give the same drive: force constants are known to 2 %, scales to 0.1 %.
 COMMAND_SHARE, LENGTH_SHARE, ERROR_SHARE, RATE = 0.02, 1e-3, 0.05, 1e-4
+SHIFTABLE = ("reference", "position", "command")
+APART = 0.1  # samples by which these may be early or late against one another: it counts as a delay of the drive
 LOST = 1.5  # times what the best mend leaves, that another may leave
 MOST_LAG = 8  # samples by which all channels may be moved together: that changes nothing
 MARGIN = 0.02  # of the log at either end, where a shifted channel repeats its last value
@@ -37,7 +39,18 @@ def differences(mended: Log, fault: Fault, resolution: float) -> list[str]:
         untouched = fault.undo is None and _rms(ours[name] - possible[name]) <= allowed
         if not (untouched or _rms(off - signal) <= allowed + lost):
             found.append(name)
-    return found
+    apart = _delays(ours, theirs, zero) - _delays(possible, theirs, 0.0)
+    return found if np.ptp(apart) <= APART else [*found, "delay between channels"]
+
+
+def _delays(ours: dict[str, Signal], theirs: dict[str, Signal], zero: float) -> Signal:
+    """By how many samples reference, position and command are late, by least squares; small ones only."""
+    delays = []
+    for name in SHIFTABLE:
+        slope = np.gradient(theirs[name])
+        off = ours[name] - (zero if name in LENGTHS else 0.0) - theirs[name]
+        delays.append(-float(off @ slope) / max(float(slope @ slope), 1e-300))
+    return np.array(delays)
 
 
 def _compared(log: Log) -> dict[str, Signal]:
@@ -66,7 +79,7 @@ def _lag(mended: Log, true: Log) -> int:
         return sum(
             _rms((np.roll(mended.channels[name], lag) - true.channels[name])[inner])
             / max(float(np.std(true.channels[name])), 1e-300)
-            for name in ("reference", "position", "command")
+            for name in SHIFTABLE
         )
 
     return min(range(-MOST_LAG, MOST_LAG + 1), key=lambda lag: (off(lag), abs(lag)))

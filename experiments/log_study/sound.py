@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
@@ -14,7 +13,7 @@ from diffdrive import motion
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription
 from diffdrive.effects import acting
-from diffdrive.logs.log import Log, Signal
+from diffdrive.logs.log import Log
 from diffdrive.motion import Motion
 from diffdrive.parameters import Directional, Drive, Sampling, as_arrays
 from diffdrive.run import Run, judged
@@ -121,39 +120,49 @@ def logged(drive: StudyDrive, machine: Drive, made: Motion, seed: int, controlle
     """What this machine logs of a motion; raises `DivergenceError` if its loop is unstable."""
     if controller is None:
         controller = drive.with_feedback({}).controller
-    description = drive.description
-    sampling = description.sampling
+    before = round(drive.settled * drive.rate)
+    made = _held(made, before)
     loads = np.full(len(made.time), drive.load)
-    frames = _rollout(*as_arrays((machine, controller)), inputs_of(made, loads), sampling, jax.random.key(seed))
-    run = judged(Run.of(made, loads, frames, 1), description.limits, None).require_ok()
+    machine, controller, inputs = *as_arrays((machine, controller)), inputs_of(made, loads)
+    sampling, limits, key = drive.description.sampling, drive.description.limits, jax.random.key(seed)
+    run = judged(
+        Run.of(made, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
+    ).require_ok()
     signals = {name: np.asarray(getattr(run, name)) for name in ("time", "position", "command", "reference")}
     if drive.load:
         signals["load"] = np.asarray(run.load)
     if drive.motor_step is not None:
-        signals["motor_position"] = _at_motor(drive, machine, controller, made, seed)
-    return Log(drive.name, **signals)
-
-
-def _at_motor(drive: StudyDrive, machine: Drive, controller: Controller, made: Motion, seed: int) -> Signal:
-    """What an encoder at the motor shows: the table, and how far the screw is wound up."""
-    inputs = inputs_of(made, np.full(len(made.time), drive.load))
-    table, wound_up = _wound_up(
-        *as_arrays((machine, controller)), inputs, drive.description.sampling, jax.random.key(seed)
-    )
-    noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(made.time))
-    return drive.motor_step * np.round((np.asarray(table + wound_up) + noise) / drive.motor_step)
+        wound_up = _winding(machine, controller, inputs, sampling, key)
+        noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(made.time))
+        shown = run.table_position + np.asarray(wound_up) + noise
+        signals["motor_position"] = drive.motor_step * np.round(shown / drive.motor_step)
+    log = Log(drive.name, **{name: signal[before:] for name, signal in signals.items()})
+    return replace(log, time=log.time - log.time[0])
 
 
 @eqx.filter_jit
-def _wound_up(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> tuple[Any, Any]:
-    """The table (m), and the motor against it (m), of a drive whose first effect is its transmission."""
+def _winding(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
+    """The motor against the table (m), of a drive whose first effect is its transmission."""
     drive = acting.altered(drive, drive.effects)
 
     def body(state: Any, at: Inputs) -> tuple[Any, Any]:
-        ahead, frame = step(drive, controller, sampling, key, state, at)
-        return ahead, (frame.position, state.effects[0].against.deflection)
+        return step(drive, controller, sampling, key, state, at)[0], state.effects[0].against.deflection
 
-    return lax.scan(body, start(drive, controller, jnp.asarray(inputs.reference.position[0])), inputs)[1]
+    return lax.scan(body, start(drive, controller, inputs.reference.position[0]), inputs)[1]
+
+
+def _held(made: Motion, samples: int) -> Motion:
+    """The motion after so many samples at rest."""
+    if not samples:
+        return made
+    still = np.zeros(samples)
+    return Motion(
+        np.arange(samples + len(made.time)) / made.rate,
+        np.concatenate([still + made.position[0], made.position]),
+        np.concatenate([still, made.velocity]),
+        np.concatenate([still, made.acceleration]),
+        made.name,
+    )
 
 
 def _cut(made: Motion, count: int) -> Motion:
