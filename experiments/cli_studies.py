@@ -192,3 +192,24 @@ def recovery(
     from experiments.recovery import study
 
     study(out, draws, workers)
+
+
+@studies.command("log-study", rich_help_panel=PANEL)
+def log_study(
+    out: Out = None,
+    cases: Annotated[int, typer.Option(min=1, help="How many logs with a fault.")] = 60,
+    sound: Annotated[int, typer.Option(min=0, help="How many sound logs.")] = 40,
+    pairs: Annotated[int, typer.Option(min=0, help="How many pairs of logs, two thirds of them of two machines.")] = 30,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of axes, motions and faults.")] = 1,
+) -> None:
+    """The log checks on logs whose fault is known (docs/log-study.md): is it named, and is a stated mend right?
+
+    Simulates axes of ten kinds, does something to their logs, and asks the checks; then the same with sound logs, and
+    with pairs of logs of one machine or of two. Takes about five minutes.
+    """
+    from diffdrive.logs.plausibility import examine, examine_together
+    from experiments.log_study.study import log_study as study
+    from experiments.report import Report
+
+    with Report(f"log checks on logs whose fault is known, seed {seed}", out) as report:
+        study(report, cases=cases, healthy=sound, pairs=pairs, seed=seed, examine=examine, together=examine_together)

@@ -1,19 +1,20 @@
 """Reads CSV and its relatives: any delimiter, decimal comma, a preamble, a unit row, comments, several encodings."""
 
-import contextlib
-import csv
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.csv_dialect import Dialect, dialect_of, first_row
+from diffdrive.logs.csv_arrow import columns_by_arrow
+from diffdrive.logs.csv_dialect import Dialect, dialect_of
 from diffdrive.logs.csv_header import header_of
-from diffdrive.logs.csv_unquoted import refuse_unquoted
+from diffdrive.logs.csv_lines import COMMENTS, Line, beginning, lines_of, sampled
+from diffdrive.logs.csv_rows import cells_of, column_of, rows_of, width_of
+from diffdrive.logs.csv_unquoted import SAMPLED, refuse_unquoted
 from diffdrive.logs.table import Table
 
-_COMMENTS = ("#", "%")
+_OUTER = " \n\x00"  # what may stand around a text
+_CONTROL = bytes(code for code in range(32) if chr(code) not in "\t\n\r\f\x1a")  # which text does not hold
 _SIGNATURES = {
     b"PAR1": "a Parquet file; name it .parquet",
     b"MATLAB": "a MAT file; name it .mat",
@@ -26,29 +27,48 @@ _SIGNATURES = {
 def read_csv(path: Path) -> Table:
     """The columns of a text table; raises `LogError` naming the file, the line and the column."""
     text = _decoded(path, path.read_bytes())
-    lines = [line.strip(" \r\x00") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
-    if not any(lines):
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if not text.strip(" \n\x00"):
         raise LogError(f"{path}: is empty; export the log again")
-    kept = [(k + 1, line) for k, line in enumerate(lines) if line and not line.startswith(_COMMENTS)]
-    dialect = dialect_of([line for _, line in kept])
-    start = None if dialect is None else first_row([line for _, line in kept], dialect)
+    lines = sampled(text)
+    dialect = dialect_of(lines) if lines else None
+    head, start = ([], None) if dialect is None else beginning(text, dialect, SAMPLED)
     if dialect is None or start is None:
         raise LogError(
-            f"{path}: has no rows of numbers, only text such as '{next(filter(None, lines))[:60]}'; a log needs "
-            "columns of numbers below one header line"
+            f"{path}: has no rows of numbers, only text such as '{_first_words(text)}'; a log needs columns of numbers "
+            "below one header line"
         )
-    refuse_unquoted(str(path), kept, start, dialect)
-    begin = kept[start][0]
+    refuse_unquoted(str(path), [(line.number, line.text) for line in head], start, dialect)
+    first = head[start]
+    above = (line.strip(" \x00") for line in text[: first.offset].split("\n"))
     # a header may itself be a comment, as numpy.savetxt writes it
-    preamble = [line.lstrip("".join(_COMMENTS) + " ") for line in lines[: begin - 1] if line]
-    header = header_of(preamble, dialect)
-    rows, notes = _rows(path, kept[start:], dialect)
-    cells = _cells([line for _, line in rows], dialect)
-    columns = {name: _column(column, dialect) for name, column in zip(header.names, cells, strict=True)}
+    header = header_of([line.lstrip("".join(COMMENTS) + " ") for line in above if line], dialect)
+    numbers, cells, notes = _body(path, text, first, dialect)
+    columns = dict(zip(header.names, cells, strict=True))
     named = {name: values for name, values in columns.items() if not _is_trailing(name, values)}
     units = {name: unit for name, unit in header.units.items() if name in named}
-    numbers = np.array([number for number, _ in rows])
     return Table(str(path), named, units, numbers, tuple(notes), dialect.decimal, header.clocks)
+
+
+def _body(path: Path, text: str, first: Line, dialect: Dialect) -> tuple[np.ndarray, list[np.ndarray], list[str]]:
+    """The rows from the first one on: their lines' numbers, their columns, and notes.
+
+    What Arrow refuses is read row by row, which takes ten times as long, and says what is wrong in which line.
+    """
+    body = text[first.offset :].strip(_OUTER)
+    begin = body.rfind("\n") + 1
+    last = body[begin:]
+    full = body if width_of(last, dialect) == dialect.width else body[: max(0, begin - 1)]
+    columns = columns_by_arrow(full, dialect) if full and not last.startswith(COMMENTS) else None
+    if columns is not None:
+        numbers = first.number + np.arange(len(columns[0]))
+        _, notes = rows_of(path, [(int(numbers[-1]) + 1, last)] if full is not body else [], dialect)
+        return numbers, columns, notes
+    kept = [(line.number + first.number - 1, line.text) for line in lines_of(body)]
+    rows, notes = rows_of(path, kept, dialect)
+    cells = cells_of([line for _, line in rows], dialect)
+    return np.array([number for number, _ in rows]), [column_of(column, dialect) for column in cells], notes
 
 
 def _decoded(path: Path, raw: bytes) -> str:
@@ -61,49 +81,13 @@ def _decoded(path: Path, raw: bytes) -> str:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
-    strange = sum(text.count(chr(code)) for code in range(32) if chr(code) not in "\t\n\r\f\x1a")
-    if strange > 0.001 * len(text):
+    if len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
         raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
     return text
 
 
-def _rows(path: Path, kept: list[tuple[int, str]], dialect: Dialect) -> tuple[list[tuple[int, str]], list[str]]:
-    """The rows with as many cells as the table has columns; a last one that was cut off is left out."""
-    rows, notes = [], []
-    for number, line in kept:
-        found = _width(line, dialect)
-        if found == dialect.width:
-            rows.append((number, line))
-        elif number != kept[-1][0]:
-            raise LogError(
-                f"{path}: line {number} has {found} columns, the other rows have {dialect.width}; correct this line"
-            )
-        elif line != "EOF":  # TwinCAT's end mark
-            notes.append(f"line {number}, the last, is cut off and was left out")
-    return rows, notes
-
-
-def _width(line: str, dialect: Dialect) -> int:
-    if dialect.delimiter == " ":
-        return len(line.split())
-    return len(dialect.split(line)) if '"' in line else line.count(dialect.delimiter) + 1
-
-
-def _cells(lines: list[str], dialect: Dialect) -> Iterable[tuple[str, ...]]:
-    """The table column by column."""
-    if dialect.delimiter == " ":
-        return zip(*map(dialect.split, lines), strict=True)
-    return zip(*csv.reader(lines, delimiter=dialect.delimiter, skipinitialspace=True), strict=True)
-
-
-def _column(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
-    """Whole numbers, numbers, or text for `Table.numbers` to judge, such as points beside decimal commas."""
-    mixed = dialect.decimal == "," and any("." in cell for cell in cells)
-    plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]
-    for kind in () if mixed else (np.int64, np.float64):
-        with contextlib.suppress(ValueError, OverflowError):
-            return np.array(plain, dtype=kind)
-    return np.array([cell.strip() for cell in cells], dtype=object)
+def _first_words(text: str) -> str:
+    return text.strip(_OUTER).split("\n", 1)[0].strip(_OUTER)[:60]
 
 
 def _is_trailing(name: str, values: np.ndarray) -> bool:

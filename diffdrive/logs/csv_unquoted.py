@@ -6,7 +6,7 @@ from diffdrive.errors import LogError
 from diffdrive.logs.csv_dialect import Dialect
 from diffdrive.logs.table import is_of_either_style
 
-_SAMPLED = 100  # rows below the header
+SAMPLED = 100  # rows below the header
 _FRACTION = re.compile(r"0\d+")  # what is left behind a decimal comma, but no whole number
 
 
@@ -21,7 +21,7 @@ def refuse_unquoted(source: str, kept: list[tuple[int, str]], start: int, dialec
     if header is None:
         return
     named = len(_trimmed(kept[header][1], dialect))
-    rows = [_trimmed(line, dialect) for _, line in kept[header + 1 : start + _SAMPLED]][:-1]  # the last may be cut off
+    rows = [_trimmed(line, dialect) for _, line in kept[header + 1 : start + SAMPLED]][:-1]  # the last may be cut off
     numbers = [[cell for cell in row if is_of_either_style(cell)] for row in rows]
     width = len(_trimmed(kept[start][1], dialect))
     if not named < width <= 2 * named or any("." in cell for row in numbers for cell in row):
