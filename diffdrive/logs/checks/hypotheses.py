@@ -177,13 +177,14 @@ def rounded(relation: Relation) -> Iterator[Hypothesis]:
 def on_grid(signal: Signal, step: float) -> bool:
     """Whether the values lie on the grid, as after rounding.
 
-    Only samples between unequal increments count: a smooth motion at a speed of whole steps a sample has a grid, too.
+    Only samples with a third difference count: a set-point of constant speed or acceleration has a grid as well, since
+    it advances by whole multiples of one increment.
     """
     counts = (signal - signal[0]) / step
-    uneven = np.abs(np.diff(counts, 2)) > 1e-3
+    uneven = np.abs(np.diff(counts, 3)) > 1e-3
     if np.sum(uneven) < FEWEST:
         return False
-    inner = counts[1:-1][uneven]
+    inner = counts[2:-1][uneven]
     return float(np.quantile(np.abs(inner - np.round(inner)), 0.9)) < ROUNDED
 
 
