@@ -24,7 +24,7 @@ from diffdrive.logs.checks import (
 )
 from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.checks.repair import Repair
-from diffdrive.logs.log import Log
+from diffdrive.logs.log import Log, Signal
 
 __all__ = ["Finding", "examine", "examine_together"]
 
@@ -61,8 +61,8 @@ def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
     for finding in overflows:
         assert finding.repair is not None
         log = finding.repair.apply(log)
-    related = _command(log, description)
-    single = [*_position_unit(log, description), *_signals(log, description)]
+    related, given = _command(log, description)
+    single = [*_position_unit(log, description), *_signals(log, description, given)]
     return [*overflows, *related, *(one for one in single if not _is_said(one, related))]
 
 
@@ -122,15 +122,15 @@ def _position_unit(log: Log, description: DriveDescription | None) -> list[Findi
     ]
 
 
-def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
-    """What single channels show besides."""
+def _signals(log: Log, description: DriveDescription | None, given: Signal | None) -> list[Finding]:
+    """What single channels show besides; `given` is the controller's own command, where it is known."""
     checks: list[Iterable[Finding]] = [
         clock.gaps(log),
         clock.stamps(log),
         clock.rate(log, description) if description is not None else [],
-        outliers.spikes(log),
+        outliers.spikes(log, given),
         outliers.lost_rows(log),
-        bursts.without_reaction(log, description),
+        bursts.without_reaction(log, description, given),
         encoders.lost_motion(log, description),
         ranges.load(log, description),
         ranges.temperature(log),
@@ -152,8 +152,10 @@ def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
     return [finding for check in checks for finding in check]
 
 
-def _command(log: Log, description: DriveDescription | None) -> list[Finding]:
+def _command(log: Log, description: DriveDescription | None) -> command.Judgement:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     if np.ptp(log.command) == 0 or np.ptp(log.position) == 0:
-        return []
-    return [*(balance.command_sign(log) if description is None else command.command(log, description))]
+        return command.Judgement([])
+    if description is None:
+        return command.Judgement([*balance.command_sign(log)])
+    return command.judged(log, description)

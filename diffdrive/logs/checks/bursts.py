@@ -16,6 +16,7 @@ from diffdrive.logs.log import Log, Signal
 WINDOW = 0.2  # s: what is usual is that of the samples around
 UNUSUAL = 12.0  # standard deviations of the samples around; a reversal's jerk reaches 10
 LARGE = 0.1  # of the command's range
+EDGE = 1  # samples within which a burst begins and ends
 SHORTEST = 3  # samples: fewer are outliers
 MOVED = 5.0  # noises of the position that a burst must have moved the table by, had it acted
 
@@ -38,7 +39,14 @@ def bursts(command: Signal, step: float) -> list[Burst]:
     unusual = (np.abs(rest) > UNUSUAL * around) & (np.abs(rest) > LARGE * float(np.ptp(command)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unusual.astype(int), [0]])))
     found = [Burst(int(a), int(b), float(np.mean(rest[a:b]))) for a, b in edges.reshape(-1, 2)]
-    return [one for one in found if SHORTEST <= one.stop - one.start < length]
+    found = [one for one in found if SHORTEST <= one.stop - one.start < length]
+    return [one for one in found if _is_switched(command, one.start, one) and _is_switched(command, one.stop, one)]
+
+
+def _is_switched(command: Signal, at: int, burst: Burst) -> bool:
+    """Whether the command jumps by the burst within two samples of `at`: forces that friction asks for do not."""
+    around = command[max(0, at - EDGE - 1) : at + EDGE + 1]
+    return float(np.max(np.abs(np.diff(around)), initial=0.0)) > 0.5 * abs(burst.force)
 
 
 def _usual(signal: Signal, length: int) -> Signal:
@@ -48,11 +56,11 @@ def _usual(signal: Signal, length: int) -> Signal:
     return np.interp(np.arange(len(signal)), np.arange(len(signal))[::thin], coarse)
 
 
-def without_reaction(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
-    """Bursts that would have moved a table of this mass, and did not."""
+def without_reaction(log: Log, description: DriveDescription | None, given: Signal | None = None) -> Iterator[Finding]:
+    """Bursts that would have moved a table of this mass, and did not; `given` is the controller's own command."""
     piece, step = longest_piece(log), mean_step(log)
     position, command = log.position[piece], log.command[piece]
-    found = bursts(command, step)
+    found = bursts(command if given is None else command - given[piece], step)
     mass = _mass(position, command, step, description)
     if not found or mass is None:
         return

@@ -1,6 +1,7 @@
 """The logged command against the drive file's controller, and against mass and friction: findings in words."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,40 +15,57 @@ from diffdrive.logs.checks.relation import relation_of
 from diffdrive.logs.checks.repair import Repair, shifted
 from diffdrive.logs.checks.replay import remembers_nothing
 from diffdrive.logs.checks.statistics import percent
-from diffdrive.logs.log import Log
+from diffdrive.logs.log import Log, Signal
 
 # A structure that leaves more than this of the command explains nothing.
 EXPLAINS = 0.2
 
 
-def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
+class Judgement(NamedTuple):
+    """What the command shows, and the controller's own command [n], in the log's unit, where it explains that."""
+
+    findings: list[Finding]
+    given: Signal | None = None
+
+
+def judged(log: Log, description: DriveDescription) -> Judgement:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     unknown = isinstance(description.controller, UnknownController)
     relation = None if unknown else relation_of(log, description)
     outcome = None if relation is None else consistency.examined(relation)
     if outcome is None:
-        yield from balance.command(log, description)
-        return
+        return Judgement([*balance.command(log, description)])
     fit = outcome.best.fit
     assert fit is not None
     if fit.error > EXPLAINS and outcome.plain.error > RELATED:
-        yield from explained(outcome, description)
-        yield from balance.command(log, description)
-        return
-    yield from timing(outcome, description)
-    yield from faults(log, outcome, description)
-    yield from disturbance(log, outcome)
-    yield from explained(outcome, description)
-    yield from balance.machine(outcome.best.dynamics, description)
+        return Judgement([*explained(outcome, description), *balance.command(log, description)])
+    findings = [
+        *faults(log, outcome, description),
+        *disturbance(log, outcome),
+        *explained(outcome, description),
+        *balance.machine(outcome.best.dynamics, description),
+        *timing(outcome, description),
+    ]
+    return Judgement(findings, _given(log, outcome))
+
+
+def _given(log: Log, outcome: Outcome) -> Signal | None:
+    """The controller's command as the log would hold it, where it explains a log in one piece."""
+    whole = len(outcome.output) == len(log.time) and outcome.relation.disturbance is None
+    if not whole or outcome.plain.error > EXPLAINED:
+        return None
+    return float(outcome.plain.coefficients[0]) * outcome.output + float(outcome.plain.coefficients[-1])
 
 
 def timing(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
-    """That no channel is shifted, where the controller tells."""
-    if outcome.best.faults and any(one.cause not in ("gain", "reversed", "offset") for one in outcome.best.faults):
+    """That no channel is shifted, where that was in doubt: the drive file states a delay, or the past is unknown."""
+    delay = description.drive.actuator.delay_samples
+    if not delay and not outcome.relation.late:
+        return
+    if any(one.cause not in ("gain", "reversed", "offset") for one in outcome.best.faults):
         return
     early, now, late = _around(outcome)
     if outcome.plain.error < 0.1 and min(early, late) > 2 * now:
-        delay = description.drive.actuator.delay_samples
         also = f", so actuator.delay_samples = {delay} must lie between the command and the force" if delay else ""
         over = " over the later half of the log, its past being unknown" if outcome.relation.late else ""
         yield Finding(

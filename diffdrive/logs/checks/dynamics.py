@@ -92,7 +92,7 @@ class Dynamics(NamedTuple):
 
 def _squared(one: Estimate, std: float) -> float:
     """Of a value that may be zero, that of the largest that it may have."""
-    value = max(one.value, 2 * one.std)
+    value = max(one.value, 2 * one.std, 1e-12)
     return float(0.5 * np.log(value) ** 2 / (std**2 + (one.std / value) ** 2))
 
 

@@ -81,8 +81,11 @@ def _floor(signal: Signal, share: float) -> float:
     return max(share * float(np.ptp(np.quantile(signal, [0.01, 0.99]))), grid.step if grid else 0.0)
 
 
-def spikes(log: Log) -> Iterator[Finding]:
-    """Single-sample spikes; in the command only what the controller did not make from position and reference."""
+def spikes(log: Log, given: Signal | None = None) -> Iterator[Finding]:
+    """Single-sample spikes; in the command only what the controller did not make from position and reference.
+
+    `given` is the controller's command [n], where it is known.
+    """
     for name in ("reference", "position", "motor_position", "velocity", "load", "command"):
         signal = log.channels.get(name)
         if signal is None or np.ptp(signal) == 0:
@@ -90,7 +93,8 @@ def spikes(log: Log) -> Iterator[Finding]:
         bend = _bend(signal)
         floor = _floor(signal, 1e-6)
         if name == "command":
-            bend, floor = _unexplained(log, bend), _floor(signal, 1e-3)
+            bend = _unexplained(log, bend) if given is None else _bend(signal - given)
+            floor = _floor(signal, 1e-3)
         k = spike_indices(bend, floor)
         if len(k):
             worst = k[int(np.argmax(np.abs(bend[k])))]
