@@ -9,10 +9,11 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
+from diffdrive.logs.plausibility import Finding
 from experiments.log_study.drives import StudyDrive, study_drives
 from experiments.log_study.fault import Draw, Fault
 from experiments.log_study.machines import MACHINES, other_log_of
-from experiments.log_study.score import Examine, Found, Score, scored, share
+from experiments.log_study.score import Examine, Score, scored, share
 from experiments.log_study.sound import Case, logged, motions, sound
 from experiments.log_study.timing import TIMES
 from experiments.log_study.values import VALUES
@@ -22,7 +23,7 @@ FAULTS: tuple[Draw, ...] = (*VALUES, *TIMES, *MACHINES)
 MOTIONS, AMOUNTS = 3, 10  # that are tried for a fault that shows
 CASES, SOUND, PAIRS = 0, 1, 2  # streams of random numbers
 
-Together = Callable[[Sequence[Log], DriveDescription], Sequence[Found]]
+Together = Callable[[Sequence[Log], DriveDescription], Sequence[Finding]]
 
 
 @dataclass(frozen=True)
