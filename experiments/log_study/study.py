@@ -1,7 +1,7 @@
 """`diffdrive log-study`: logs with a known fault, sound logs and pairs of logs, and what the checks say of them."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -205,10 +205,10 @@ def _pair(axes: Sequence[StudyDrive], what: str, turn: int, rng: np.random.Gener
         try:
             made = motions(axis)[name](rng)
             if what == "same":
-                return case, logged(axis, case.machine, made, case.seed + 1), "none"
+                return case, replace(logged(axis, case.machine, made, case.seed + 1), name=name), "none"
             other = other_log_of(case, made, rng, mass=what == "mass")
         except DivergenceError:
             continue
         if other is not None:
-            return case, other[0], other[1]
+            return case, replace(other[0], name=name), other[1]
     return None
