@@ -49,9 +49,9 @@ def test_units_of_position_and_of_command_are_told_apart_by_coulomb_friction():
     loose = dataclasses.replace(DRIVE, limits=motion.Limits(), drive=described(resolution=None).drive)
     slow = {name: signal / 10 for name, signal in both.items()}
     blamed = examine(but(**slow), loose)
-    assert matching(blamed, "fatal", "command", r"in order: rather position and reference are 0\.1 times too large")
+    assert matching(blamed, "fatal", "position", r"reference are 0\.1 times what they should be")
     blamed = examine(but(command=SOUND.command / 10), loose)
-    assert matching(blamed, "fatal", "command", "Coulomb friction says so too: it is 0\\.(1|09)")
+    assert matching(blamed, "fatal", "command", r"multiply the command by 10 N")
 
 
 def test_a_unit_delay_of_the_actuator_is_confirmed_outside_the_recording():

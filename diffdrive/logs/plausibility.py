@@ -70,6 +70,7 @@ def _is_said(finding: Finding, related: list[Finding]) -> bool:
     """Whether what one channel shows by itself is part of what all of them show together."""
     explains = {
         "rounded": ("rounded", "gain"),
+        "offset": ("offset", "swapped", "gain", "reversed"),
         "filtered": ("filtered", "swapped"),
         "gain": ("gain", "reversed"),
         "reversed": ("gain", "reversed"),
@@ -133,6 +134,7 @@ def _signals(log: Log, description: DriveDescription | None) -> list[Finding]:
         encoders.lost_motion(log, description),
         ranges.load(log, description),
         ranges.temperature(log),
+        ratios.zeros(log),
         ratios.motor_follows_position(log),
         ratios.velocity_is_derivative(log),
         grid.command_grid(log),

@@ -8,11 +8,12 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.dynamics import Dynamics, Estimate, inverse_dynamics
 from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, dynamics_of, judged, ranked, rivals_of
+from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import CAUSES, Finding
 from diffdrive.logs.checks.hypotheses import SKIPPED, on_grid
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Repair, Scale, Swap
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, smoothed
+from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step
 from diffdrive.logs.log import Log
 
 # Mass and friction must explain the command but for a tenth of its power, or they say nothing of it.
@@ -62,6 +63,14 @@ def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[
             ratio = float(np.exp(np.median(np.log(ratios))))
             unit = Fault("gain", "command", {"ratio": ratio}, (Scale("command", 1 / ratio),))
             yield (*signs, unit), now._replace(command=sign * now.command / ratio)
+    if dynamics.mass.determined and dynamics.mass.value > 0:
+        ratio = dynamics.mass.value
+        both = (
+            Scale("position", 1 / ratio),
+            *((Scale("reference", 1 / ratio),) * (relation.log.reference is not None)),
+        )
+        lengths = Fault("gain", "position", {"ratio": ratio}, both)
+        yield (lengths,), now._replace(position=now.position / ratio, reference=now.reference / ratio)
     if relation.log.reference is not None and counts_exchanged(relation):
         exchanged = Fault("swapped", "position", {}, (Swap("reference", "position"),))
         yield (exchanged,), now._replace(reference=now.position, position=now.reference)
@@ -69,7 +78,7 @@ def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[
         slower = Fault("decimated", "time", {"skipped": float(count)}, (Scale("time", float(count)),))
         yield (slower,), now._replace(period=count * now.period)
     if np.min(now.command) >= 0:
-        speed = smoothed(now.position, now.period).rate
+        speed = derivative(now.position, now.period, 1)
         yield (Fault("rectified", "command", {}),), now._replace(command=now.command * np.sign(speed))
 
 
@@ -96,6 +105,12 @@ def _faults(best: Explanation, rivals: list[Explanation]) -> Iterator[Finding]:
 
 def _gain(fault: Fault) -> tuple[str, str]:
     ratio = fault.numbers["ratio"]
+    if fault.channel == "position":
+        return (
+            f"position and reference are {ratio:.3g} times what mass of the drive file asks for, while friction is in "
+            f"order{name_in_brackets(ratio)}",
+            "correct the unit of position and reference",
+        )
     return (
         f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per "
         "cent taken as newtons?",

@@ -87,6 +87,7 @@ def _fitted(relation: Relation, output: Signal, now: Fit) -> Iterator[tuple[Hypo
         yield one, relation.fit(one.signals.command, command)
     for one in hypotheses.decimated(relation):
         yield one, relation.fit(one.signals.command, relation.outputs([one.signals])[0])
+    yield from hypotheses.rounded_command(relation, now)
     yield from _shifts(relation)
     families: dict[str, list[Hypothesis]] = {}
     for one in hypotheses.filtered(relation):

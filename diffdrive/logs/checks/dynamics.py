@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.logs.checks.statistics import Signal, smoothed
+from diffdrive.logs.checks.statistics import Signal, derivative, smoothed
 from diffdrive.parameters import Directional, Drive
 
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.
@@ -104,7 +104,8 @@ def inverse_dynamics(
     `position` (m) and `force` (N) at samples `step` (s) apart; `load` (N) lies on the guides. With a drive, ratios to
     its nominal values; without, kg, N and N s/m.
     """
-    motion, given = smoothed(position, step), smoothed(force, step).value
+    weight = 0.0 if drive is None else float(drive.plant.constant_force)
+    motion, given = smoothed(position, step), derivative(force + weight, step, 0)
     speed = motion.rate
     sliding = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
     ahead = speed > 0

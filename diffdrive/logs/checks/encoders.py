@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import noise_of
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit, smoothed
+from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step, robust_fit
 from diffdrive.logs.log import Log
 
 SLIDING = 0.1  # share of the top speed above which the direction is clear
@@ -21,12 +21,12 @@ def lost_motion(log: Log, description: DriveDescription | None) -> Iterator[Find
         return
     piece, step = longest_piece(log), mean_step(log)
     motor, table = log.motor_position[piece], log.position[piece]
-    speed = smoothed(table, step).rate
+    speed = derivative(table, step, 1)
     moving = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
     ahead = moving & (speed > 0)
     if min(int(np.sum(ahead)), int(np.sum(moving & ~ahead))) < 50:
         return
-    force = smoothed(log.command[piece], step).value
+    force = derivative(log.command[piece], step, 0)
     columns = [np.sign(speed)[moving], table[moving] - table.mean(), force[moving]]
     fit = robust_fit([one for one in columns if np.std(one) > 0], (motor - table)[moving])
     lost = 2.0 * float(fit.coefficients[0])

@@ -82,9 +82,10 @@ def readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Expla
         return [replace(found, cost=found.cost + _parameters(len(hypothesis.columns) - 1, fit))]
     found = []
     ratio, constant = float(fit.coefficients[0]), float(fit.coefficients[-1])
-    if hypothesis.cause == "rounded":  # it is judged by smoothed signals, but mass and friction by those of the log
+    coarse = hypothesis.cause == "rounded" and hypothesis.channel != "command"
+    if coarse:  # it is judged by smoothed signals, but mass and friction by those of the log
         signals = relation.logged
-    for factor_faults, factor in _factors(relation, fit, ratio, hypothesis.cause == "rounded"):
+    for factor_faults, factor in _factors(relation, fit, ratio, coarse):
         for offset_faults, subtract in _offsets(relation, signals, fit, ratio, constant):
             mended = factor(signals._replace(command=signals.command - subtract))
             found.append(judged(relation, (*own, *offset_faults, *factor_faults), mended, fit))

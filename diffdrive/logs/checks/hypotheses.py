@@ -17,7 +17,7 @@ from diffdrive.logs.checks.grid import COARSER, grid_of
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Scale, Shift, Step, Swap, shifted
 from diffdrive.logs.checks.replay import is_linear, remembers_nothing
-from diffdrive.logs.checks.statistics import window
+from diffdrive.logs.checks.statistics import Fit, window
 from diffdrive.logs.log import Signal
 
 REACH = 8  # whole samples by which a channel is moved
@@ -140,6 +140,8 @@ def shift(relation: Relation, i: float, j: float) -> Hypothesis:
     else:
         channel = "position" if i == 0 else "reference" if j == 0 else "command"
         steps = tuple(Shift(name, by) for name, by in (("reference", i), ("position", j)) if by)
+    if i % 1 or j % 1:  # what was interpolated is not brought back by interpolation
+        steps = ()
     return Hypothesis("shifted", channel, mended, steps, {"reference": i, "position": j})
 
 
@@ -172,6 +174,22 @@ def rounded(relation: Relation) -> Iterator[Hypothesis]:
                 length = min(window(1.0 / now.period, seconds), len(now.position) // 2 * 2 - 1)
                 mended = Signals(*(savgol_filter(signal, length, 2) for signal in now[:3]), now.period)
                 yield Hypothesis("rounded", channel, mended, (), numbers)
+
+
+def rounded_command(relation: Relation, fit: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
+    """The command has coarse steps: what is left is then the error of rounding, and the rest of it the misfit."""
+    command = relation.logged.command
+    grid = grid_of(command)
+    if grid is None or not on_grid(command, grid.step):
+        return
+    explained = grid.step / np.sqrt(12.0) / float(np.std(command))
+    left = float(np.sqrt(max(fit.error**2 - explained**2, 0.0)))
+    # a residual of many steps is not that of rounding, however little of it remains
+    if explained > 0.5 * fit.error:
+        yield (
+            Hypothesis("rounded", "command", relation.logged, (), {"step": grid.step}),
+            fit._replace(error=left),
+        )
 
 
 def on_grid(signal: Signal, step: float) -> bool:

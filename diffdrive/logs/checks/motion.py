@@ -6,7 +6,7 @@ import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import noise_of
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, smoothed
+from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step
 from diffdrive.logs.log import Log
 
 SHORT = 1.0  # s of motion: fewer strokes than that hold no more than a handful of reversals
@@ -17,7 +17,7 @@ def variety(log: Log) -> Iterator[Finding]:
     """Motion at all, long enough, both ways, at several speeds."""
     piece, step, noise = longest_piece(log), mean_step(log), noise_of(log.position[longest_piece(log)])
     position = log.position[piece]
-    speed = smoothed(position, step).rate
+    speed = derivative(position, step, 1)
     top = float(np.quantile(np.abs(speed), 0.999))
     if np.ptp(position) < max(STROKES * noise, 1e-9) or np.ptp(position) == 0:
         yield Finding(
@@ -62,7 +62,7 @@ def variety(log: Log) -> Iterator[Finding]:
 def speed_at(log: Log, first: int = 0) -> float:
     """Speed (m/s) at sample `first`; 0 where the table may rest."""
     step, longest = mean_step(log), log.position[longest_piece(log)]
-    top = float(np.quantile(np.abs(smoothed(longest, step).rate), 0.999))
+    top = float(np.quantile(np.abs(derivative(longest, step, 1)), 0.999))
     position = log.position[first:]
     count = max(2, min(len(position) - 1, int(2e-3 / step)))  # 2 ms: an axis gains 10 mm/s in it at 5 m/s^2
     speed = float(position[count] - position[0]) / (count * step)

@@ -6,13 +6,15 @@ import numpy as np
 
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit, smoothed
+from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step, robust_fit
 from diffdrive.logs.log import Log, Signal
 
 # Correlation at which two signals are the same motion: a loop that lags by 8 degrees still reaches it.
 SAME_MOTION = 0.99
 # A loop at its bandwidth follows with 0.7 to 1.4 times the amplitude: beyond that a ratio is a unit, not a loop.
 UNIT_ERROR = 1.5
+# A weight on a loop without an integral leaves a constant error, but one of the size that friction makes as well.
+BEYOND_FOLLOWING = 3.0
 # Kinematics (pitch error, growth of the screw) stay within 1e-3; a ratio off by this is a wrong lead or gear.
 SCALE_ERROR = 0.03
 
@@ -67,6 +69,23 @@ def position_follows_reference(log: Log) -> Iterator[Finding]:
         yield from _compare("position", "reference", log.position[piece], log.reference[piece], False)
 
 
+def zeros(log: Log) -> Iterator[Finding]:
+    """A constant between reference and position that is beyond all that the loop makes of its motion."""
+    if log.reference is None:
+        return
+    error = log.reference - log.position
+    middle = float(np.median(error))
+    if abs(middle) > BEYOND_FOLLOWING * float(np.quantile(np.abs(error - middle), 0.99)):
+        yield Finding(
+            "warning",
+            "reference",
+            f"reference and position are {1e3 * middle:.6g} mm apart throughout, far beyond the following error: their "
+            "zeros differ",
+            f"add {-1e3 * middle:.6g} mm to the reference, as far as the loop leaves no such error under a weight",
+            "offset",
+        )
+
+
 def motor_follows_position(log: Log) -> Iterator[Finding]:
     """Motor encoder against table scale: unit and sign."""
     if log.motor_position is not None:
@@ -78,6 +97,6 @@ def velocity_is_derivative(log: Log) -> Iterator[Finding]:
     """Velocity against the slope of the position, both smoothed: unit and sign."""
     if log.velocity is not None:
         piece, step = longest_piece(log), mean_step(log)
-        slope = smoothed(log.position[piece], step).rate
-        mine = smoothed(log.velocity[piece], step).value
+        slope = derivative(log.position[piece], step, 1)
+        mine = derivative(log.velocity[piece], step, 0)
         yield from _compare("velocity", "position's derivative", mine, slope, False)

@@ -54,7 +54,15 @@ def _swapped(fault: Fault, log: Log, outcome: Outcome, description: DriveDescrip
 
 
 def _rounded(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
-    step, ratio = fault.numbers["step"], fault.numbers["ratio"]
+    step = fault.numbers["step"]
+    if fault.channel == "command":
+        return Words(
+            "warning",
+            "command",
+            f"the command has steps of {step:.4g}, and is the drive file's controller's to within half of one",
+            "log it with more digits, or before the converter",
+        )
+    ratio = fault.numbers["ratio"]
     return Words(
         "fatal" if ratio > 100 else "warning",
         fault.channel,
@@ -241,7 +249,7 @@ def _shifted(fault: Fault, log: Log, outcome: Outcome, description: DriveDescrip
         way = "early" if j > i else "late"
         return Words(
             severity,
-            "position",
+            "position" if fault.channel == "command" else fault.channel,
             f"the position is {abs(j - i):.2g} of a sample {way} (shift {i - j:+.2g}) against the reference {numbers}; "
             "which of the two is out of time cannot be told",
             "resampled, or logged by another interrupt: log the raw samples of one interrupt",

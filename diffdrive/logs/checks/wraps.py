@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.repair import Repair, Unwrap
+from diffdrive.logs.checks.repair import Add, Repair, Unwrap
 from diffdrive.logs.log import Log, Signal
 
 # A jump is one where it is this many times the largest step that the channel otherwise makes.
@@ -41,14 +41,25 @@ def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
             continue
         counts = "" if resolution is None else _bits(span / resolution)
         span = span if resolution is None else resolution * _whole(span / resolution)
+        turns = _turns(log, name, span)
+        steps = (Unwrap(name, span), *((Add(name, turns * span),) if turns else ()))
         yield Finding(
             "fatal",
             name,
             f"the {name} jumps by {span:.6g} m and back{counts}: its counter overflows",
             f"add {span:.9g} m at each jump, or log a wider counter",
             "wrapped",
-            repair=Repair((Unwrap(name, span),)),
+            repair=Repair(steps),
         )
+
+
+def _turns(log: Log, name: str, span: float) -> int:
+    """How many spans the channel lies off its partner, once its jumps are taken out."""
+    other = "position" if name == "reference" else "reference"
+    signal, partner = log.channels[name], log.channels.get(other)
+    if partner is None or span_of(partner) is not None:
+        return 0
+    return round(float(np.median(partner - np.unwrap(signal, period=span))) / span)
 
 
 def _bits(counts: float) -> str:
