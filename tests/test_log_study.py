@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diffdrive.logs.checks.finding import CAUSES
+from diffdrive.logs.plausibility import Finding
 from experiments.log_study.controllers import WEIGHTS
 from experiments.log_study.drives import study_drives
 from experiments.log_study.fault import Fault
@@ -28,9 +30,7 @@ ON_THE_TABLE = [draw for draw in FAULTS if draw.applies(TABLE)]
 
 
 def finding(cause, channel="position", *, severity="fatal", rivals=(), repair=None):
-    return SimpleNamespace(
-        severity=severity, channel=channel, found="what", mend="how", cause=cause, rivals=rivals, repair=repair
-    )
+    return Finding(severity, channel, "what", "how", cause, rivals, repair)
 
 
 def fault_of(draw, seed=0):
@@ -59,6 +59,7 @@ def test_a_fault_is_undone_and_a_right_answer_scores(draw):
             assert differences(fault.log, fault, TABLE.resolution) != []
             assert differences(fault.undo(fault.log), fault, TABLE.resolution) == []
         score = scored(fault, TABLE.description, TABLE.resolution, truthful(fault))
+        assert {*fault.causes, *fault.rivals} <= set(CAUSES)
         assert (score.first, score.named, score.rivals, score.wrong_mend) == (True, True, True, "")
         assert score.mended == (fault.undo is not None)
 

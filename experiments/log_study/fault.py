@@ -10,6 +10,7 @@ from experiments.log_study.drives import StudyDrive
 from experiments.log_study.sound import Case
 
 ANY: tuple[str, ...] = ()
+COMMAND_SHARE = 0.02  # of its standard deviation: so well is a force constant known, less changes no answer
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,12 @@
 import numpy as np
 
 from diffdrive.logs.log import Log, Signal
-from experiments.log_study.fault import Fault, following_error
+from experiments.log_study.fault import COMMAND_SHARE, Fault, following_error
 
 LENGTHS = ("reference", "position", "motor_position")
 ERROR = "following error"
-# What a mended log may be off by and still give the same drive: force constants are known to 2 %, scales to 0.1 %.
-COMMAND_SHARE, LENGTH_SHARE, ERROR_SHARE, RATE = 0.02, 1e-3, 0.05, 1e-4
+# What a mended log may be off by and still give the same drive: scales are known to 0.1 %, clocks to better than this.
+LENGTH_SHARE, ERROR_SHARE, RATE = 1e-3, 0.05, 1e-4
 SHIFTABLE = ("reference", "position", "command")
 APART = 0.1  # samples by which these may be early or late against one another: it counts as a delay of the drive
 LOST = 1.5  # times what the best mend leaves, that another may leave

@@ -2,39 +2,19 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from scipy.stats import binomtest
 
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.log import Log
+from diffdrive.logs.plausibility import Finding
 from experiments.log_study.fault import Fault
 from experiments.log_study.mended import differences
 
 MOST_MENDS = 3  # that a user applies one after the other
 
 
-class Mend(Protocol):
-    """What undoes a fault."""
-
-    def apply(self, log: Log) -> Log:
-        """The mended log."""
-        ...
-
-
-class Found(Protocol):
-    """A finding, as far as the study looks at it."""
-
-    severity: str
-    channel: str
-    found: str
-    mend: str
-    cause: str
-    rivals: tuple[str, ...]
-    repair: Mend | None
-
-
-Examine = Callable[[Log, DriveDescription], Sequence[Found]]
+Examine = Callable[[Log, DriveDescription], Sequence[Finding]]
 
 
 @dataclass(frozen=True)
@@ -50,16 +30,16 @@ class Score:
     severity: str
 
 
-def leading(findings: Sequence[Found]) -> Found | None:
+def leading(findings: Sequence[Finding]) -> Finding | None:
     """The finding that a user reads first: the first that is more than a note, else the first note."""
     return next((one for one in findings if one.severity != "note"), findings[0] if findings else None)
 
 
 def mended(
-    log: Log, description: DriveDescription, examine: Examine, findings: Sequence[Found]
-) -> tuple[Log, list[Found]]:
+    log: Log, description: DriveDescription, examine: Examine, findings: Sequence[Finding]
+) -> tuple[Log, list[Finding]]:
     """The log after the mends that a user would apply, and the findings that stated them."""
-    applied: list[Found] = []
+    applied: list[Finding] = []
     while len(applied) < MOST_MENDS:
         one = next((one for one in findings if one.repair is not None), None)
         if one is None or one.repair is None:

@@ -1,7 +1,7 @@
 """`diffdrive log-study`: logs with a known fault, sound logs and pairs of logs, and what the checks say of them."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,10 +9,11 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
+from diffdrive.logs.plausibility import Finding
 from experiments.log_study.drives import StudyDrive, study_drives
 from experiments.log_study.fault import Draw, Fault
 from experiments.log_study.machines import MACHINES, other_log_of
-from experiments.log_study.score import Examine, Found, Score, scored, share
+from experiments.log_study.score import Examine, Score, scored, share
 from experiments.log_study.sound import Case, logged, motions, sound
 from experiments.log_study.timing import TIMES
 from experiments.log_study.values import VALUES
@@ -22,7 +23,7 @@ FAULTS: tuple[Draw, ...] = (*VALUES, *TIMES, *MACHINES)
 MOTIONS, AMOUNTS = 3, 10  # that are tried for a fault that shows
 CASES, SOUND, PAIRS = 0, 1, 2  # streams of random numbers
 
-Together = Callable[[Sequence[Log], DriveDescription], Sequence[Found]]
+Together = Callable[[Sequence[Log], DriveDescription], Sequence[Finding]]
 
 
 @dataclass(frozen=True)
@@ -204,10 +205,10 @@ def _pair(axes: Sequence[StudyDrive], what: str, turn: int, rng: np.random.Gener
         try:
             made = motions(axis)[name](rng)
             if what == "same":
-                return case, logged(axis, case.machine, made, case.seed + 1), "none"
+                return case, replace(logged(axis, case.machine, made, case.seed + 1), name=name), "none"
             other = other_log_of(case, made, rng, mass=what == "mass")
         except DivergenceError:
             continue
         if other is not None:
-            return case, other[0], other[1]
+            return case, replace(other[0], name=name), other[1]
     return None

@@ -31,7 +31,10 @@ def _shifted(case: Case, rng: np.random.Generator, samples: float, also: tuple[s
     def undo(log: Log) -> Log:
         return replace(log, **{channel: later(getattr(log, channel), -samples)})
 
-    return of_channel(case, channel, signal, f"{channel} by {samples:+.3g} samples", "shifted", undo=undo, also=also)
+    # of two lengths either may be the one: what tells them apart is how late the command is, which hardly changes then
+    channels = ("command",) if channel == "command" else ("reference", "position")
+    amount = f"{channel} by {samples:+.3g} samples"
+    return of_channel(case, channel, signal, amount, "shifted", undo=undo, also=also, channels=channels)
 
 
 def shifted_whole(case: Case, rng: np.random.Generator) -> Fault | None:

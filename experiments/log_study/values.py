@@ -7,7 +7,17 @@ from scipy.ndimage import uniform_filter1d
 
 from diffdrive.logs.log import Log, Signal
 from experiments.log_study.drives import StudyDrive
-from experiments.log_study.fault import Draw, Fault, flutter, following_error, log_uniform, moving, of_channel, span
+from experiments.log_study.fault import (
+    COMMAND_SHARE,
+    Draw,
+    Fault,
+    flutter,
+    following_error,
+    log_uniform,
+    moving,
+    of_channel,
+    span,
+)
 from experiments.log_study.sound import Case
 
 RATIOS = (1000.0, 1e-3, 25.4, 1 / 25.4, 2 * np.pi, 0.5 / np.pi)
@@ -53,7 +63,13 @@ def reference_rounded(case: Case, rng: np.random.Generator) -> Fault | None:
 def command_rounded(case: Case, rng: np.random.Generator) -> Fault | None:
     """To some per cent of its range, and three times its own noise: less changes nothing."""
     step = span(case.log.command) * log_uniform(rng, 0.02, 0.15)
-    return None if step < 3 * flutter(case.log.command) else _rounded(case, "command", step)
+    return None if step < 3 * flutter(case.log.command) else _worth(case, _rounded(case, "command", step))
+
+
+def _worth(case: Case, fault: Fault) -> Fault | None:
+    """The fault, if it changes the command by more than a force constant is off by."""
+    change = np.std(fault.log.command - case.log.command)
+    return fault if change > COMMAND_SHARE * np.std(case.log.command) else None
 
 
 def averaged(signal: Signal, width: int, *, trailing: bool) -> Signal:
@@ -74,9 +90,9 @@ def position_averaged(case: Case, rng: np.random.Generator) -> Fault:
     return _averaged(case, rng, "position")
 
 
-def command_averaged(case: Case, rng: np.random.Generator) -> Fault:
+def command_averaged(case: Case, rng: np.random.Generator) -> Fault | None:
     """Over 3 to 41 samples."""
-    return _averaged(case, rng, "command")
+    return _worth(case, _averaged(case, rng, "command"))
 
 
 def _moved(case: Case, channel: str, amount: float, channels: tuple[str, ...], rivals: tuple[str, ...] = ()) -> Fault:
