@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive.logs.checks import hypotheses
-from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, ranked, readings, rivals_of
+from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, own_faults, ranked, readings, rivals_of
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
 from diffdrive.logs.checks.relation import LONGEST, Relation
 from diffdrive.logs.checks.replay import is_linear, remembers_nothing
@@ -172,9 +172,11 @@ def _with_pulses(relation: Relation, found: list[Explanation]) -> list[Explanati
     if best.fit is None or best.fit.error < EXPLAINED or relation.disturbance is not None:
         return []
     more = []
-    for signals, steps in ((best.signals, best.faults), (found[0].signals, ())):
-        if any(one.cause == "other controller" for one in steps):
+    now = hypotheses.as_logged(relation)
+    for beside in {one.cause: one for one in (best.hypothesis or now, now)}.values():
+        if beside.cause == "other controller":
             continue  # its command is not that of the drive file's controller
+        signals, steps = beside.signals, own_faults(beside)
         whole = replace(relation, piece=slice(relation.piece.start, relation.piece.start + len(signals.command)))
         command, output = whole.judged(signals.command), whole.judged(whole.outputs([signals])[0])
         switched = switching(command, output)

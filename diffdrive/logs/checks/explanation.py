@@ -60,6 +60,7 @@ class Explanation:
     signals: Signals
     dynamics: Dynamics | None
     cost: float
+    hypothesis: Hypothesis | None = None  # behind it
 
     @property
     def causes(self) -> frozenset[tuple[str, str]]:
@@ -69,7 +70,11 @@ class Explanation:
 
 def readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Explanation]:
     """All that a hypothesis and its fit may mean: a factor is a unit or a gain, a constant an offset of either end."""
-    own = (_own_fault(hypothesis),) if hypothesis.cause else ()
+    return [replace(one, hypothesis=hypothesis) for one in _readings(relation, hypothesis, fit)]
+
+
+def _readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Explanation]:
+    own = own_faults(hypothesis)
     signals = hypothesis.signals
     if hypothesis.columns and hypothesis.cause != "rectified":  # the factors are those of the controller's gains
         if hypothesis.cause == "offset":
@@ -92,8 +97,11 @@ def readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Expla
     return found
 
 
-def _own_fault(hypothesis: Hypothesis) -> Fault:
-    return Fault(hypothesis.cause, hypothesis.channel, dict(hypothesis.numbers), hypothesis.steps)
+def own_faults(hypothesis: Hypothesis) -> tuple[Fault, ...]:
+    """What a hypothesis itself says is wrong: nothing of the log as it is."""
+    if not hypothesis.cause:
+        return ()
+    return (Fault(hypothesis.cause, hypothesis.channel, dict(hypothesis.numbers), hypothesis.steps),)
 
 
 def _parameters(count: int, fit: Fit) -> float:
