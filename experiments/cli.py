@@ -27,7 +27,7 @@ from experiments.cli_options import (
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
-from experiments.whole import FULL
+from diffdrive.atomic_write import FULL
 
 INTERRUPTED = 130
 

@@ -22,7 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from diffdrive.errors import ParameterError
-from experiments.whole import whole
+from diffdrive.atomic_write import whole
 
 RESULT = "result.json"
 

@@ -15,7 +15,7 @@ from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion, r
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.samples import Method
-from experiments.whole import whole
+from diffdrive.atomic_write import whole
 
 FILE = "asked.json"
 

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from diffdrive.errors import ParameterError
 from experiments.sweeps.plan import Plan
-from experiments.whole import whole
+from diffdrive.atomic_write import whole
 
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
