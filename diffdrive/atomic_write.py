@@ -9,7 +9,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT)  # no room is left
 
 
 @contextlib.contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """A hidden file beside `path` to write to; it becomes `path` when all is written."""
     half = path.with_name(f".{path.name}")  # whoever reads the folder passes over it
     yield half

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from diffdrive.atomic_write import FULL
 from experiments.cli_options import (
     DEFAULT_MOTION,
     Believed,
@@ -27,7 +28,6 @@ from experiments.cli_options import (
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
-from diffdrive.atomic_write import FULL
 
 INTERRUPTED = 130
 

@@ -21,8 +21,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import ParameterError
-from diffdrive.atomic_write import whole
 
 RESULT = "result.json"
 
@@ -252,7 +252,7 @@ class Report:
         if self.out is None:
             return
         text = json.dumps(plain(self.data), indent=2, allow_nan=False)
-        with whole(self.out / RESULT) as half:
+        with atomic_write(self.out / RESULT) as half:
             half.write_text(text + "\n", encoding="utf-8")
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
         self.console.print(f"{stopped} {self.out}", markup=False)

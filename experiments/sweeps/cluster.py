@@ -14,12 +14,12 @@ from typing import Any
 
 import pyarrow as pa
 
+from diffdrive.atomic_write import FULL
 from diffdrive.errors import ParameterError
 from experiments.runtime import configure, cores, keep_compiled, with_accelerator
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Computed, Engine, Say
 from experiments.sweeps.plan import Plan
-from diffdrive.atomic_write import FULL
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
 SELDOM = 2.0  # s, between two looks at who is there
