@@ -318,10 +318,11 @@ def _text(text: str, out: Path | None, name: str) -> None:
     if out is None:
         sys.stdout.write(text)
         return
+    from diffdrive.atomic_write import write_text
     from experiments.report import Report
 
     with Report(name, out) as report:
-        (out / name).write_text(text, encoding="utf-8")
+        write_text(out / name, text)
         report.values("written", file=name)
 
 

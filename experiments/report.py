@@ -21,7 +21,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from diffdrive.atomic_write import atomic_write
+from diffdrive.atomic_write import atomic_write, write_text
 from diffdrive.errors import ParameterError
 
 RESULT = "result.json"
@@ -155,7 +155,7 @@ class Report:
             "rows": plain([list(row) for row in rows]),
         }
         if self.out is not None:
-            with (self.out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            with atomic_write(self.out / f"{name}.csv", "w") as file:
                 writer = csv.writer(file)
                 writer.writerow(columns)
                 writer.writerows(rows)
@@ -163,7 +163,8 @@ class Report:
     def figure(self, name: str, figure: Any) -> None:
         """Save a figure as PNG."""
         if self.out is not None:
-            figure.savefig(self.out / f"{name}.png", dpi=130)
+            with atomic_write(self.out / f"{name}.png") as file:
+                figure.savefig(file, format="png", dpi=130)
             self.data.setdefault("figures", []).append(f"{name}.png")
 
     @contextlib.contextmanager
@@ -252,8 +253,7 @@ class Report:
         if self.out is None:
             return
         text = json.dumps(plain(self.data), indent=2, allow_nan=False)
-        with atomic_write(self.out / RESULT) as half:
-            half.write_text(text + "\n", encoding="utf-8")
+        write_text(self.out / RESULT, text + "\n")
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
         self.console.print(f"{stopped} {self.out}", markup=False)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diffdrive.atomic_write import atomic_write
+from diffdrive.atomic_write import write_text
 from diffdrive.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
@@ -119,8 +119,7 @@ def _motion(text: str) -> tuple[str, str]:
 def keep(asked: Asked, folder: Path) -> None:
     """Write it into the folder of the sweep."""
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(folder / FILE) as half:
-        half.write_text(to_text(asked), encoding="utf-8")
+    write_text(folder / FILE, to_text(asked))
 
 
 def read_asked(folder: Path) -> Asked:

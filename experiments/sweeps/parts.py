@@ -29,8 +29,8 @@ def path_of(folder: Path, part: int) -> Path:
 def keep(table: pa.Table, path: Path, question: str) -> None:
     """Write a part, whole or not at all, with the question that it answers."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as half:
-        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), half)
+    with atomic_write(path) as file:
+        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), file)
 
 
 def missing(plan: Plan, folder: Path) -> list[int]:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive.atomic_write import write_text
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import DriveDescription, write_drive
 from diffdrive.errors import DivergenceError, ParameterError
@@ -126,7 +127,7 @@ def generate(
             )
         if not there:
             case, logs, peak = _followable(seed, number, effects, axis)
-            part.write_text(json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n", encoding="utf-8")
+            write_text(part, json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n")
             _write(folder / name, case, logs)
         yield name
 
@@ -163,5 +164,5 @@ def _believed(case: Case) -> DriveDescription:
 def write_key(path: Path, parts: Path) -> dict[str, Any]:
     """The key, from what was kept of each case."""
     key = {part.stem: json.loads(part.read_text(encoding="utf-8")) for part in sorted(parts.glob("*.json"))}
-    path.write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(key, indent=1) + "\n")
     return key
