@@ -53,9 +53,14 @@ def test_two_that_write_one_file_lose_nothing(tmp_path):
 def test_a_write_that_is_stopped_leaves_the_file_as_it_was(tmp_path, stopped_by):
     path = tmp_path / "drive.toml"
     path.write_text(TEXT)
-    with pytest.raises(stopped_by), atomic_write(path, "w") as file:
-        file.write("half")
-        raise stopped_by
+
+    def stopped():
+        with atomic_write(path, "w") as file:
+            file.write("half")
+            raise stopped_by
+
+    with pytest.raises(stopped_by):
+        stopped()
     assert path.read_text() == TEXT
     assert names(tmp_path) == ["drive.toml"]
 
