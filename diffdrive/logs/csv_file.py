@@ -42,7 +42,7 @@ def read_csv(path: Path) -> Table:
     # a header may itself be a comment, as numpy.savetxt writes it
     preamble = [line.lstrip("".join(_COMMENTS) + " ") for line in lines[: begin - 1] if line]
     header = header_of(preamble, dialect)
-    rows, notes = _rows(path, kept[start:], dialect)
+    rows, notes = _rows(path, kept[start:], dialect, ended=kept[-1][0] < len(lines))
     cells = _cells([line for _, line in rows], dialect)
     columns = {name: _column(column, dialect) for name, column in zip(header.names, cells, strict=True)}
     named = {name: values for name, values in columns.items() if not _is_trailing(name, values)}
@@ -67,19 +67,32 @@ def _decoded(path: Path, raw: bytes) -> str:
     return text
 
 
-def _rows(path: Path, kept: list[tuple[int, str]], dialect: Dialect) -> tuple[list[tuple[int, str]], list[str]]:
-    """The rows with as many cells as the table has columns; a last one that was cut off is left out."""
-    rows, notes = [], []
+def _rows(
+    path: Path, kept: list[tuple[int, str]], dialect: Dialect, *, ended: bool
+) -> tuple[list[tuple[int, str]], list[str]]:
+    """The rows with as many cells as the table has columns; a last one that is or may be cut off is left out.
+
+    `ended` says whether the last line has its line end: of one without, nobody can say whether its last number is
+    complete.
+    """
+    rows, notes, last = [], [], kept[-1][0]
     for number, line in kept:
         found = _width(line, dialect)
-        if found == dialect.width:
+        if found == dialect.width and (ended or number != last):
             rows.append((number, line))
-        elif number != kept[-1][0]:
+        elif number != last:
             raise LogError(
                 f"{path}: line {number} has {found} columns, the other rows have {dialect.width}; correct this line"
             )
+        elif found == dialect.width:
+            notes.append(f"line {number}, the last, has no line end: its last number may be cut off; left out")
         elif line != "EOF":  # TwinCAT's end mark
-            notes.append(f"line {number}, the last, is cut off and was left out")
+            notes.append(
+                f"line {number}, the last, has {found} columns, the other rows have {dialect.width}: the file is cut "
+                "off there, and this line is left out; if the log was longer, copy or export it again"
+            )
+    if not rows:
+        raise LogError(f"{path}: has one row, and that is cut off; export the log again")
     return rows, notes
 
 
