@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import IO, Any
 
 FULL = (errno.ENOSPC, errno.EDQUOT)  # no room is left
-TEMPORARY = ".diffdrive-"  # how the names of temporary files begin: hidden, so that readers of the folder skip them
+# how the names of temporary files begin and end: hidden, and with no extension of a result, so that whoever looks for
+# results passes over them
+TEMPORARY, ENDING = ".diffdrive-", ".tmp"
 
 
 def temporary_beside(path: Path) -> Path:
-    """A name beside `path` that no other write has, with the same extension."""
-    return path.with_name(f"{TEMPORARY}{secrets.token_hex(8)}{path.suffix}")
+    """A name beside `path` that no other write has."""
+    return path.with_name(f"{TEMPORARY}{secrets.token_hex(8)}{ENDING}")
 
 
 @contextlib.contextmanager
@@ -49,5 +51,5 @@ def write_text(path: str | Path, text: str) -> None:
 
 def remove_temporary(folder: Path) -> None:
     """Remove what writes left behind whose processes were killed; only where no other process writes to `folder`."""
-    for path in folder.glob(f"{TEMPORARY}*"):
+    for path in folder.glob(f"{TEMPORARY}*{ENDING}"):
         path.unlink(missing_ok=True)

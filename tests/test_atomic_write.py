@@ -12,7 +12,7 @@ from small_disk import imagined
 from sound_log import DRIVE, SOUND
 
 import diffdrive
-from diffdrive.atomic_write import FULL, TEMPORARY, atomic_write, remove_temporary, write_text
+from diffdrive.atomic_write import FULL, TEMPORARY, atomic_write, remove_temporary, temporary_beside, write_text
 from diffdrive.drive_file import write_drive
 from diffdrive.errors import LogError
 from diffdrive.logs import write_log
@@ -81,8 +81,9 @@ def test_a_link_stays_a_link_and_permissions_are_those_of_any_new_file(tmp_path)
 
 
 def test_what_a_killed_process_left_goes_and_nothing_else(tmp_path):
-    for name in (f"{TEMPORARY}0123.json", f"{TEMPORARY}4567.parquet", "run.csv", ".hidden"):
+    for name in (temporary_beside(tmp_path / "run.csv").name, f"{TEMPORARY}4567.tmp", "run.csv", ".hidden"):
         (tmp_path / name).write_text("")
+    assert [path.name for path in tmp_path.glob("*.csv")] == ["run.csv"]  # pathlib's pattern takes hidden files, too
     remove_temporary(tmp_path)
     assert names(tmp_path) == [".hidden", "run.csv"]
     remove_temporary(tmp_path / "absent")

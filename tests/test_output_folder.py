@@ -106,7 +106,7 @@ def test_of_many_at_once_one_has_the_folder(tmp_path):
 
 
 def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkeypatch):
-    stale = tmp_path / f"{TEMPORARY}of_another_run.csv"
+    stale = tmp_path / f"{TEMPORARY}of_another_run.tmp"
     stale.write_text("")
 
     def unknown(*_, **__):

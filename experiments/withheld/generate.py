@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.atomic_write import write_text
+from diffdrive.atomic_write import remove_temporary, write_text
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import DriveDescription, write_drive
 from diffdrive.errors import DivergenceError, ParameterError
@@ -115,6 +115,7 @@ def generate(
     `DivergenceError` for a case that no attempt keeps on its reference.
     """
     parts.mkdir(parents=True, exist_ok=True)
+    remove_temporary(parts)
     for number, effects in enumerate(kinds(seed, count)):
         name, axis = f"{number + 1:03d}", on[number % len(on)]
         drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": drawn_by()}
@@ -151,6 +152,7 @@ def _followable(seed: int, number: int, effects: tuple[str, ...], axis: Axis) ->
 
 def _write(place: Path, case: Case, logs: list[Log]) -> None:
     place.mkdir(parents=True, exist_ok=True)
+    remove_temporary(place)
     for log in logs:
         write_log(place / f"log-{log.name}.parquet", log)
     write_drive(place / "drive.toml", _believed(case))  # the last: with it a case is there
