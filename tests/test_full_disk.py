@@ -125,7 +125,7 @@ def on_small_disks(ended, tmp_path, arguments, shares):
     files = {path.name for path in everything.rglob("*") if path.is_file()}
     left = [filled_up(ended, tmp_path / "small", arguments, share * taken(everything)) for share in shares]
     going_on = {"tuning.checkpoint.json"}  # from which the same command continues, and which a finished one removes
-    assert all(one - going_on < files for one in left)
+    assert all(one - going_on <= files for one in left)  # all where only a file that is written twice found no room
     return left
 
 
