@@ -39,9 +39,10 @@ class OutputFolder:
             with tempfile.TemporaryFile(dir=path):
                 pass
         except OSError as problem:
-            raise ParameterError(
-                f"--out {path}: cannot be written to ({problem.strerror}); name another folder"
-            ) from None
+            raise self._unwritable(problem) from None
+
+    def _unwritable(self, problem: OSError) -> ParameterError:
+        return ParameterError(f"--out {self.path}: cannot be written to ({problem.strerror}); name another folder")
 
     def open(self, size: int) -> None:
         """Keep other runs out, remove what killed ones left half written, and hold room for a result of `size` bytes.
@@ -49,21 +50,26 @@ class OutputFolder:
         Raises `ParameterError` where another run writes to the folder, `OSError` where there is no room.
         """
         try:
+            self._acquire()
+            self._is_open = True
+            self._result.hold(size)
+        except BaseException:
+            self.close()
+            raise
+
+    def _acquire(self) -> None:
+        try:
             self._lock.acquire()
             remove_temporary(self.path)  # nobody else writes here now
         except Timeout:
             raise ParameterError(
                 f"--out {self.path}: another run is writing to this folder; wait until it has ended, or name another"
             ) from None
-        except (OSError, NotImplementedError) as problem:  # the latter: how old editions of filelock say ENOSYS
-            if isinstance(problem, OSError) and problem.errno not in NO_LOCKS:
+        except OSError as problem:
+            if problem.errno in FULL:
                 raise
-        self._is_open = True
-        try:
-            self._result.hold(size)
-        except BaseException:
-            self.close()
-            raise
+            if problem.errno not in NO_LOCKS:  # it may be another user's
+                raise self._unwritable(problem) from None
 
     def hold(self, size: int) -> None:
         """Have room for a result of `size` bytes; raises `OSError` where there is none."""

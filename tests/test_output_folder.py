@@ -1,5 +1,6 @@
 """A folder belongs to one run at a time, and says what became of it also on a full disk."""
 
+import errno
 import json
 import os
 import signal
@@ -158,3 +159,14 @@ def test_a_report_on_a_full_disk_says_so_in_its_result(tmp_path, monkeypatch, ro
     for path in out.glob("*.csv"):
         assert len(path.read_text().splitlines()) == 401
         assert told.get("tables", {}).get(path.stem, {}).get("rows", rows) == rows
+
+
+def test_a_lock_that_belongs_to_another_user_is_refused_in_one_line(tmp_path, monkeypatch):
+    def closed(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("filelock.FileLock.acquire", closed)
+    report = Report("refused", tmp_path)
+    with pytest.raises(ParameterError, match=r"--out .*: cannot be written to \(Permission denied\)"):
+        report.__enter__()
+    assert names(tmp_path) == []
