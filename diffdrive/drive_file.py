@@ -10,7 +10,7 @@ error, because a misspelt key that is silently ignored is a wrong simulation.
 import dataclasses
 import difflib
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import jax
 import numpy as np
 import tomli_w
 
+from diffdrive.atomic_write import write_text
 from diffdrive.controller_file import build_controller, controller_table
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
@@ -264,8 +265,8 @@ def drive_tables(description: DriveDescription) -> dict[str, Any]:
     return tables | mapping_tables(description.mapping)
 
 
-def write_drive(path: str | Path, description: DriveDescription) -> None:
-    """Write a drive file in SI units; raises if the file could not say what the description says."""
+def write_drive(path: str | Path, description: DriveDescription, comments: Sequence[str] = ()) -> None:
+    """Write a drive file in SI units, below lines of comments; raises if it could not say what the description says."""
     tables = drive_tables(description)
     read_back = parse_drive(tables, str(path))
     for name in ("drive", "controller"):
@@ -275,4 +276,4 @@ def write_drive(path: str | Path, description: DriveDescription) -> None:
                 f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
                 "their model from [plant] and [friction]"
             )
-    Path(path).write_text(tomli_w.dumps(tables), encoding="utf-8")
+    write_text(path, "".join(f"# {line}\n" for line in comments) + tomli_w.dumps(tables))

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from diffdrive.atomic_write import FULL
 from experiments.cli_options import (
     DEFAULT_MOTION,
     Believed,
@@ -27,7 +28,6 @@ from experiments.cli_options import (
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
 from experiments.runtime import configure, keep_compiled
-from experiments.whole import FULL
 
 INTERRUPTED = 130
 
@@ -318,10 +318,11 @@ def _text(text: str, out: Path | None, name: str) -> None:
     if out is None:
         sys.stdout.write(text)
         return
+    from diffdrive.atomic_write import write_text
     from experiments.report import Report
 
     with Report(name, out) as report:
-        (out / name).write_text(text, encoding="utf-8")
+        write_text(out / name, text)
         report.values("written", file=name)
 
 

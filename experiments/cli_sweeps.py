@@ -52,7 +52,7 @@ def sweep(
         str, typer.Option(help="Signals of the worst machines to write as netCDF: `error,command,load_estimate`.")
     ] = "",
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes (Dask); by default this process, on all cores.")
+        int | None, typer.Option(min=1, help="Worker processes; by default this process, on all cores.")
     ] = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler: `tcp://host:8786`.")] = None,
     precision: Annotated[
@@ -83,10 +83,14 @@ def sweep(
         seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,
     )  # fmt: skip
     engine = None
-    if workers is not None or cluster is not None:
+    if cluster is not None:
         from experiments.sweeps.cluster import on_cluster
 
-        engine = on_cluster(asked, workers or 1, cluster)
+        engine = on_cluster(asked, cluster)
+    elif workers is not None:
+        from experiments.sweeps.workers import on_workers
+
+        engine = on_workers(asked, workers)
     recorded = [name.strip() for name in record.split(",") if name.strip()]
     if not sweep_drive(asked, tolerance_of(tolerance), f"{by}_m", engine, recorded, out):
         raise typer.Exit(3)

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from diffdrive.atomic_write import atomic_write, write_text
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.effects.actuator import ForceGain, LoopDelay
@@ -195,7 +196,7 @@ def _save(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     """diagnosis.json and report.html."""
     assert report.out is not None
     text = json.dumps(plain(told, null), indent=2, allow_nan=False)
-    (report.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    write_text(report.out / "diagnosis.json", text + "\n")
     page(report, told, augmented)
 
 
@@ -235,9 +236,9 @@ def _write_reference(report: Report, motion: Motion | None) -> None:
     if motion is None:
         return
     assert report.out is not None
-    path = report.out / NEXT
     rows = np.stack([motion.time, motion.position], axis=1)
-    np.savetxt(path, rows, delimiter=",", header="time_s,reference_m", comments="", fmt="%.9g")
+    with atomic_write(report.out / NEXT, "w") as file:
+        np.savetxt(file, rows, delimiter=",", header="time_s,reference_m", comments="", fmt="%.9g")
 
 
 def _written(augmented: str | None, offer: Experiment) -> dict[str, str]:
@@ -255,11 +256,10 @@ def _write(report: Report, description: DriveDescription, found: Diagnosis, besi
     path = report.out / "augmented.toml"
     try:
         augmented = dataclasses.replace(description, drive=augmented_drive(found))
-        write_drive(path, parse_drive(drive_tables(augmented), str(path)))
         says = " ".join(found.verdict.says.split())  # in one line
-        verdict = f"# the verdict of the diagnosis was {found.verdict.verdict}: {says}\n"
-        verdict += f"# {beside}\n" if beside else ""
-        path.write_text(verdict + path.read_text(encoding="utf-8"), encoding="utf-8")
+        verdict = f"the verdict of the diagnosis was {found.verdict.verdict}: {says}"
+        comments = [verdict, beside] if beside else [verdict]
+        write_drive(path, parse_drive(drive_tables(augmented), str(path)), comments)
     except DiffdriveError as problem:
         report.say(f"augmented.toml is not written, since no drive file can say this: {problem}")
         return None

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+from diffdrive.atomic_write import write_text
 from experiments import payoff
 from experiments.cause_words import headlines, numbers
 from experiments.diagnose_figures import BLANK
@@ -116,7 +117,7 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
         f"<h2>What next?</h2><p>{escape(told['next_experiment']['says'])}</p>",
         "</html>",
     ]
-    (report.out / "report.html").write_text("\n".join(parts), encoding="utf-8")
+    write_text(report.out / "report.html", "\n".join(parts))
 
 
 def _found(told: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from diffdrive.atomic_write import write_text
 from diffdrive.drive_file import DriveDescription
 from diffdrive.margins import Margins
 from tuning.gains import Tuned
@@ -46,4 +47,4 @@ def worst_margins(margins: Margins) -> dict[str, float]:
 
 def write_handover(path: Path, tables: dict[str, Any]) -> None:
     """Write it as TOML."""
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    write_text(path, tomli_w.dumps(tables))

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
+from diffdrive.atomic_write import write_text
 from experiments.sweeps.varied import WIDEST
 from tuning.estimates import LINEAR, Estimate
 from tuning.identification import Identified
@@ -48,4 +49,4 @@ def _distribution(one: Estimate, deviation: float) -> str:
 
 def write_uncertainty(folder: Path, found: Identified) -> None:
     """As a file."""
-    (folder / FILE).write_text(tomli_w.dumps(uncertainty(found)), encoding="utf-8")
+    write_text(folder / FILE, tomli_w.dumps(uncertainty(found)))

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive.atomic_write import write_text
 from diffdrive.controllers import Gains
 from diffdrive.errors import DiffdriveError
 from diffdrive.load import ramp
@@ -82,12 +83,9 @@ def draw(number: int) -> dict[str, Any]:
 
 
 def _kept(path: Path) -> list[dict[str, Any]]:
-    """The draws in the file; a last line that a kill has cut short goes."""
+    """The draws in the file; a last line without its end was cut off, and is left out."""
     text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
-    return [json.loads(line) for line in whole.splitlines()]
+    return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
 def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
@@ -101,8 +99,8 @@ def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
     with ProcessPoolExecutor(min(workers, len(left)), multiprocessing.get_context("spawn")) as pool:
         for done in as_completed([pool.submit(draw, number) for number in left]):
             one = done.result()
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(one) + "\n")
+            kept.append(one)
+            write_text(path, "".join(json.dumps(each) + "\n" for each in kept))
             yield one
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import errno
 import importlib.metadata
 import json
 import math
@@ -9,7 +10,6 @@ import os
 import platform
 import re
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -21,10 +21,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from diffdrive.errors import ParameterError
-from experiments.whole import whole
+from diffdrive.atomic_write import atomic_write
+from experiments.output_folder import OutputFolder
 
 RESULT = "result.json"
+NO_ROOM = f"OSError: [Errno {errno.ENOSPC}] {os.strerror(errno.ENOSPC)}"
 
 
 def plain(value: Any, infinite: Callable[[float], Any] = str) -> Any:
@@ -42,6 +43,10 @@ def plain(value: Any, infinite: Callable[[float], Any] = str) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return infinite(value)
     return value
+
+
+def _json(data: dict[str, Any]) -> str:
+    return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
 
 
 def null(_: float) -> None:
@@ -72,23 +77,6 @@ def version_of(package: str) -> str:
         return "not installed"
 
 
-def _made(out: Path) -> list[Path]:
-    """Make the folder, and see that it can be written to; returns the folders that were not there, the deepest first.
-
-    Raises `ParameterError` that names it: before hours of work, not after them.
-    """
-    if os.path.exists(out) and not os.path.isdir(out):  # a Path raises where it may not look
-        raise ParameterError(f"--out {out}: is a file, not a folder; name another")
-    made = [one for one in (out, *out.parents) if not os.path.exists(one)]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as problem:
-        raise ParameterError(f"--out {out}: cannot be written to ({problem.strerror}); name another folder") from None
-    return made
-
-
 class Report:
     """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one.
 
@@ -110,32 +98,47 @@ class Report:
         }
         self._started = time.perf_counter()
         self._no_result = {*self.data, "timings_s", "notes"}
-        self._made = [] if out is None else _made(out)
+        self._folder = None if out is None else OutputFolder(out, RESULT)
         self.console.print(f"[bold]{title}[/bold]")
 
     def __enter__(self) -> "Report":
+        """Raises `ParameterError` where another run writes to the folder."""
+        if self._folder is not None:
+            self._folder.open(len(self._stopped(NO_ROOM)))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: Any) -> None:
         """Write what there is, also when the work was interrupted or failed; nothing where there is nothing yet."""
-        if kind is None:
-            self.close()
-        elif self.data.keys() - self._no_result:
-            self.data["stopped_by"] = f"{kind.__name__}: {error}".rstrip(": ")
-            self.close()
-        else:
-            for folder in self._made:
-                with contextlib.suppress(OSError):  # it holds what the command itself has put there
-                    folder.rmdir()
+        try:
+            if kind is None:
+                self.close()
+            elif self.data.keys() - self._no_result:
+                self.data["stopped_by"] = f"{kind.__name__}: {error}".rstrip(": ")
+                self.close()
+        finally:
+            if self._folder is not None:
+                self._folder.close()
+
+    def _hold(self) -> None:
+        """Keep room on the disk for what result.json holds by now: a disk that fills up is told there, too."""
+        if self._folder is not None:
+            self._folder.hold(len(self._stopped(NO_ROOM)))
+
+    def _stopped(self, by: str, without: Sequence[str] = ()) -> str:
+        """result.json of a command that was stopped, in ASCII."""
+        kept = {key: value for key, value in self.data.items() if key not in without}
+        return _json({"stopped_by": by} | kept)
 
     def say(self, text: str) -> None:
         """Print a sentence and keep it."""
         self.data.setdefault("notes", []).append(text)
+        self._hold()
         self.console.print(text, markup=False)
 
     def values(self, name: str, **numbers: Any) -> None:
         """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
         self.data.setdefault(name, {}).update(plain(numbers))
+        self._hold()
         listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
         self.console.print(f"{name}: {listed}", markup=False)
 
@@ -155,7 +158,8 @@ class Report:
             "rows": plain([list(row) for row in rows]),
         }
         if self.out is not None:
-            with (self.out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            self._hold()
+            with atomic_write(self.out / f"{name}.csv", "w") as file:
                 writer = csv.writer(file)
                 writer.writerow(columns)
                 writer.writerows(rows)
@@ -163,8 +167,10 @@ class Report:
     def figure(self, name: str, figure: Any) -> None:
         """Save a figure as PNG."""
         if self.out is not None:
-            figure.savefig(self.out / f"{name}.png", dpi=130)
+            with atomic_write(self.out / f"{name}.png") as file:
+                figure.savefig(file, format="png", dpi=130)
             self.data.setdefault("figures", []).append(f"{name}.png")
+            self._hold()
 
     @contextlib.contextmanager
     def working(self, what: str) -> Iterator[None]:
@@ -247,13 +253,14 @@ class Report:
             yield advance
 
     def close(self) -> None:
-        """Write result.json."""
+        """Write result.json; on a full disk what there is room for, and raise `OSError`."""
         self.data["seconds"] = round(time.perf_counter() - self._started, 2)
-        if self.out is None:
+        if self._folder is None:
             return
-        text = json.dumps(plain(self.data), indent=2, allow_nan=False)
-        with whole(self.out / RESULT) as half:
-            half.write_text(text + "\n", encoding="utf-8")
+        least = self.data.keys() - {"title", "made_by", "seconds", "stopped_by"}
+        shorter = (self._stopped(NO_ROOM, ("tables",)), self._stopped(NO_ROOM, tuple(least)))
+        if self._folder.write_result(_json(self.data), *shorter) and "stopped_by" not in self.data:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
         self.console.print(f"{stopped} {self.out}", markup=False)
 

@@ -99,14 +99,13 @@ def test_a_motion_from_a_file(tmp_path):
 
 
 def test_a_report_writes_every_number_it_prints(tmp_path, capsys):
-    report = Report("title", tmp_path / "out")
-    report.values("run", rms_um=1.25, worst=math.inf)
-    report.table("gains", ("gain", "value"), [["kp", 7.5], ["kd", None]])
-    report.say("a sentence")
     figure, axis = new_figure()
     axis.plot([0, 1])
-    report.figure("plot", figure)
-    report.close()
+    with Report("title", tmp_path / "out") as report:
+        report.values("run", rms_um=1.25, worst=math.inf)
+        report.table("gains", ("gain", "value"), [["kp", 7.5], ["kd", None]])
+        report.say("a sentence")
+        report.figure("plot", figure)
     written = json.loads((tmp_path / "out" / "result.json").read_text())
     assert written["run"] == {"rms_um": 1.25, "worst": "inf"}
     assert written["tables"]["gains"] == {"columns": ["gain", "value"], "rows": [["kp", 7.5], ["kd", None]]}

@@ -90,7 +90,7 @@ def test_another_clock_may_be_the_time(tmp_path):
 def test_channels_that_share_a_clock_share_its_offset(tmp_path):
     path = tmp_path / "scope.csv"
     rows = "\n".join(f"{k}\t{POSITION[k]}\t{k + 2}\t{COMMAND[k]}\t{k}" for k in MS)
-    path.write_text("Name\tAct\tName\tTrq\tLoad\nUnit\tmm\tUnit\tN\tN\n\n" + rows)
+    path.write_text("Name\tAct\tName\tTrq\tLoad\nUnit\tmm\tUnit\tN\tN\n\n" + rows + "\n")
     log = read_log(path, Mapping(SCOPE.columns | {"load": "Load"}))
     np.testing.assert_array_equal(log.command, COMMAND[:-2])
     np.testing.assert_array_equal(log.load, MS[:-2])
@@ -99,7 +99,7 @@ def test_channels_that_share_a_clock_share_its_offset(tmp_path):
 def test_a_clock_of_a_channel_that_is_not_used_is_no_matter(tmp_path):
     path = tmp_path / "scope.csv"
     rows = "\n".join(f"{k}\t{POSITION[k]}\t{k}\t{COMMAND[k]}\t{10 * k}\t20" for k in MS)
-    path.write_text("Name\tAct\tName\tTrq\tName\tTemp\nUnit\tmm\tUnit\tN\tUnit\tC\n\n" + rows)
+    path.write_text("Name\tAct\tName\tTrq\tName\tTemp\nUnit\tmm\tUnit\tN\tUnit\tC\n\n" + rows + "\n")
     np.testing.assert_array_equal(read_log(path, SCOPE).command, COMMAND)
 
 

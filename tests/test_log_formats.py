@@ -118,7 +118,7 @@ def test_twincat_scope_full_time_stamps_keep_their_100_ns(tmp_path):
     path = tmp_path / "scope.csv"
     ticks = 132959505843760000 + np.rint(TIME * 1e7).astype(np.int64)
     body = "\n".join(f"{t}\t{r!r}\t{t}\t{p!r}\t{t}\t{c!r}" for t, r, p, c in zip(ticks, *COLUMN_LISTS, strict=True))
-    path.write_text(TWINCAT.replace("mm", "m").replace("um", "m").replace("kN", "N") + body)
+    path.write_text(TWINCAT.replace("mm", "m").replace("um", "m").replace("kN", "N") + body + "\n")
     log = read_log(path, Mapping(SCOPE.columns, {"time": "100 ns"}))
     np.testing.assert_allclose(log.time, TIME, atol=1e-12)
     assert any("counted from 132959505843760000" in note for note in log.notes)
@@ -150,7 +150,7 @@ def test_dates_and_times_of_day_count_from_the_first(stamp, first, tmp_path):
     path = tmp_path / "log.csv"
     texts = [stamp.format(t) for t in TIME]
     body = "\n".join(f"{t},{r!r},{p!r},{c!r}" for t, r, p, c in zip(texts, *COLUMN_LISTS, strict=True))
-    path.write_text(NAMES + "\n" + body)
+    path.write_text(NAMES + "\n" + body + "\n")
     log = read_log(path)
     assert_is_the_log(log)
     assert any(first in note for note in log.notes)
@@ -161,14 +161,38 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path):
     path.write_text(NAMES + "\n" + rows() + "0.4,0.1")
     log = read_log(path)
     assert_is_the_log(log)
-    assert log.notes == (f"line {N + 2}, the last, is cut off and was left out",)
+    assert log.notes == (
+        f"line {N + 2}, the last, has 2 columns, the other rows have 4: the file is cut off there, and this line is "
+        "left out; if the log was longer, copy or export it again",
+    )
+
+
+@pytest.mark.parametrize("cut", ["0.4,0.1,0.2,-12", "0.4,0.1,0.2,"])
+def test_a_last_line_without_its_end_is_left_out_since_its_last_number_may_be_cut(cut, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(NAMES + "\n" + rows() + cut)
+    log = read_log(path)
+    assert_is_the_log(log)
+    assert log.notes == (f"line {N + 2}, the last, has no line end: its last number may be cut off; left out",)
+    path.write_text(NAMES + "\n" + cut)
+    with pytest.raises(LogError, match=r"has one row, and that is cut off|has no rows of numbers"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\n# end of the log", "\n\n", "\n\x00\x00", "\nEOF"])
+def test_a_last_line_with_its_end_is_a_row_whatever_follows(end, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(NAMES + "\n" + rows().rstrip("\n") + end)
+    log = read_log(path)
+    assert_is_the_log(log)
+    assert log.notes == ()
 
 
 def test_stamps_may_begin_late_and_end_in_commas(tmp_path):
     path = tmp_path / "log.csv"
     texts = ["", *(f"26.03.2024 9:00:0{t:.3f}".replace(".", ",").replace(",", ".", 2) for t in TIME[1:])]
     body = "\n".join(f"{t};{r!r};{p!r};{c!r}" for t, r, p, c in zip(texts, *COLUMN_LISTS, strict=True))
-    path.write_text(NAMES.replace(",", ";") + "\n" + body)
+    path.write_text(NAMES.replace(",", ";") + "\n" + body + "\n")
     log = read_log(path)
     np.testing.assert_allclose(log.time, TIME[1:] - TIME[1], atol=1e-12)
     assert "time is counted from its first stamp, 26.03.2024 9:00:00,001" in log.notes

@@ -1,4 +1,4 @@
-"""A sweep on several processes has the numbers of one, also where a process is killed in the middle."""
+"""A sweep on several machines has the numbers of one, also where a process is killed in the middle."""
 
 import json
 import os
@@ -42,7 +42,7 @@ def test_a_lost_worker_changes_nothing(tmp_path):
                 killed.append(cluster.workers[0].process.pid)
                 os.kill(killed[0], signal.SIGKILL)
 
-        together = rows(run(plan, tmp_path / "together", kill, on_cluster(wanted, address=cluster.scheduler_address)))
+        together = rows(run(plan, tmp_path / "together", kill, on_cluster(wanted, cluster.scheduler_address)))
     assert killed
     assert together.equals(alone)
 
@@ -57,7 +57,7 @@ def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_c
             said.append(text)
             cluster.scale(1)
 
-        engine = on_cluster(wanted, address=cluster.scheduler_address)
+        engine = on_cluster(wanted, cluster.scheduler_address)
         together = rows(run(plan, tmp_path / "together", lambda done: None, engine, say))
         [told] = said
         assert "has none; start some as `dask worker tcp://127.0.0.1:" in told
@@ -83,7 +83,7 @@ def test_a_cluster_that_is_lost_says_that_the_same_command_goes_on(tmp_path):
                 one.kill()
 
         with pytest.raises(ParameterError, match=r"--cluster tcp://.* is lost .* the same command goes on"):
-            run(wanted.plan(), parts, lose, on_cluster(wanted, address=address))
+            run(wanted.plan(), parts, lose, on_cluster(wanted, address))
     finally:
         for one in both:
             one.kill()

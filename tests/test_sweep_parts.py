@@ -7,6 +7,7 @@ import pyarrow.compute as pc
 import pytest
 
 from diffdrive import motion
+from diffdrive.atomic_write import temporary_beside
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.motion import Limits
@@ -59,7 +60,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
     whole = rows(run(plan(), tmp_path / "whole", lambda done: None))
     with pytest.raises(KeyboardInterrupt):
         run(plan(), tmp_path / "cut", lambda done: None, dying)
-    (tmp_path / "cut" / ".part-000001.parquet").write_bytes(b"cut off in the middle of writing")
+    temporary_beside(path_of(tmp_path / "cut", 1)).write_bytes(b"cut off in the middle of writing")
     asked = []
 
     def counting(plan, wanted, say):

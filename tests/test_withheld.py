@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from diffdrive.atomic_write import temporary_beside
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from experiments import cli
@@ -110,7 +111,7 @@ def test_answers_that_are_there_are_left_alone_and_half_of_one_is_none(tmp_path)
         machine(cases / name)
         (out / name).mkdir(parents=True)
     told = answered(cases / "1", out)
-    (out / "2" / "diagnosis.part").write_text('{"verdict": ')
+    temporary_beside(out / "2" / "diagnosis.json").write_text('{"verdict": ')
     assert [one.name for one in answer.unanswered(cases, out)] == ["2", "3"]
     assert [one.name for one in answer.unanswered(cases, out, {"1": [], "3": []})] == ["3"]
     answer.main(cases, out, 1, {"1": []})  # nothing is asked

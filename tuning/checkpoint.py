@@ -3,13 +3,13 @@
 import dataclasses
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from diffdrive.atomic_write import write_text
 from diffdrive.errors import CheckpointError
 from tuning.sequential import Standing
 
@@ -52,9 +52,7 @@ class Checkpoint:
             return
         standings = {str(k): dataclasses.asdict(standing) for k, standing in self.standings.items()}
         held = {"problem": self.identity, "standings": standings}
-        temporary = self.path.with_suffix(".part")
-        temporary.write_text(json.dumps(held), encoding="utf-8")
-        os.replace(temporary, self.path)
+        write_text(self.path, json.dumps(held))
 
 
 def _standing(fields: dict[str, Any]) -> Standing:

@@ -56,17 +56,22 @@ def _body(path: Path, text: str, first: Line, dialect: Dialect) -> tuple[np.ndar
 
     What Arrow refuses is read row by row, which takes ten times as long, and says what is wrong in which line.
     """
-    body = text[first.offset :].strip(_OUTER)
+    tail = text[first.offset :]
+    body = tail.strip(_OUTER)
     begin = body.rfind("\n") + 1
     last = body[begin:]
-    full = body if width_of(last, dialect) == dialect.width else body[: max(0, begin - 1)]
+    # nobody can say whether the last number of a line without its line end is complete
+    ended = "\n" in tail[len(tail.rstrip(_OUTER)) :] or last.startswith(COMMENTS)
+    full = body if ended and width_of(last, dialect) == dialect.width else body[: max(0, begin - 1)]
     columns = columns_by_arrow(full, dialect) if full and not last.startswith(COMMENTS) else None
     if columns is not None:
         numbers = first.number + np.arange(len(columns[0]))
-        _, notes = rows_of(path, [(int(numbers[-1]) + 1, last)] if full is not body else [], dialect)
+        _, notes = rows_of(path, [(int(numbers[-1]) + 1, last)] if full is not body else [], dialect, ended)
         return numbers, columns, notes
     kept = [(line.number + first.number - 1, line.text) for line in lines_of(body)]
-    rows, notes = rows_of(path, kept, dialect)
+    rows, notes = rows_of(path, kept, dialect, ended)
+    if not rows:
+        raise LogError(f"{path}: has one row, and that is cut off; export the log again")
     cells = cells_of([line for _, line in rows], dialect)
     return np.array([number for number, _ in rows]), [column_of(column, dialect) for column in cells], notes
 

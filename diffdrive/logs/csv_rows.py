@@ -11,19 +11,30 @@ from diffdrive.errors import LogError
 from diffdrive.logs.csv_dialect import Dialect
 
 
-def rows_of(path: Path, kept: list[tuple[int, str]], dialect: Dialect) -> tuple[list[tuple[int, str]], list[str]]:
-    """The rows with as many cells as the table has columns; a last one that was cut off is left out."""
+def rows_of(
+    path: Path, kept: list[tuple[int, str]], dialect: Dialect, ended: bool
+) -> tuple[list[tuple[int, str]], list[str]]:
+    """The rows with as many cells as the table has columns; a last one that is or may be cut off is left out.
+
+    `ended` says whether the last line has its line end: of one without, nobody can say whether its last number is
+    complete.
+    """
     rows, notes = [], []
     for number, line in kept:
-        found = width_of(line, dialect)
-        if found == dialect.width:
+        found, is_last = width_of(line, dialect), number == kept[-1][0]
+        if found == dialect.width and (ended or not is_last):
             rows.append((number, line))
-        elif number != kept[-1][0]:
+        elif not is_last:
             raise LogError(
                 f"{path}: line {number} has {found} columns, the other rows have {dialect.width}; correct this line"
             )
+        elif found == dialect.width:
+            notes.append(f"line {number}, the last, has no line end: its last number may be cut off; left out")
         elif line != "EOF":  # TwinCAT's end mark
-            notes.append(f"line {number}, the last, is cut off and was left out")
+            notes.append(
+                f"line {number}, the last, has {found} columns, the other rows have {dialect.width}: the file is cut "
+                "off there, and this line is left out; if the log was longer, copy or export it again"
+            )
     return rows, notes
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.io
 from pymatreader import read_mat as read_variables
 
+from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
 from diffdrive.logs.table import Table
 
@@ -47,7 +48,8 @@ def read_mat(path: Path) -> Table:
 
 def write_mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
     """Write columns as variables of a v5 file, beside a structure `units`."""
-    scipy.io.savemat(path, {**columns, "units": units}, oned_as="column", do_compression=True)
+    with atomic_write(path) as file:
+        scipy.io.savemat(file, {**columns, "units": units}, oned_as="column", do_compression=True)
 
 
 def _columns(path: str, value: Any) -> Iterator[Column]:

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
 from diffdrive.logs.table import Table
 
@@ -38,7 +39,8 @@ def read_parquet(path: Path) -> Table:
 def write_parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
     """Write columns as float64 with their units."""
     schema = pa.schema([pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns])
-    pq.write_table(pa.table([pa.array(values) for values in columns.values()], schema=schema), path)
+    with atomic_write(path) as file:
+        pq.write_table(pa.table([pa.array(values) for values in columns.values()], schema=schema), file)
 
 
 def _array(column: pa.ChunkedArray) -> np.ndarray:

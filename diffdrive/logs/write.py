@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
 from diffdrive.logs.log import CHANNELS, Log
 
@@ -15,7 +16,7 @@ Write = Callable[[Path, dict[str, np.ndarray], dict[str, str]], None]
 def write_csv(path: Path, columns: dict[str, np.ndarray], units: dict[str, str] | None = None) -> None:
     """Write columns as CSV with the shortest digits that read back the same; the header says the units given."""
     units = units or {}
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path, "w") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{units[name]}]" if name in units else name for name in columns])
         writer.writerows(zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True))

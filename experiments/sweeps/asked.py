@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from diffdrive.atomic_write import write_text
 from diffdrive.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.motion import Motion
@@ -15,7 +16,6 @@ from experiments.scenario import MOTIONS, Recipe, motion_recipe, parse_motion, r
 from experiments.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.samples import Method
-from experiments.whole import whole
 
 FILE = "asked.json"
 
@@ -119,8 +119,7 @@ def _motion(text: str) -> tuple[str, str]:
 def keep(asked: Asked, folder: Path) -> None:
     """Write it into the folder of the sweep."""
     folder.mkdir(parents=True, exist_ok=True)
-    with whole(folder / FILE) as half:
-        half.write_text(to_text(asked), encoding="utf-8")
+    write_text(folder / FILE, to_text(asked))
 
 
 def read_asked(folder: Path) -> Asked:

@@ -1,50 +1,25 @@
-"""The parts of a sweep on many processes or machines, by Dask distributed.
+"""The parts of a sweep on many machines, by Dask distributed.
 
 Dask, not Ray: it is Python throughout, a worker is one command on any machine, it runs a lost worker's tasks again by
 itself, and every batch system has a launcher for it. It is the package's extra `cluster`.
 """
 
-import contextlib
-import functools
 import itertools
 import re
 import time
 from concurrent.futures import CancelledError
 from typing import Any
 
-import pyarrow as pa
-
+from diffdrive.atomic_write import FULL
 from diffdrive.errors import ParameterError
-from experiments.runtime import configure, cores, keep_compiled, with_accelerator
-from experiments.sweeps.asked import Asked, from_text, to_text
+from experiments.sweeps.asked import Asked, to_text
 from experiments.sweeps.parts import Computed, Engine, Say
 from experiments.sweeps.plan import Plan
-from experiments.whole import FULL
+from experiments.sweeps.workers import run_part
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
 SELDOM = 2.0  # s, between two looks at who is there
 AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it is given
-
-
-@functools.lru_cache(maxsize=1)
-def _plan(text: str, devices: int | None) -> Plan:
-    """The plan from its text, once in a process and not once in each of its parts."""
-    configure(devices)
-    if devices is None:  # a machine of a cluster, not some cores of this one
-        with_accelerator()
-    keep_compiled()
-    return from_text(text).plan()
-
-
-def _part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
-    """One part, on whichever machine this runs."""
-    plan = _plan(text, devices)
-    if plan.question() != question:
-        raise ParameterError(
-            "a worker has another edition of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
-            "the program that asks: the same ones are needed on every machine of the cluster"
-        )
-    return plan.costs(part)
 
 
 def _client(address: str) -> Any:
@@ -70,48 +45,43 @@ def _await(client: Any, done: Any, where: str, say: Say) -> None:
         time.sleep(0.02)
 
 
-def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> Engine:
-    """An engine for `parts.run`: `workers` processes of this machine, or the cluster whose scheduler is at `address`.
+def on_cluster(asked: Asked, address: str) -> Engine:
+    """An engine for `parts.run`: the cluster whose scheduler is at `address`.
 
     A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
     where nobody answers at the address.
     """
-    if address is not None and not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
+    if not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
         raise ParameterError(f"--cluster {address}: write tcp://host:8786")
     try:
-        from distributed import Client, LocalCluster, as_completed
+        from distributed import as_completed
     except ImportError:
-        raise ParameterError("several workers need Dask: pip install 'diffdrive[cluster]'") from None
+        raise ParameterError("--cluster needs Dask: pip install 'diffdrive[cluster]'") from None
 
     def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
         text, question = to_text(asked), plan.question()
-        where = f"--cluster {address}" if address else f"--workers {workers}"
-        # workers of one machine share its cores; one of a cluster has its machine for itself
-        devices = None if address else max(1, cores() // workers)
-        room = contextlib.ExitStack()
-        client = room.enter_context(_client(address)) if wanted and address else None
+        where = f"--cluster {address}"
+        if not wanted:
+            return (part for part in ())
+        client = _client(address)
 
         def parts() -> Computed:
-            if not wanted:
-                return
-            here = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
-            with room:
-                known = client or room.enter_context(Client(room.enter_context(LocalCluster(**here))))
+            with client:
                 left, number = iter(wanted), {}
 
                 def submitted() -> list[Any]:
                     """As many as the workers of this moment are short of: some join late, some go."""
-                    short = AHEAD * max(1, len(known.nthreads()), workers) - len(number)
+                    short = AHEAD * max(1, len(client.nthreads())) - len(number)
                     futures = []
                     for part in itertools.islice(left, max(0, short)):
-                        future = known.submit(_part, text, question, devices, part, pure=False)
+                        future = client.submit(run_part, text, question, None, part, pure=False)
                         number[future] = part
                         futures.append(future)
                     return futures
 
                 done = as_completed(submitted())
                 while not done.is_empty():
-                    _await(known, done, where, say)
+                    _await(client, done, where, say)
                     future = next(done)
                     yield number.pop(future), future.result()
                     future.release()

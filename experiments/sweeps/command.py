@@ -8,6 +8,7 @@ from typing import get_args
 
 import numpy as np
 
+from diffdrive.atomic_write import atomic_write, remove_temporary
 from diffdrive.convergence import advice
 from diffdrive.drive_file import drive_tables, parse_drive, write_drive
 from diffdrive.errors import ParameterError
@@ -105,6 +106,7 @@ def _noted(asked: Asked, engine: Engine, report: Report) -> Engine:
 def _folder(out: Path | None) -> Iterator[Path]:
     """Where the parts go: beside the results, or nowhere for long."""
     if out is not None:
+        remove_temporary(out / PARTS)
         yield out / PARTS
         return
     with tempfile.TemporaryDirectory(prefix="sweep-") as room:
@@ -138,7 +140,8 @@ def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequen
         path = report.out / (f"traces_{named_file(motion)}.nc" if len(plan.motions) > 1 else "traces.nc")
         with report.working("recording the worst machines"):
             told = traces(plan, numbers, plan.controllers, motion, recorded)
-            told.to_netcdf(path, engine="h5netcdf")
+            with atomic_write(path) as file:
+                file.write(told.to_netcdf(engine="h5netcdf"))  # in memory: on a full disk HDF5 fails without saying so
         report.say(f"{path.name}: {', '.join(recorded)} of machines {', '.join(map(str, numbers))}")
         for one in mine:
             again = told.sel(controller=one.controller)

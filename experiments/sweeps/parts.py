@@ -10,9 +10,9 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
+from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import ParameterError
 from experiments.sweeps.plan import Plan
-from experiments.whole import whole
 
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
@@ -29,8 +29,8 @@ def path_of(folder: Path, part: int) -> Path:
 def keep(table: pa.Table, path: Path, question: str) -> None:
     """Write a part, whole or not at all, with the question that it answers."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path) as half:
-        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), half)
+    with atomic_write(path) as file:
+        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), file)
 
 
 def missing(plan: Plan, folder: Path) -> list[int]:

@@ -22,6 +22,7 @@ import jax
 from pyarrow import parquet
 from rich.console import Console
 
+from diffdrive.atomic_write import write_text
 from diffdrive.drive_file import read_drive
 from experiments.checked_logs import looked_over
 from experiments.diagnose import diagnosed, read
@@ -82,10 +83,7 @@ def _length(place: Path) -> int:
 
 def _keep(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    text = json.dumps(told | {"question": question(place, without)}, indent=1)
-    part.write_text(text + "\n", encoding="utf-8")
-    part.replace(path)  # whole or not at all
+    write_text(path, json.dumps(told | {"question": question(place, without)}, indent=1) + "\n")
 
 
 def _begin() -> None:

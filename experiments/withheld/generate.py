@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive.atomic_write import remove_temporary, write_text
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.drive_file import DriveDescription, write_drive
 from diffdrive.errors import DivergenceError, ParameterError
@@ -114,6 +115,7 @@ def generate(
     `DivergenceError` for a case that no attempt keeps on its reference.
     """
     parts.mkdir(parents=True, exist_ok=True)
+    remove_temporary(parts)
     for number, effects in enumerate(kinds(seed, count)):
         name, axis = f"{number + 1:03d}", on[number % len(on)]
         drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": drawn_by()}
@@ -126,7 +128,7 @@ def generate(
             )
         if not there:
             case, logs, peak = _followable(seed, number, effects, axis)
-            part.write_text(json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n", encoding="utf-8")
+            write_text(part, json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n")
             _write(folder / name, case, logs)
         yield name
 
@@ -150,6 +152,7 @@ def _followable(seed: int, number: int, effects: tuple[str, ...], axis: Axis) ->
 
 def _write(place: Path, case: Case, logs: list[Log]) -> None:
     place.mkdir(parents=True, exist_ok=True)
+    remove_temporary(place)
     for log in logs:
         write_log(place / f"log-{log.name}.parquet", log)
     write_drive(place / "drive.toml", _believed(case))  # the last: with it a case is there
@@ -163,5 +166,5 @@ def _believed(case: Case) -> DriveDescription:
 def write_key(path: Path, parts: Path) -> dict[str, Any]:
     """The key, from what was kept of each case."""
     key = {part.stem: json.loads(part.read_text(encoding="utf-8")) for part in sorted(parts.glob("*.json"))}
-    path.write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(key, indent=1) + "\n")
     return key

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from diffdrive.atomic_write import atomic_write
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
 from experiments.report import Report
@@ -112,8 +113,8 @@ def _bring(there: Path, here: Path) -> None:
         if place.exists() and place.read_bytes() == text:
             continue
         place.parent.mkdir(parents=True, exist_ok=True)
-        place.with_suffix(".part").write_bytes(text)
-        place.with_suffix(".part").replace(place)  # whole or not at all
+        with atomic_write(place) as file:
+            file.write(text)
 
 
 def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> again.Answers:
