@@ -9,7 +9,6 @@ error, because a misspelt key that is silently ignored is a wrong simulation.
 
 import dataclasses
 import difflib
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -39,6 +38,7 @@ from diffdrive.parameters import (
     check_drive,
     quantity_table,
 )
+from diffdrive.text_file import read_toml
 from diffdrive.units import to_si
 
 
@@ -223,21 +223,8 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
 
 def read_drive(path: str | Path) -> DriveDescription:
     """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            tables = tomllib.load(file)
-    except FileNotFoundError:
-        raise DriveFileError(
-            f"{path}: no such file; 'diffdrive template > drive.toml' writes one to start from"
-        ) from None
-    except IsADirectoryError:
-        raise DriveFileError(f"{path}: is a folder, not a drive file") from None
-    except OSError as error:
-        raise DriveFileError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DriveFileError(f"{path}: not a TOML file: {error}") from None
-    return parse_drive(tables, str(path))
+    origin = "'diffdrive template > drive.toml' writes one to start from"
+    return parse_drive(read_toml(Path(path), DriveFileError, origin), str(path))
 
 
 def drive_tables(description: DriveDescription) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import copy
 
 import pytest
+import tomli_w
 
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
@@ -155,7 +156,16 @@ def test_a_bad_drive_file_is_refused(place, value, says):
     [
         ("[plant\nmass = 1", r"drive\.toml: not a TOML file: .*line 1"),
         ("mass = 100 kg", r"drive\.toml: not a TOML file"),
-        (b"\xff\xfe", r"drive\.toml: not a TOML file"),
+        (b"\xff\xfe", r"drive\.toml: .*\[plant\] mass: is missing"),
+        (b"\xff\xfe\x00", r"drive\.toml: is cut off or no text: its byte-order mark says UTF-16; save it as UTF-8$"),
+        ("[plant]".encode("utf-16-le"), r"drive\.toml: is UTF-16 without a byte-order mark, or binary: save it as UTF-8$"),
+        (
+            "[plant]\n# Führung\nmass = 1".encode("latin-1"),
+            r"drive\.toml: line 2 holds the byte 0xfc \('ü' in Latin-1\), which is no UTF-8: save the file as UTF-8$",
+        ),
+        ("a = " + "[" * 2000 + "]" * 2000, r"drive\.toml: not a TOML file: tables or lists are nested too deeply"),
+        ("a = " + "{a = " * 2000 + "1" + "}" * 2000, r"drive\.toml: not a TOML file: tables or lists are nested too"),
+        ("a = " + 5000 * "1", r"drive\.toml: not a TOML file: Exceeds the limit"),
         ("", r"drive\.toml: .*\[plant\] mass: is missing"),
         (None, r"drive\.toml: no such file; 'diffdrive template > drive\.toml' writes one"),
     ],
@@ -168,8 +178,18 @@ def test_a_file_that_cannot_be_read_is_refused(content, says, tmp_path):
         read_drive(path)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+def test_a_drive_file_is_read_in_every_encoding_that_names_itself(encoding, tmp_path):
+    """As `diffdrive template > drive.toml` writes it in Windows PowerShell, too."""
+    text = "# Führung\n" + tomli_w.dumps(TABLES)
+    path = tmp_path / "drive.toml"
+    mark = "\ufeff" if encoding.endswith(("-le", "-be")) else ""
+    path.write_bytes((mark + text).replace("\n", "\r\n").encode(encoding))
+    assert drive_tables(read_drive(path)) == TABLES
+
+
 def test_a_folder_is_not_a_drive_file(tmp_path):
-    with pytest.raises(DriveFileError, match="is a folder, not a drive file"):
+    with pytest.raises(DriveFileError, match="is a folder, not a file"):
         read_drive(tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(DriveFileError, match="cannot be read"):

@@ -12,6 +12,7 @@ from diffdrive.logs.csv_dialect import Dialect, dialect_of, first_row
 from diffdrive.logs.csv_header import header_of
 from diffdrive.logs.csv_unquoted import refuse_unquoted
 from diffdrive.logs.table import Table
+from diffdrive.text_file import decoded
 
 _COMMENTS = ("#", "%")
 _SIGNATURES = {
@@ -25,7 +26,7 @@ _SIGNATURES = {
 
 def read_csv(path: Path) -> Table:
     """The columns of a text table; raises `LogError` naming the file, the line and the column."""
-    text = _decoded(path, path.read_bytes())
+    text = _text(path, path.read_bytes())
     lines = [line.strip(" \r\x00") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
     if not any(lines):
         raise LogError(f"{path}: is empty; export the log again")
@@ -51,16 +52,11 @@ def read_csv(path: Path) -> Table:
     return Table(str(path), named, units, numbers, tuple(notes), dialect.decimal, header.clocks)
 
 
-def _decoded(path: Path, raw: bytes) -> str:
+def _text(path: Path, raw: bytes) -> str:
     for signature, what in _SIGNATURES.items():
         if raw.startswith(signature):
             raise LogError(f"{path}: is {what}")
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return raw.decode("utf-16", errors="replace")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
+    text = decoded(raw)
     strange = sum(text.count(chr(code)) for code in range(32) if chr(code) not in "\t\n\r\f\x1a")
     if strange > 0.001 * len(text):
         raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
