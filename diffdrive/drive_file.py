@@ -24,6 +24,7 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
+from diffdrive.messages import shown, shortened
 from diffdrive.motion import Limits
 from diffdrive.parameters import (
     Actuator,
@@ -39,7 +40,7 @@ from diffdrive.parameters import (
     quantity_table,
 )
 from diffdrive.text_file import read_toml
-from diffdrive.units import to_si
+from diffdrive.units import in_unit, to_si
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Section:
 
     def __init__(self, source: str, name: str, table: Any) -> None:
         if not isinstance(table, dict):
-            raise DriveFileError(f"{source}: [{name}] must be a table, got {table!r}")
+            raise DriveFileError(f"{source}: [{name}] must be a table, got {shown(table)}")
         self.source, self.name, self.table, self._left = source, name, table, dict(table)
         self._known: list[str] = []
         self.kind: str | None = None  # of the controller, where keys hang on it
@@ -69,7 +70,7 @@ class Section:
 
     def fail(self, key: str, problem: str) -> DriveFileError:
         """The error for a bad `key`."""
-        return DriveFileError(f"{self.source}: [{self.name}] {key}: {problem}")
+        return DriveFileError(f"{self.source}: [{self.name}] {shortened(key)}: {problem}")
 
     def take(self, key: str, default: Any = dataclasses.MISSING) -> Any:
         """The raw value of `key`, or the default."""
@@ -90,9 +91,13 @@ class Section:
 
     def _number(self, key: str, value: Any, unit: str) -> Any:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
-            raise self.fail(key, f'must be a number in {unit}, or a string such as "1.5 {unit}", got {value!r}')
+            worded = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
+            raise self.fail(key, f"must be a number{in_unit(unit)}{worded}, got {shown(value)}")
         if not isinstance(value, str):
-            return float(value)
+            try:
+                return float(value)
+            except OverflowError:
+                raise self.fail(key, f"{shown(value)} is larger than any number that a computer reckons with") from None
         try:
             return to_si(value, unit)
         except ValueError as problem:
@@ -103,7 +108,7 @@ class Section:
         if default is dataclasses.MISSING and key not in self._left:
             near = difflib.get_close_matches(key, self._left, n=1)
             meant = f"; is it meant by '{near[0]}'?" if near else ""
-            raise self.fail(key, f"is missing: give the {declared.meaning}, in {declared.unit}{meant}")
+            raise self.fail(key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{meant}")
         value = self.take(key, default)
         if value is default:
             return value
@@ -111,9 +116,9 @@ class Section:
             return None
         if isinstance(value, list):
             if not declared.directional:
-                raise self.fail(key, f"must be one number in {declared.unit}, got {value!r}")
+                raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {shown(value)}")
             if len(value) != 2:
-                raise self.fail(key, f"needs two values, [positive, negative], got {value!r}")
+                raise self.fail(key, f"needs two values, [positive, negative], got {shown(value)}")
             return Directional(*(self._number(key, one, declared.unit) for one in value))
         return self._number(key, value, declared.unit)
 
@@ -150,14 +155,17 @@ def _limits(section: Section) -> Limits:
         ends = (-np.inf, np.inf)
     else:
         if not isinstance(stroke, list) or len(stroke) != 2:
-            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {stroke!r}")
+            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {shown(stroke)}")
+        bare = [end for end in stroke if not isinstance(end, str)]
+        if len(bare) == 1 and bare[0] != 0:  # 75 beside "-75 mm" would be 75 m
+            raise section.fail("stroke", f"give both ends a unit, or neither where they are in m, got {shown(stroke)}")
         ends = tuple(section._number("stroke", value, "m") for value in stroke)
         if not ends[0] < ends[1]:
-            raise section.fail("stroke", f"the lowest position must be below the highest, got {stroke!r}")
+            raise section.fail("stroke", f"the lowest position must be below the highest, got {shown(stroke)}")
     most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
     for key, value in most.items():
         if not value > 0:
-            raise section.fail(key, f"must be positive, got {value!r}")
+            raise section.fail(key, f"must be positive, got {shown(value)}")
     return Limits(stroke=ends, **most)
 
 
@@ -191,7 +199,7 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     root.done()
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
-        raise sections["actuator"].fail("delay_samples", f"must be a whole number of samples, 0 or more, got {delay!r}")
+        raise sections["actuator"].fail("delay_samples", f"must be a whole number of samples, 0 or more, got {shown(delay)}")
     drive = Drive(
         plant=sections["plant"].build(Plant),
         friction=sections["friction"].build(Friction),
@@ -201,8 +209,6 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     )
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
-    if isinstance(substeps, bool):
-        raise sections["sampling"].fail("substeps", f"must be a whole number of at least 1, got {substeps!r}")
     try:
         check_drive(drive)
         sampling = Sampling(rate, substeps)

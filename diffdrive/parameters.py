@@ -5,6 +5,7 @@ range checks and the reference table in the documentation are all derived from t
 """
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,7 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError, PrecisionError
+from diffdrive.messages import shown
+from diffdrive.units import in_unit
 
+LONGEST_SUBSTEP, ITS_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
+# s: the integrator is of second order, and here its error is the rounding of a position of a metre
+FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / ITS_ERROR))
 Scalar = Float[Array, ""] | float
 Tree = TypeVar("Tree")
 
@@ -47,8 +53,9 @@ class Quantity(NamedTuple):
             ("below", self.below, np.less),
             ("at most", self.at_most, np.less_equal),
         )
+        unit = "" if self.unit == "1" else f" {self.unit}"
         return [
-            f"{word} {bound:g} {self.unit}"
+            f"{word} {bound:g}{unit}"
             for word, bound, kept in bounds
             if bound is not None and not np.all(kept(numbers, bound))
         ]
@@ -191,7 +198,7 @@ class Sampling(eqx.Module):
     """Control rate, and plant substeps in each control period (`None`: as many as keep a substep within 20 us).
 
     At that substep the integrator's position error is 0.1 nm or less on the paper's drive at 10 kHz, and of that order
-    on others (docs/numerics.md).
+    on others (docs/numerics.md). No substep may be shorter than `FINEST_SUBSTEP`.
     """
 
     rate: float = eqx.field(static=True, default=10_000.0)
@@ -199,10 +206,18 @@ class Sampling(eqx.Module):
 
     def __check_init__(self) -> None:
         if not (isinstance(self.rate, int | float | np.number) and 10.0 <= self.rate <= 1e6):
-            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {self.rate!r}")
+            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {shown(self.rate)}")
         whole = isinstance(self.substeps, int) and not isinstance(self.substeps, bool)
-        if self.substeps is not None and not (whole and self.substeps >= 1):
-            raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {self.substeps!r}")
+        if self.substeps is None:
+            return
+        if not (whole and self.substeps >= 1):
+            raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {shown(self.substeps)}")
+        most = math.ceil(self.period / FINEST_SUBSTEP)
+        if self.substeps > most:
+            raise ParameterError(
+                f"sampling.substeps must be at most {most} at {self.rate:g} Hz, got {shown(self.substeps)}: finer "
+                "substeps gain nothing, since their error is below the last digit of a position"
+            )
 
     @property
     def period(self) -> float:
@@ -212,7 +227,7 @@ class Sampling(eqx.Module):
     @property
     def plant_steps(self) -> int:
         """Substeps of the plant in one control period."""
-        return self.substeps or int(np.ceil(round(self.period / 20e-6, 6)))
+        return self.substeps or int(np.ceil(round(self.period / LONGEST_SUBSTEP, 6)))
 
 
 def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any]]:
@@ -256,9 +271,13 @@ def check(module: Any, path: str = "") -> None:
             if isinstance(number, jax.core.Tracer):
                 continue
             if isinstance(number, bool) or not isinstance(number, int | float | np.number | np.ndarray | jax.Array):
-                problems.append(f"{name}{where} must be a number in {declared.unit}, got {number!r}")
+                problems.append(f"{name}{where} must be a number{in_unit(declared.unit)}, got {shown(number)}")
                 continue
-            numbers = np.asarray(number, dtype=float)
+            try:
+                numbers = np.asarray(number, dtype=float)
+            except OverflowError:  # a whole number that no float holds
+                problems.append(f"{name}{where} must be finite, got {shown(number)}")
+                continue
             if not np.all(np.isfinite(numbers)):
                 problems.append(f"{name}{where} must be finite, got {_told(numbers)}")
                 continue
