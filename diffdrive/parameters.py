@@ -172,6 +172,11 @@ class Actuator(eqx.Module):
         "1", "further delay as a share of the control period, 0 to 1", at_least=0.0, default=None
     )
 
+    @property
+    def pipelines(self) -> tuple[tuple[str, int], ...]:
+        """What holds values back for some samples: its name and how many."""
+        return (("actuator.delay_samples", self.delay_samples),)
+
 
 class Sensor(eqx.Module):
     """Linear scale at the table: white noise, then quantisation."""
@@ -293,7 +298,7 @@ def check_drive(drive: Drive) -> None:
     check(drive)
     delay = drive.actuator.delay_samples
     if not isinstance(delay, int) or delay < 0:
-        raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {delay!r}")
+        raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {shown(delay)}")
     fraction = drive.actuator.delay_fraction
     if fraction is not None and not isinstance(fraction, jax.core.Tracer) and not np.all(np.asarray(fraction) <= 1):
         raise ParameterError(

@@ -26,6 +26,7 @@ from diffdrive.effects.base import Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
 from diffdrive.load import Ramp, require_possible
+from diffdrive.messages import shown
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate
@@ -40,7 +41,12 @@ from diffdrive.parameters import (
     in_precision_of,
     require_double_precision,
 )
+from diffdrive.pipeline import require_shorter
+from diffdrive.resources import require_memory
 from diffdrive.run import Run, judged
+
+
+GIVEN, KEPT, DOUBLE = 8, 14, 8  # arrays over the samples of a run, those over the kept ones, and bytes of a number
 
 
 class Inputs(NamedTuple):
@@ -313,15 +319,22 @@ def simulate(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
         )
     if not isinstance(every, int) or not 1 <= every < len(motion.time):
-        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {every!r}")
+        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {shown(every)}")
     if isinstance(load, str):
-        raise MotionError(f"load must be in N, one number or one per sample, got {load!r}")
+        raise MotionError(f"load must be in N, one number or one per sample, got {shown(load)}")
+    require_shorter(len(motion.time), (*drive.actuator.pipelines, *controller.pipelines))
+    require_memory(
+        ParameterError,
+        f"a run of {len(motion.time)} samples",
+        DOUBLE * len(motion.time) * (GIVEN + KEPT / every),
+        "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
+    )
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = require_possible(drive, loads, motion.time)
     for problem in advice(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
-    if seed is not None and not isinstance(seed, int):
-        raise ParameterError(f"seed must be a whole number, or None for no noise, got {seed!r}")
+    if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
+        raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {shown(seed)}")
     noisy = seed is not None and float(drive.sensor.noise) > 0
     key = jax.random.key(seed) if noisy else None
     frames = _rollout(*as_arrays((drive, controller)), inputs_of(motion, loads), sampling, key, every)
