@@ -21,6 +21,7 @@ from diffdrive.controller_file import build_controller, controller_table
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.possible import envelope_within, require_possible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
@@ -216,6 +217,10 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
         raise DriveFileError(f"{source}: {error}") from None
     limits = _limits(sections["limits"])
     low, high = limits.stroke
+    try:
+        require_possible(drive, envelope_within(limits, sampling))
+    except ParameterError as error:
+        raise DriveFileError(f"{source}: {error}") from None
     if drive.sensor.resolution is not None and float(drive.sensor.resolution) > 1e-2 * min(high - low, 1.0):
         raise sections["sensor"].fail(
             "resolution",

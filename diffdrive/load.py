@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import MotionError
-from diffdrive.parameters import Drive, Scalar
+from diffdrive.parameters import Drive, Sampling, Scalar
 
 GRAVITY = 9.80665  # m/s^2
 
@@ -78,6 +78,24 @@ def material_removal(
             "cut less, more slowly, or a heavier one"
         )
     return GRAVITY * mass
+
+
+def require_resolved(drive: Drive, load: np.ndarray, velocity: np.ndarray, sampling: Sampling) -> None:
+    """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion (m/s, [n]).
+
+    A force F is known to eps F, and in a substep h that is a velocity of eps F h / M.
+    """
+    friction, highest = drive.friction, float(np.max(load))
+    guides = [friction.load_coefficient.positive, friction.load_coefficient.negative]
+    force = float(np.max(np.asarray(guides, float))) * (float(friction.initial_load) + highest)
+    step = sampling.period / sampling.plant_steps
+    rounding = np.finfo(float).eps * force * step / float(drive.plant.mass)
+    fastest = float(np.max(np.abs(velocity)))
+    if fastest > 0.0 and rounding > fastest:
+        raise MotionError(
+            f"under the load of {highest:g} N the rounding of the friction, {force:.3g} N, alone moves the table by "
+            f"{rounding:.2g} m/s: check the unit of the load"
+        )
 
 
 def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:

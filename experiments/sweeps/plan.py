@@ -14,6 +14,8 @@ import pyarrow as pa
 
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription
+from diffdrive.effects.base import Envelope
+from diffdrive.effects.possible import envelope_of, envelope_within, require_possible
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.load import Ramp
 from diffdrive.motion import Motion, require_within
@@ -147,7 +149,19 @@ class Plan:
     def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
         require_ordered(ramp)
+        require_possible(machine, self._envelope)
         return machine, ramp
+
+    @cached_property
+    def _envelope(self) -> Envelope:
+        """Within what the machines move: a motion that varies may go wherever the limits let it."""
+        if self._varies("motion"):
+            return envelope_within(self.axis.limits, self.axis.sampling)
+        position, velocity = (
+            np.concatenate([getattr(one, name) for one in self.motions.values()]) for name in ("position", "velocity")
+        )
+        every = envelope_of(position, velocity, np.zeros(1), self.axis.sampling.period)
+        return every._replace(duration=max(one.duration for one in self.motions.values()))
 
     @property
     def nominal(self) -> list[Course]:
