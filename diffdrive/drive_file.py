@@ -25,7 +25,7 @@ from diffdrive.effects.possible import envelope_within, require_possible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
-from diffdrive.messages import shown, shortened
+from diffdrive.messages import shortened, shown
 from diffdrive.motion import Limits
 from diffdrive.parameters import (
     Actuator,
@@ -109,7 +109,9 @@ class Section:
         if default is dataclasses.MISSING and key not in self._left:
             near = difflib.get_close_matches(key, self._left, n=1)
             meant = f"; is it meant by '{near[0]}'?" if near else ""
-            raise self.fail(key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{meant}")
+            raise self.fail(
+                key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{meant}"
+            )
         value = self.take(key, default)
         if value is default:
             return value
@@ -200,7 +202,9 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     root.done()
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
-        raise sections["actuator"].fail("delay_samples", f"must be a whole number of samples, 0 or more, got {shown(delay)}")
+        raise sections["actuator"].fail(
+            "delay_samples", f"must be a whole number of samples, 0 or more, got {shown(delay)}"
+        )
     drive = Drive(
         plant=sections["plant"].build(Plant),
         friction=sections["friction"].build(Friction),

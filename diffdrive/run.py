@@ -131,7 +131,9 @@ def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequenc
         return replace(run, status=Status(True, share))
     k, name, signal, bound = min(first, key=lambda fault: fault[0])
     if effects:
-        cause = f"without {' and '.join(f'effects.{name}' for name in effects)} it stays within them; check the units there"
+        cause = (
+            f"without {' and '.join(f'effects.{name}' for name in effects)} it stays within them; check the units there"
+        )
     elif np.mean(limited[: k + 1]) > 0.5:
         cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
     else:

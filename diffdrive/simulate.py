@@ -46,7 +46,6 @@ from diffdrive.pipeline import require_shorter
 from diffdrive.resources import require_memory
 from diffdrive.run import Run, judged
 
-
 GIVEN, KEPT, DOUBLE = 8, 14, 8  # arrays over the samples of a run, those over the kept ones, and bytes of a number
 
 
@@ -347,7 +346,9 @@ def simulate(
         return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
 
     def sound_without(effects: Sequence[Effect]) -> bool:
-        machine = replace(drive, effects=tuple(one for one in drive.effects if not any(one is gone for gone in effects)))
+        machine = replace(
+            drive, effects=tuple(one for one in drive.effects if not any(one is gone for gone in effects))
+        )
         run, limit = of(machine)
         return judged(run, limits, limit).status.ok
 

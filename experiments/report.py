@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from diffdrive.errors import ParameterError
+from diffdrive.messages import printable
 from experiments.whole import whole
 
 RESULT = "result.json"
@@ -58,7 +59,8 @@ SELDOM = 30.0  # s, between two lines of progress where there is no terminal
 
 
 def _console() -> Console:
-    console = Console(highlight=False, soft_wrap=True)
+    # what is printed quotes files: [brackets] and :names: in it are no markup and no emoji
+    console = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console.width = 120  # a pipe or a log file has no width of its own
     return console
@@ -79,6 +81,8 @@ def _made(out: Path) -> list[Path]:
     """
     if os.path.exists(out) and not os.path.isdir(out):  # a Path raises where it may not look
         raise ParameterError(f"--out {out}: is a file, not a folder; name another")
+    if os.path.islink(out) and not os.path.exists(out):
+        raise ParameterError(f"--out {out}: is a link to a folder that is not there; make that, or name another")
     made = [one for one in (out, *out.parents) if not os.path.exists(one)]
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -111,7 +115,7 @@ class Report:
         self._started = time.perf_counter()
         self._no_result = {*self.data, "timings_s", "notes"}
         self._made = [] if out is None else _made(out)
-        self.console.print(f"[bold]{title}[/bold]")
+        self.console.print(printable(title), style="bold")
 
     def __enter__(self) -> "Report":
         return self
@@ -131,24 +135,24 @@ class Report:
     def say(self, text: str) -> None:
         """Print a sentence and keep it."""
         self.data.setdefault("notes", []).append(text)
-        self.console.print(text, markup=False)
+        self.console.print(printable(text))
 
     def values(self, name: str, **numbers: Any) -> None:
         """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
         self.data.setdefault(name, {}).update(plain(numbers))
         listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
-        self.console.print(f"{name}: {listed}", markup=False)
+        self.console.print(printable(f"{name}: {listed}"))
 
     def table(
         self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "", digits: int = 4
     ) -> None:
         """Print a table with so many significant digits, keep its rows as records, and write it as CSV."""
-        drawn = Table(title=caption or name, title_justify="left", header_style="")
+        drawn = Table(title=printable(caption or name), title_justify="left", header_style="")
         for k, column in enumerate(columns):
             # a name that is cut off says nothing: it goes on in the next line
-            drawn.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
+            drawn.add_column(printable(column), justify="left" if k == 0 else "right", overflow="fold")
         for row in rows:
-            drawn.add_row(*(escape(_shown(value, digits)) for value in row))  # a [table] of a file is no markup
+            drawn.add_row(*(printable(_shown(value, digits)) for value in row))
         self.console.print(drawn)
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),
@@ -170,24 +174,24 @@ class Report:
     def working(self, what: str) -> Iterator[None]:
         """Show that something is under way, and how long it took."""
         began = time.perf_counter()
-        with self.console.status(f"{what} ..."):
+        with self.console.status(Text(printable(f"{what} ..."))):
             yield
         elapsed = time.perf_counter() - began
         self.data.setdefault("timings_s", {})[what] = round(elapsed, 1)
         if elapsed > 2:
-            self.console.print(f"[dim]{what}: {elapsed:.1f} s[/dim]")
+            self.console.print(printable(f"{what}: {elapsed:.1f} s"), style="dim")
 
     @contextlib.contextmanager
     def progress(self, what: str, total: int) -> Iterator[Callable[[int, int, float], None]]:
         """A progress bar; yields a function of (step, most, cost) that moves it."""
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
         )
         with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
-            task = bar.add_task(what, total=total, note="compiling")
+            task = bar.add_task(printable(what), total=total, note="compiling")
 
             def advance(step: int, most: int, cost: float) -> None:
                 bar.update(task, completed=step, total=most, note=f"cost {cost:.4g}")
@@ -203,13 +207,13 @@ class Report:
         if not self.console.is_terminal:
             yield self._lines()
             return
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
         with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
             tasks: dict[str, Any] = {}
 
             def advance(stage: str, done: int, most: int) -> None:
                 if stage not in tasks:
-                    tasks[stage] = bar.add_task(stage, total=most)
+                    tasks[stage] = bar.add_task(printable(stage), total=most)
                 bar.update(tasks[stage], completed=done, total=most)
 
             yield advance
@@ -225,17 +229,17 @@ class Report:
             begins = stage != before or done < told
             if begins or now - at >= SELDOM or (done == most and told != most):
                 before, at, told = stage, now, done
-                self.console.print(f"{stage}: {done} of {most}, {now:.0f} s", markup=False)
+                self.console.print(printable(f"{stage}: {done} of {most}, {now:.0f} s"))
 
         return advance
 
     @contextlib.contextmanager
     def counted(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
         """A progress bar with rate and time left; yields a function of how many are done."""
-        rate = TextColumn("{task.fields[rate]}")
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate)
+        rate = TextColumn("{task.fields[rate]}", markup=False)
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), rate)
         with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=self.console) as bar:
-            task = bar.add_task(what, total=total, rate="compiling")
+            task = bar.add_task(printable(what), total=total, rate="compiling")
             began: list[tuple[float, int]] = []
 
             def advance(done: int) -> None:
@@ -255,7 +259,7 @@ class Report:
         with whole(self.out / RESULT) as half:
             half.write_text(text + "\n", encoding="utf-8")
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
-        self.console.print(f"{stopped} {self.out}", markup=False)
+        self.console.print(printable(f"{stopped} {self.out}"))
 
 
 def named_file(text: str) -> str:

@@ -124,9 +124,7 @@ def _machine(number: int) -> str:
 def _require_possible(description: DriveDescription, scenarios: list[Scenario]) -> None:
     for one in scenarios:
         require_within(one.motion, description.limits)
-        require_shorter(
-            len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines)
-        )
+        require_shorter(len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines))
         weights = np.broadcast_to(np.asarray(one.load, float), one.motion.time.shape)
         require_possible(description.drive, weights, one.motion.time)
 

@@ -87,7 +87,11 @@ FILES = {
     ),
     "megametres": ("limits.speed", "5 Mm/s", r"\[limits\] speed: '5 Mm/s' says Mm, which is 1000 km; write mm"),
     "400 digits": ("plant.mass", 10**400, r"\[plant\] mass: 1000000.*0000 is larger than any number that a computer"),
-    "400 digits with a unit": ("plant.mass", "9" * 400 + " kg", r"\[plant\] mass: '999.* kg' is larger than any number"),
+    "400 digits with a unit": (
+        "plant.mass",
+        "9" * 400 + " kg",
+        r"\[plant\] mass: '999.* kg' is larger than any number",
+    ),
     "an exponent of 400": ("limits.speed", "1e400 m/s", r"\[limits\] speed: '1e400 m/s' is larger than any number"),
     "a list of a thousand lists": ("plant.mass", [[[1]] * 1000] * 1000, r"\[plant\] mass: must be one number .{,90}$"),
     "a share of nothing": (
@@ -181,7 +185,10 @@ def test_a_bad_drive_file_is_refused(place, value, says):
         ("mass = 100 kg", r"drive\.toml: not a TOML file"),
         (b"\xff\xfe", r"drive\.toml: .*\[plant\] mass: is missing"),
         (b"\xff\xfe\x00", r"drive\.toml: is cut off or no text: its byte-order mark says UTF-16; save it as UTF-8$"),
-        ("[plant]".encode("utf-16-le"), r"drive\.toml: is UTF-16 without a byte-order mark, or binary: save it as UTF-8$"),
+        (
+            "[plant]".encode("utf-16-le"),
+            r"drive\.toml: is UTF-16 without a byte-order mark, or binary: save it as UTF-8$",
+        ),
         (
             "[plant]\n# Führung\nmass = 1".encode("latin-1"),
             r"drive\.toml: line 2 holds the byte 0xfc \('ü' in Latin-1\), which is no UTF-8: save the file as UTF-8$",

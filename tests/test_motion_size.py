@@ -6,7 +6,6 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from diffdrive import motion as motions
 from diffdrive import motion_size, resources
 from diffdrive.errors import MotionError
 from diffdrive.motion import Motion
@@ -54,7 +53,9 @@ def test_a_strange_setting_makes_a_sound_motion_or_one_line(name, key, value, li
     except MotionError as problem:
         assert "\n" not in str(problem)
         assert len(str(problem)) < 400
-        assert str(problem).startswith((name.split("_")[0], "jerk-limited", "constant speed", "a motion of", "time grid"))
+        assert str(problem).startswith(
+            (name.split("_")[0], "jerk-limited", "constant speed", "a motion of", "time grid")
+        )
     else:
         assert isinstance(made, Motion)
         assert all(np.all(np.isfinite(one)) for one in (made.position, made.velocity, made.acceleration))
@@ -78,10 +79,16 @@ def test_a_motion_takes_the_memory_that_is_reckoned_with(name, text, monkeypatch
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("sine:amplitude=1mm,frequency=2Hz,duration=1e6", r"^sine: 1e\+06 s at 10000 Hz are 1e\+10 samples, which takes "),
+        (
+            "sine:amplitude=1mm,frequency=2Hz,duration=1e6",
+            r"^sine: 1e\+06 s at 10000 Hz are 1e\+10 samples, which takes ",
+        ),
         ("trapezoidal:distance=10mm,speed=0.1,acceleration=1e-12", r"samples, which takes about 480 GB of memory, "),
         ("trapezoidal:distance=10mm,speed=0.1,acceleration=1,repeats=1000000000", r"and 60 MB are free: shorten or"),
-        ("triangular:speed=1,stroke=1e-9,rounding=1e-9,duration=1", "reversals 1e-09 s apart are closer than the samples"),
+        (
+            "triangular:speed=1,stroke=1e-9,rounding=1e-9,duration=1",
+            "reversals 1e-09 s apart are closer than the samples",
+        ),
         ("sine:amplitude=1mm,frequency=2Hz,duration=1,start=1e300", "sine: a travel of 0 m at 1e.300 m is lost in the"),
         ("jerk_limited:distance=1e300,speed=1e-300,acceleration=1,jerk=1", "floating-point numbers: check their units"),
     ],

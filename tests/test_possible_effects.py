@@ -144,12 +144,16 @@ def test_gains_are_blamed_where_they_fail_without_the_effects_too():
 
 
 def test_a_load_whose_rounding_moves_the_table_is_refused():
-    with pytest.raises(MotionError, match=r"^under the load of 1e\+300 N the rounding of the friction.* check the unit"):
+    with pytest.raises(
+        MotionError, match=r"^under the load of 1e\+300 N the rounding of the friction.* check the unit"
+    ):
         simulate(DRIVE, CONTROLLER, MOVE, load=1e300)
 
 
 def test_an_impossible_machine_of_a_sweep_is_named_before_any_runs():
     axis = DriveDescription(DRIVE, CONTROLLER, Sampling(), Limits())
     plan = Plan.of(axis, {"PD": CONTROLLER}, {"move": MOVE}, ("effects.payload_mass.mass=uniform:-150..0 kg",), 8)
-    with pytest.raises(ParameterError, match=r"^sweep: machine \d cannot be: effects\.payload_mass: with it the moving"):
+    with pytest.raises(
+        ParameterError, match=r"^sweep: machine \d cannot be: effects\.payload_mass: with it the moving"
+    ):
         plan.require_possible(range(plan.parts))

@@ -96,7 +96,9 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
 
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
     effects = acting.at_rest(drive.effects, force)
-    return LoopState(moving(drive, at.lanes), under_way(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects)
+    return LoopState(
+        moving(drive, at.lanes), under_way(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
+    )
 
 
 def replay(drive: Drive, controller: Controller, given: Given, sampling: Sampling) -> Replayed:

@@ -76,7 +76,7 @@ class PositionFriction(TableEffect):
             turns = within.farthest / np.asarray(self.period)
             if problem := too_many_turns(turns, "the way from 0 to the end of the stroke"):
                 return problem
-        short = GRID < FINE_ENOUGH * (high - low) / np.asarray(self.period)
+        short = FINE_ENOUGH * (high - low) / np.asarray(self.period) > GRID
         if within.position is None:
             least = -height
         else:

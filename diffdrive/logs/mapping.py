@@ -146,7 +146,9 @@ def _gain(key: str, value: Any, where: str) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise LogError(f"{where} {key}: {shown(value)} is larger than any number that a computer reckons with") from None
+        raise LogError(
+            f"{where} {key}: {shown(value)} is larger than any number that a computer reckons with"
+        ) from None
 
 
 def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
