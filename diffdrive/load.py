@@ -94,7 +94,7 @@ def require_resolved(drive: Drive, load: np.ndarray, velocity: np.ndarray, sampl
     if fastest > 0.0 and rounding > fastest:
         raise MotionError(
             f"under the load of {highest:g} N the rounding of the friction, {force:.3g} N, alone moves the table by "
-            f"{rounding:.2g} m/s: check the unit of the load"
+            f"{rounding:.2g} m/s, the motion by {fastest:.2g} m/s: check the units of load and speed"
         )
 
 

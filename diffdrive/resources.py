@@ -1,10 +1,11 @@
 """What a request takes against what this machine has, estimated before anything is allocated.
 
-Who knows how much one sample, one lane or one worker takes says so here; the bound is the memory that is there, so a big
-request that fits goes on.
+Who knows how much one sample, one lane or one worker takes says so here; the bound is what is there, so a big request
+that fits goes on.
 """
 
 import math
+import shutil
 from pathlib import Path
 
 import psutil
@@ -36,6 +37,13 @@ def require_memory(error: type[DiffdriveError], request: str, needed: float, men
     there = memory_available()
     if needed > there:
         raise error(f"{request} takes about {in_bytes(needed)} of memory, and {in_bytes(there)} are free: {mend}")
+
+
+def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed: float, mend: str) -> None:
+    """Raise `error` where `request` writes more than there is room for on the disk of `folder` (`needed`, bytes)."""
+    there = shutil.disk_usage(folder).free
+    if needed > there:
+        raise error(f"{request} writes about {in_bytes(needed)}, and {in_bytes(there)} of the disk are free: {mend}")
 
 
 def in_bytes(count: float) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
+from diffdrive.resources import require_memory
 from experiments.runtime import configure, cores, keep_compiled, with_accelerator
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Computed, Engine, Say
@@ -23,6 +24,7 @@ from experiments.whole import FULL
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
 SELDOM = 2.0  # s, between two looks at who is there
+WORKER = 3e8  # bytes of a process that has done nothing yet, jax and the package in it
 AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it is given
 
 
@@ -78,6 +80,8 @@ def on_cluster(asked: Asked, workers: int = 1, address: str | None = None) -> En
     """
     if address is not None and not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
         raise ParameterError(f"--cluster {address}: write tcp://host:8786")
+    if address is None:
+        require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER * workers, "give fewer")
     try:
         from distributed import Client, LocalCluster, as_completed
     except ImportError:

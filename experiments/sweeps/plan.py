@@ -20,6 +20,7 @@ from diffdrive.errors import MotionError, ParameterError
 from diffdrive.load import Ramp
 from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
+from diffdrive.resources import require_memory
 from diffdrive.simulate import Costs
 from experiments.edition import edition
 from experiments.runtime import arithmetic
@@ -264,7 +265,15 @@ class Plan:
 
     def _at_once(self, motion: str) -> int:
         """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
-        blocks = int(MOST_HELD / (HELD * self._longest[motion] * block(own_courses=True)))
+        of_one = HELD * self._longest[motion] * block(own_courses=True)
+        require_memory(
+            ParameterError,
+            f"{motion}: {block(own_courses=True)} machines side by side, each on its own course of up to "
+            f"{self._longest[motion]} samples,",
+            of_one,
+            "shorten the motion, or lower sampling.rate",
+        )
+        blocks = int(MOST_HELD / of_one)
         return block(own_courses=True) * max(1, min(blocks, len(jax.devices())))
 
     def costs(self, part: int) -> pa.Table:
