@@ -11,9 +11,11 @@ from diffdrive.errors import LogError
 from diffdrive.logs.csv_dialect import Dialect, dialect_of, first_row
 from diffdrive.logs.csv_header import header_of
 from diffdrive.logs.csv_unquoted import refuse_unquoted
-from diffdrive.logs.table import Table
+from diffdrive.logs.table import MISSING, Table
+from diffdrive.resources import in_bytes, require_memory
 from diffdrive.text_file import decoded
 
+IN_MEMORY = 20.0  # bytes for each of the file, while its cells are texts: measured, a cell of 8 characters takes 57
 _COMMENTS = ("#", "%")
 _SIGNATURES = {
     b"PAR1": "a Parquet file; name it .parquet",
@@ -26,10 +28,24 @@ _SIGNATURES = {
 
 def read_csv(path: Path) -> Table:
     """The columns of a text table; raises `LogError` naming the file, the line and the column."""
+    size = path.stat().st_size
+    mend = "cut it into several, or export it as Parquet"
+    require_memory(LogError, f"{path}: reading {in_bytes(size)} of text", IN_MEMORY * size, mend)
     text = _text(path, path.read_bytes())
     lines = [line.strip(" \r\x00") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n")]
     if not any(lines):
         raise LogError(f"{path}: is empty; export the log again")
+    try:
+        return _table(path, lines)
+    except csv.Error as problem:  # a cell beyond what the library reads
+        number = max(range(len(lines)), key=lambda k: len(lines[k]))
+        raise LogError(
+            f"{path}: line {number + 1} has {len(lines[number])} characters, too many for one row of a table "
+            f"({problem}); correct or remove it"
+        ) from None
+
+
+def _table(path: Path, lines: list[str]) -> Table:
     kept = [(k + 1, line) for k, line in enumerate(lines) if line and not line.startswith(_COMMENTS)]
     dialect = dialect_of([line for _, line in kept])
     start = None if dialect is None else first_row([line for _, line in kept], dialect)
@@ -98,7 +114,10 @@ def _column(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
     plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]
     for kind in () if mixed else (np.int64, np.float64):
         with contextlib.suppress(ValueError, OverflowError):
-            return np.array(plain, dtype=kind)
+            values = np.array(plain, dtype=kind)
+            # infinite is what says so, not what has 400 digits
+            if all(cells[k].strip().casefold() in MISSING for k in np.flatnonzero(np.isinf(values))):
+                return values
     return np.array([cell.strip() for cell in cells], dtype=object)
 
 
