@@ -86,15 +86,19 @@ def require_resolved(drive: Drive, load: np.ndarray, velocity: np.ndarray, sampl
     A force F is known to eps F, and in a substep h that is a velocity of eps F h / M.
     """
     friction, highest = drive.friction, float(np.max(load))
-    guides = [friction.load_coefficient.positive, friction.load_coefficient.negative]
-    force = float(np.max(np.asarray(guides, float))) * (float(friction.initial_load) + highest)
+    force = max(
+        float(getattr(friction.coulomb_screw, side))
+        + float(getattr(friction.load_coefficient, side)) * (float(friction.initial_load) + highest)
+        + max(0.0, float(getattr(friction.breakaway_gap, side)))
+        for side in ("positive", "negative")
+    )
     step = sampling.period / sampling.plant_steps
     rounding = np.finfo(float).eps * force * step / float(drive.plant.mass)
     fastest = float(np.max(np.abs(velocity)))
     if fastest > 0.0 and rounding > fastest:
         raise MotionError(
             f"under the load of {highest:g} N the rounding of the friction, {force:.3g} N, alone moves the table by "
-            f"{rounding:.2g} m/s, the motion by {fastest:.2g} m/s: check the units of load and speed"
+            f"{rounding:.2g} m/s, the motion by {fastest:.2g} m/s: check the units of [friction], load and speed"
         )
 
 

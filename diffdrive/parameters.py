@@ -22,6 +22,7 @@ from diffdrive.units import in_unit
 LONGEST_SUBSTEP, ITS_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
 # s: the integrator is of second order, and here its error is the rounding of a position of a metre
 FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / ITS_ERROR))
+ROUNDING = 1e-6  # of a width over which something is smoothed: what the rounding of numbers may make of it
 Scalar = Float[Array, ""] | float
 Tree = TypeVar("Tree")
 
@@ -304,6 +305,14 @@ def check_drive(drive: Drive) -> None:
         raise ParameterError(
             f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
         )
+    limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
+    if limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width)):
+        # the rounded limit is a difference of numbers as large as the limit
+        if np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
+            raise ParameterError(
+                f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
+                f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
+            )
     friction = drive.friction
     for side in ("positive", "negative"):
         level = getattr(friction.coulomb_screw, side) + getattr(friction.load_coefficient, side) * friction.initial_load

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from diffdrive.errors import ParameterError
 from diffdrive.parameters import Scalar
+from diffdrive.resources import counted
 
 LONGEST_TUPLE = 32  # up to here compiling takes no longer than without
 
@@ -35,6 +36,6 @@ def require_shorter(samples: int, names: Iterable[tuple[str, int]]) -> None:
     for name, length in names:
         if length >= samples:
             raise ParameterError(
-                f"{name} of {length if length < 1e9 else f'{length:.3g}'} samples is as long as the whole motion of "
+                f"{name} of {counted(length)} samples is as long as the whole motion of "
                 f"{samples} samples: nothing comes out of it before the end; shorten it"
             )

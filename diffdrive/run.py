@@ -136,6 +136,11 @@ def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequenc
         )
     elif np.mean(limited[: k + 1]) > 0.5:
         cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
+    elif np.isnan(signal[k]):
+        cause = (
+            "numbers leave the range of floating point; check the units of the drive's parameters, or lower kd, kp or the "
+            "delay"
+        )
     else:
         cause = (
             "the loop is unstable with these gains, delay and sampling; lower kd, kp or the delay, or check their units"
