@@ -32,7 +32,7 @@ def _written_out(character: str) -> str:
 
 
 def shown(value: Any) -> str:
-    """`repr` of a value, shortened: a list of a thousand lists, or a number of 400 digits, is known by its beginning."""
+    """`repr` of a value, shortened: a list of a thousand lists, or a number of 400 digits, is known by its ends."""
     return shortened(_REPR.repr(value), 2 * LONGEST)
 
 

@@ -306,13 +306,13 @@ def check_drive(drive: Drive) -> None:
             f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
         )
     limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
-    if limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width)):
-        # the rounded limit is a difference of numbers as large as the limit
-        if np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
-            raise ParameterError(
-                f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
-                f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
-            )
+    known = limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width))
+    # the rounded limit is a difference of numbers as large as the limit
+    if known and np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
+        raise ParameterError(
+            f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
+            f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
+        )
     friction = drive.friction
     for side in ("positive", "negative"):
         level = getattr(friction.coulomb_screw, side) + getattr(friction.load_coefficient, side) * friction.initial_load

@@ -36,14 +36,17 @@ def require_memory(error: type[DiffdriveError], request: str, needed: float, men
     """Raise `error` where `request` takes more than the memory that is there (`needed`, bytes)."""
     there = memory_available()
     if needed > there:
-        raise error(f"{request} takes about {in_bytes(needed)} of memory, and {in_bytes(there)} are free: {mend}")
+        takes = f"would take about {in_bytes(needed)} of memory"
+        raise error(f"{request} {takes}, and {in_bytes(there)} are free: {mend}")
 
 
 def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed: float, mend: str) -> None:
     """Raise `error` where `request` writes more than there is room for on the disk of `folder` (`needed`, bytes)."""
     there = shutil.disk_usage(folder).free
     if needed > there:
-        raise error(f"{request} writes about {in_bytes(needed)}, and {in_bytes(there)} of the disk are free: {mend}")
+        raise error(
+            f"{request} would write about {in_bytes(needed)}, and {in_bytes(there)} of the disk are free: {mend}"
+        )
 
 
 def in_bytes(count: float) -> str:

@@ -138,8 +138,8 @@ def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequenc
         cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
     elif np.isnan(signal[k]):
         cause = (
-            "numbers leave the range of floating point; check the units of the drive's parameters, or lower kd, kp or the "
-            "delay"
+            "numbers leave the range of floating point; check the units of the drive's parameters, or lower kd, kp or "
+            "the delay"
         )
     else:
         cause = (

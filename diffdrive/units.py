@@ -26,9 +26,9 @@ def in_unit(unit: str) -> str:
 def to_si(text: str, unit: str) -> float:
     """`text`, one number and its unit, in the SI `unit`; without a unit only where `unit` is 1.
 
-    Raises `ValueError` saying what is wrong with the text. A million metres, seconds or grams are taken for a slip of the
-    pen (Mm for mm): no axis has them. Angles count as units of their own: to the library a radian
-    is a plain number, so that 1500 rad/s would pass for 1500 Hz and 10 deg for 0.17 m.
+    Raises `ValueError` saying what is wrong with the text. A million metres, seconds or grams are taken for a slip of
+    the pen (Mm for mm): no axis has them. Angles count as units of their own: to the library a radian is a plain
+    number, so that 1500 rad/s would pass for 1500 Hz and 10 deg for 0.17 m.
     """
     example = "0.5, without a unit" if unit == "1" else f"'1.5 {unit}'"
     said, units = shortened(text), []

@@ -168,8 +168,8 @@ def tune(
     highest = at_least_zero(max_load, "N", "--max-load")
     if gain_margin > MOST_GAIN_MARGIN:
         raise ParameterError(
-            f"--gain-margin {gain_margin:g}: must be at most {MOST_GAIN_MARGIN:.0f} dB, beyond which the loop's gain is "
-            "lost in rounding; 6 to 12 dB are usual"
+            f"--gain-margin {gain_margin:g}: must be at most {MOST_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
+            "is lost in rounding; 6 to 12 dB are usual"
         )
     factor = 10.0 ** (gain_margin / 20.0)
     limits = Limits(

@@ -324,9 +324,10 @@ def test_errors_and_warnings_show_the_codes_that_they_quote(monkeypatch, capsys)
     monkeypatch.setattr(cli, "app", failing)
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
-    with warnings.catch_warnings(), pytest.raises(SystemExit):
+    with warnings.catch_warnings():
         warnings.simplefilter("always")
-        cli.main()
+        with pytest.raises(SystemExit):
+            cli.main()
     assert capsys.readouterr().err == f"warning: {SHOWN}\nerror: {SHOWN}\n"
 
 

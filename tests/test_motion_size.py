@@ -1,4 +1,4 @@
-"""Every setting of every motion at values that nobody means: a motion, or one line, before memory or minutes are gone."""
+"""Every setting of every motion at values that nobody means: a motion, or one line, before memory or time is gone."""
 
 import time
 import tracemalloc
@@ -48,19 +48,20 @@ def test_a_strange_setting_makes_a_sound_motion_or_one_line(name, key, value, li
     recipe = motion_recipe(f"{name}:{SENSIBLE[name]}")
     asked = [value, value] if isinstance(recipe.settings.get(key), list) else value
     began = time.perf_counter()
+    made, said = None, ""
     try:
         made = recipe.made(**{"rate": RATE, key: asked})
     except MotionError as problem:
-        assert "\n" not in str(problem)
-        assert len(str(problem)) < 400
-        assert str(problem).startswith(
-            (name.split("_")[0], "jerk-limited", "constant speed", "a motion of", "time grid")
-        )
-    else:
-        assert isinstance(made, Motion)
-        assert all(np.all(np.isfinite(one)) for one in (made.position, made.velocity, made.acceleration))
-        assert len(made.time) * 8 * motion_size.ARRAYS < 60e6
+        said = str(problem)
     assert time.perf_counter() - began < SECONDS
+    if made is None:
+        assert "\n" not in said
+        assert len(said) < 400
+        assert said.startswith((name.split("_")[0], "jerk-limited", "constant speed", "a motion of", "time grid"))
+        return
+    assert isinstance(made, Motion)
+    assert all(np.all(np.isfinite(one)) for one in (made.position, made.velocity, made.acceleration))
+    assert len(made.time) * 8 * motion_size.ARRAYS < 60e6
 
 
 @pytest.mark.parametrize(("name", "text"), SENSIBLE.items())
@@ -81,9 +82,12 @@ def test_a_motion_takes_the_memory_that_is_reckoned_with(name, text, monkeypatch
     [
         (
             "sine:amplitude=1mm,frequency=2Hz,duration=1e6",
-            r"^sine: 1e\+06 s at 10000 Hz are 1e\+10 samples, which takes ",
+            r"^sine: 1e\+06 s at 10000 Hz are 1e\+10 samples, which would take ",
         ),
-        ("trapezoidal:distance=10mm,speed=0.1,acceleration=1e-12", r"samples, which takes about 480 GB of memory, "),
+        (
+            "trapezoidal:distance=10mm,speed=0.1,acceleration=1e-12",
+            r"samples, which would take about 480 GB of memory, ",
+        ),
         ("trapezoidal:distance=10mm,speed=0.1,acceleration=1,repeats=1000000000", r"and 60 MB are free: shorten or"),
         (
             "triangular:speed=1,stroke=1e-9,rounding=1e-9,duration=1",

@@ -83,8 +83,8 @@ class Effect(eqx.Module):
     def problem(self, drive: Drive, within: Envelope) -> str | None:
         """Why no machine can have this effect beside `drive`, or why it cannot be computed; None where it can.
 
-        Parameters are each in their range by then; numbers, or arrays over machines. What depends on the motion is judged
-        by the envelope.
+        Parameters are each in their range by then; numbers, or arrays over machines. What depends on the motion is
+        judged by the envelope.
         """
         return None
 

@@ -115,7 +115,7 @@ class ViscousDrift(TableEffect):
     def problem(self, drive: Drive, within: Envelope) -> str | None:
         """Friction that is gone, or drives the table, while the machine is cold."""
         if np.any(np.asarray(self.viscous) < -1.0):
-            return f"viscous = {np.min(self.viscous):g} takes more viscous friction off than there is: it may be -1 or more"
+            return f"viscous = {np.min(self.viscous):g} takes off more viscous friction than there is: -1 is all of it"
         if np.any(np.asarray(self.coulomb) <= -1.0):
             return f"coulomb = {np.min(self.coulomb):g} leaves no Coulomb friction: it must be above -1"
         return None

@@ -37,8 +37,8 @@ def read_mat(path: Path) -> Table:
     passed_over = {name: values for name, values, _ in found if isinstance(values, str)}
     if not columns:
         raise LogError(
-            f"{path}: holds no arrays of numbers ({in_words(passed_over) or 'it is empty'}); export signals as arrays or "
-            "as structure with time, not as timeseries or Dataset objects"
+            f"{path}: holds no arrays of numbers ({in_words(passed_over) or 'it is empty'}); export signals as arrays "
+            "or as structure with time, not as timeseries or Dataset objects"
         )
     named = held.get("units")
     units = {name: unit for name, _, unit in found if unit}

@@ -10,7 +10,6 @@ from diffdrive.errors import LogError
 from diffdrive.logs.table import Table, left_out
 from diffdrive.resources import counted, require_memory
 
-
 IN_MEMORY = 24.0  # bytes for each number: as the library reads it, as an array, as a signal
 
 

@@ -20,8 +20,8 @@ class Table:
     """Columns by name, one-dimensional: numbers, or text where some cell is no number; `source` names the file.
 
     `units` are those that the file itself states, by column; `lines` the line of each row in a text file, `decimal` its
-    decimal sign; `clocks` the column of each column's own time stamps, where a file has several clocks; `passed_over` what
-    the file holds beside its columns, and why that is none.
+    decimal sign; `clocks` the column of each column's own time stamps, where a file has several clocks;
+    `passed_over` what the file holds beside its columns, and why that is none.
     """
 
     source: str
@@ -88,7 +88,10 @@ def _mend(cell: str, decimal: str) -> str:
         return "larger than any number that a computer reckons with; correct or empty this cell"
     if not is_of_either_style(cell):
         return "not a number; correct or empty this cell"
-    return f"not a number where the decimal sign is '{decimal}'; remove the thousands separators, and write decimals with one sign"
+    return (
+        f"not a number where the decimal sign is '{decimal}'; remove the thousands separators, and write decimals with "
+        "one sign"
+    )
 
 
 def _value(cell: str) -> float:

@@ -23,11 +23,12 @@ def require_room(plan: Plan, folder: Path) -> None:
     most = MOST.get(plan.method, MOST_OF_ANY)
     if plan.samples > most:
         raise ParameterError(
-            f"--samples {counted(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or another --method"
+            f"--samples {counted(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or "
+            "another --method"
         )
     runs = plan.samples * len(plan.controllers) * len(plan.motions)
     row = NUMBER * (COLUMNS + len(plan.varied))
-    request = f"--samples {counted(plan.samples)}: {counted(runs)} runs of a sweep, whose results are summed up together,"
+    request = f"--samples {counted(plan.samples)}: {counted(runs)} runs, whose results are summed up together,"
     # the rows, and those of one group once more while they are put into their order
     require_memory(ParameterError, request, float(row) * (runs + plan.samples), "give fewer")
     require_disk(ParameterError, request, _there(folder), 0.5 * row * runs, "give fewer, or --out on another disk")
