@@ -80,26 +80,28 @@ def material_removal(
     return GRAVITY * mass
 
 
-def require_resolved(drive: Drive, load: np.ndarray, velocity: np.ndarray, sampling: Sampling) -> None:
-    """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion (m/s, [n]).
+def require_resolved(drive: Drive, highest: Scalar, fastest: float, sampling: Sampling) -> None:
+    """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion.
 
-    A force F is known to eps F, and in a substep h that is a velocity of eps F h / M.
+    `highest` is the load (N), `fastest` the speed (m/s); drive and load are numbers, or arrays over machines. A force F
+    is known to eps F, and in a substep h that is a velocity of eps F h / M.
     """
-    friction, highest = drive.friction, float(np.max(load))
-    force = max(
-        float(getattr(friction.coulomb_screw, side))
-        + float(getattr(friction.load_coefficient, side)) * (float(friction.initial_load) + highest)
-        + max(0.0, float(getattr(friction.breakaway_gap, side)))
+    friction = drive.friction
+    forces = [
+        getattr(friction.coulomb_screw, side)
+        + getattr(friction.load_coefficient, side) * (friction.initial_load + highest)
+        + np.maximum(getattr(friction.breakaway_gap, side), 0.0)
         for side in ("positive", "negative")
-    )
+    ]
     step = sampling.period / sampling.plant_steps
-    rounding = np.finfo(float).eps * force * step / float(drive.plant.mass)
-    fastest = float(np.max(np.abs(velocity)))
-    if fastest > 0.0 and rounding > fastest:
-        raise MotionError(
-            f"under the load of {highest:g} N the rounding of the friction, {force:.3g} N, alone moves the table by "
-            f"{rounding:.2g} m/s, the motion by {fastest:.2g} m/s: check the units of [friction], load and speed"
-        )
+    for force in forces:
+        rounding = np.max(np.finfo(float).eps * step * np.asarray(force) / np.asarray(drive.plant.mass))
+        if fastest > 0.0 and rounding > fastest:
+            raise MotionError(
+                f"under a load of {np.max(highest):g} N the rounding of the friction, {np.max(force):.3g} N, alone moves "
+                f"the table by {rounding:.2g} m/s, the motion by {fastest:.2g} m/s: check the units of [friction], load "
+                "and speed"
+            )
 
 
 def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:

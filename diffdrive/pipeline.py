@@ -36,6 +36,6 @@ def require_shorter(samples: int, names: Iterable[tuple[str, int]]) -> None:
     for name, length in names:
         if length >= samples:
             raise ParameterError(
-                f"{name} of {counted(length)} samples is as long as the whole motion of "
+                f"{name} of {counted(length)} samples is as long as the motion of "
                 f"{samples} samples: nothing comes out of it before the end; shorten it"
             )

@@ -331,7 +331,7 @@ def simulate(
     )
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = require_possible(drive, loads, motion.time)
-    require_resolved(drive, loads, motion.velocity, sampling)
+    require_resolved(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
     possible.require_possible(drive, possible.envelope_of(motion.position, motion.velocity, loads, sampling.period))
     for problem in advice(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)

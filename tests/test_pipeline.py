@@ -49,7 +49,7 @@ def test_a_force_arrives_after_as_many_samples(count):
 
 @pytest.mark.parametrize("count", [len(MOVE.time), 10**9, 10**30])
 def test_what_is_as_long_as_the_motion_is_refused(count):
-    with pytest.raises(ParameterError, match=r"actuator\.delay_samples of .* samples is as long as the whole motion"):
+    with pytest.raises(ParameterError, match=r"actuator\.delay_samples of .* samples is as long as the motion"):
         simulate(dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=count)), TRACKING, MOVE)
     with pytest.raises(ParameterError, match=r"controller\.velocity_samples of .* nothing comes out of it"):
         simulate(DRIVE, Cascade(kp=50.0, kv=1e4, velocity_samples=count), MOVE)

@@ -17,7 +17,7 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.effects.base import Envelope
 from diffdrive.effects.possible import envelope_of, envelope_within, require_possible
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.load import Ramp
+from diffdrive.load import Ramp, require_resolved
 from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
 from diffdrive.resources import require_memory
@@ -151,7 +151,17 @@ class Plan:
         machine, ramp, _, _ = self.machines(numbers)
         require_ordered(ramp)
         require_possible(machine, self._envelope)
+        highest = self._highest + ramp.load + np.maximum(ramp.change, 0.0)
+        try:
+            require_resolved(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
+        except MotionError as problem:
+            raise ParameterError(str(problem)) from None
         return machine, ramp
+
+    @cached_property
+    def _highest(self) -> float:
+        """The highest load over time (N), beside what varies of it."""
+        return max((float(np.max(course.load)) for course in self.nominal), default=0.0)
 
     @cached_property
     def _envelope(self) -> Envelope:
