@@ -98,9 +98,9 @@ def require_resolved(drive: Drive, highest: Scalar, fastest: float, sampling: Sa
         rounding = np.max(np.finfo(float).eps * step * np.asarray(force) / np.asarray(drive.plant.mass))
         if fastest > 0.0 and rounding > fastest:
             raise MotionError(
-                f"under a load of {np.max(highest):g} N the rounding of the friction, {np.max(force):.3g} N, alone moves "
-                f"the table by {rounding:.2g} m/s, the motion by {fastest:.2g} m/s: check the units of [friction], load "
-                "and speed"
+                f"under a load of {np.max(highest):g} N the rounding of the friction, {np.max(force):.3g} N, alone "
+                f"moves the table by {rounding:.2g} m/s, the motion by {fastest:.2g}: check the units of [friction], "
+                "load and speed"
             )
 
 
