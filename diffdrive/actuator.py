@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.parameters import Actuator, Scalar
+from diffdrive.pipeline import Pipeline, filled, pushed
 
 
 class ActuatorState(NamedTuple):
     """Forces still under way, next first, the last one that arrived, and the one that acted over the last period."""
 
-    pending: tuple[Scalar, ...]
+    pending: Pipeline
     arrived: Scalar
     applied: Scalar
 
@@ -23,7 +24,12 @@ class ActuatorState(NamedTuple):
 def init(actuator: Actuator) -> ActuatorState:
     """No force now, none under way."""
     zero = jnp.zeros(())
-    return ActuatorState((zero,) * actuator.delay_samples, zero, zero)
+    return under_way(actuator, zero)
+
+
+def under_way(actuator: Actuator, force: Scalar) -> ActuatorState:
+    """The same force (N) for as long as the delay lasts, and before."""
+    return ActuatorState(filled(force, actuator.delay_samples), force, force)
 
 
 def limited(actuator: Actuator, command: Scalar) -> Scalar:
@@ -39,7 +45,7 @@ def limited(actuator: Actuator, command: Scalar) -> Scalar:
 
 def step(actuator: Actuator, state: ActuatorState, command: Scalar) -> ActuatorState:
     """The force for the coming period is `applied` of the state returned."""
-    now, *pending = (*state.pending, limited(actuator, command))
+    now, pending = pushed(state.pending, limited(actuator, command))
     share = actuator.delay_fraction
     applied = now if share is None else share * state.arrived + (1.0 - share) * now
-    return ActuatorState(tuple(pending), now, applied)
+    return ActuatorState(pending, now, applied)

@@ -18,6 +18,7 @@ from diffdrive.controllers import (
     UnknownController,
 )
 from diffdrive.load_estimator import FixedLoad, InnovationLoad
+from diffdrive.messages import shown
 from diffdrive.observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.parameters import Drive, quantity_table
 
@@ -82,22 +83,22 @@ def build_controller(section: Any, drive: Drive) -> Controller:
     if kind is None:
         raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise section.fail("kind", f"unknown controller {kind!r}; known: {', '.join(KINDS)}")
+        raise section.fail("kind", f"unknown controller {shown(kind)}; known: {', '.join(KINDS)}")
     _of_kind(section, kind)
     if kind == "unknown":
         return UnknownController()
     wanted = section.take("feedforward", _FEEDFORWARD.get(kind, True))
     if not isinstance(wanted, bool):
-        raise section.fail("feedforward", f"must be true or false, got {wanted!r}")
+        raise section.fail("feedforward", f"must be true or false, got {shown(wanted)}")
     feedforward = Feedforward.of(drive.plant) if wanted else Feedforward()
     if kind == "cascade":
         samples = section.take("velocity_samples", 1)
         if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-            raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {samples!r}")
+            raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {shown(samples)}")
         return section.build(Cascade, feedforward=feedforward, velocity_samples=samples)
     derivative = section.take("derivative", "backward-difference")
     if derivative != "backward-difference":
-        raise section.fail("derivative", f"only 'backward-difference' is known, got {derivative!r}")
+        raise section.fail("derivative", f"only 'backward-difference' is known, got {shown(derivative)}")
     tracking = Tracking(section.build(Gains), feedforward)
     return _compensation(kind, section, drive, tracking)
 

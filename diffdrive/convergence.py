@@ -119,7 +119,8 @@ def time_constants(
     per_step = float(estimator.gain) * np.where(velocities >= 0, float(mu.positive), float(mu.negative)) * gains
     converges = (per_step > 0) & (per_step < 2)
     kept = np.abs(1 - np.where(converges, per_step, 0.5))
-    return np.where(converges, -period / np.log(np.maximum(kept, 1e-300)), np.inf)
+    with np.errstate(divide="ignore"):  # a gain so small that nothing is forgotten
+        return np.where(converges, -period / np.log(np.maximum(kept, 1e-300)), np.inf)
 
 
 def printed_observer(controller: Controller) -> KalmanObserver | None:

@@ -9,7 +9,6 @@ error, because a misspelt key that is silently ignored is a wrong simulation.
 
 import dataclasses
 import difflib
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,11 @@ from diffdrive.controller_file import build_controller, controller_table
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.possible import envelope_within, require_possible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
+from diffdrive.messages import shortened, shown
 from diffdrive.motion import Limits
 from diffdrive.parameters import (
     Actuator,
@@ -40,7 +41,8 @@ from diffdrive.parameters import (
     check_drive,
     quantity_table,
 )
-from diffdrive.units import to_si
+from diffdrive.text_file import read_toml
+from diffdrive.units import in_unit, to_si
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Section:
 
     def __init__(self, source: str, name: str, table: Any) -> None:
         if not isinstance(table, dict):
-            raise DriveFileError(f"{source}: [{name}] must be a table, got {table!r}")
+            raise DriveFileError(f"{source}: [{name}] must be a table, got {shown(table)}")
         self.source, self.name, self.table, self._left = source, name, table, dict(table)
         self._known: list[str] = []
         self.kind: str | None = None  # of the controller, where keys hang on it
@@ -70,7 +72,7 @@ class Section:
 
     def fail(self, key: str, problem: str) -> DriveFileError:
         """The error for a bad `key`."""
-        return DriveFileError(f"{self.source}: [{self.name}] {key}: {problem}")
+        return DriveFileError(f"{self.source}: [{self.name}] {shortened(key)}: {problem}")
 
     def take(self, key: str, default: Any = dataclasses.MISSING) -> Any:
         """The raw value of `key`, or the default."""
@@ -91,9 +93,13 @@ class Section:
 
     def _number(self, key: str, value: Any, unit: str) -> Any:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
-            raise self.fail(key, f'must be a number in {unit}, or a string such as "1.5 {unit}", got {value!r}')
+            worded = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
+            raise self.fail(key, f"must be a number{in_unit(unit)}{worded}, got {shown(value)}")
         if not isinstance(value, str):
-            return float(value)
+            try:
+                return float(value)
+            except OverflowError:
+                raise self.fail(key, f"{shown(value)} is larger than any number that a computer reckons with") from None
         try:
             return to_si(value, unit)
         except ValueError as problem:
@@ -104,7 +110,9 @@ class Section:
         if default is dataclasses.MISSING and key not in self._left:
             near = difflib.get_close_matches(key, self._left, n=1)
             meant = f"; is it meant by '{near[0]}'?" if near else ""
-            raise self.fail(key, f"is missing: give the {declared.meaning}, in {declared.unit}{meant}")
+            raise self.fail(
+                key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{meant}"
+            )
         value = self.take(key, default)
         if value is default:
             return value
@@ -112,9 +120,9 @@ class Section:
             return None
         if isinstance(value, list):
             if not declared.directional:
-                raise self.fail(key, f"must be one number in {declared.unit}, got {value!r}")
+                raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {shown(value)}")
             if len(value) != 2:
-                raise self.fail(key, f"needs two values, [positive, negative], got {value!r}")
+                raise self.fail(key, f"needs two values, [positive, negative], got {shown(value)}")
             return Directional(*(self._number(key, one, declared.unit) for one in value))
         return self._number(key, value, declared.unit)
 
@@ -151,14 +159,17 @@ def _limits(section: Section) -> Limits:
         ends = (-np.inf, np.inf)
     else:
         if not isinstance(stroke, list) or len(stroke) != 2:
-            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {stroke!r}")
+            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {shown(stroke)}")
+        bare = [end for end in stroke if not isinstance(end, str)]
+        if len(bare) == 1 and bare[0] != 0:  # 75 beside "-75 mm" would be 75 m
+            raise section.fail("stroke", f"give both ends a unit, or neither where they are in m, got {shown(stroke)}")
         ends = tuple(section._number("stroke", value, "m") for value in stroke)
         if not ends[0] < ends[1]:
-            raise section.fail("stroke", f"the lowest position must be below the highest, got {stroke!r}")
+            raise section.fail("stroke", f"the lowest position must be below the highest, got {shown(stroke)}")
     most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
     for key, value in most.items():
         if not value > 0:
-            raise section.fail(key, f"must be positive, got {value!r}")
+            raise section.fail(key, f"must be positive, got {shown(value)}")
     return Limits(stroke=ends, **most)
 
 
@@ -192,7 +203,9 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     root.done()
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
-        raise sections["actuator"].fail("delay_samples", f"must be a whole number of samples, 0 or more, got {delay!r}")
+        raise sections["actuator"].fail(
+            "delay_samples", f"must be a whole number of samples, 0 or more, got {shown(delay)}"
+        )
     drive = Drive(
         plant=sections["plant"].build(Plant),
         friction=sections["friction"].build(Friction),
@@ -202,8 +215,6 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     )
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
-    if isinstance(substeps, bool):
-        raise sections["sampling"].fail("substeps", f"must be a whole number of at least 1, got {substeps!r}")
     try:
         check_drive(drive)
         sampling = Sampling(rate, substeps)
@@ -211,6 +222,10 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
         raise DriveFileError(f"{source}: {error}") from None
     limits = _limits(sections["limits"])
     low, high = limits.stroke
+    try:
+        require_possible(drive, envelope_within(limits, sampling))
+    except ParameterError as error:
+        raise DriveFileError(f"{source}: {error}") from None
     if drive.sensor.resolution is not None and float(drive.sensor.resolution) > 1e-2 * min(high - low, 1.0):
         raise sections["sensor"].fail(
             "resolution",
@@ -224,21 +239,8 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
 
 def read_drive(path: str | Path) -> DriveDescription:
     """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            tables = tomllib.load(file)
-    except FileNotFoundError:
-        raise DriveFileError(
-            f"{path}: no such file; 'diffdrive template > drive.toml' writes one to start from"
-        ) from None
-    except IsADirectoryError:
-        raise DriveFileError(f"{path}: is a folder, not a drive file") from None
-    except OSError as error:
-        raise DriveFileError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DriveFileError(f"{path}: not a TOML file: {error}") from None
-    return parse_drive(tables, str(path))
+    origin = "'diffdrive template > drive.toml' writes one to start from"
+    return parse_drive(read_toml(Path(path), DriveFileError, origin), str(path))
 
 
 def drive_tables(description: DriveDescription) -> dict[str, Any]:

@@ -1,8 +1,15 @@
 """The errors and warnings that diffdrive raises; each message says what, where, and what to do."""
 
+from typing import Any
+
+from diffdrive.messages import printable
+
 
 class DiffdriveError(Exception):
-    """Base of every error that diffdrive raises on purpose."""
+    """Base of every error that diffdrive raises on purpose: one line, with control characters written out."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*(printable(one) if isinstance(one, str) else one for one in arguments))
 
 
 class ParameterError(DiffdriveError, ValueError):

@@ -25,14 +25,17 @@ from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, FrictionCompensation, Reference
 from diffdrive.effects import acting
 from diffdrive.effects.base import Push
+from diffdrive.errors import ParameterError
 from diffdrive.friction import bristle_at, steady_friction, stribeck_level
 from diffdrive.load_estimator import FixedLoad
 from diffdrive.parameters import Drive, Sampling, Scalar
+from diffdrive.resources import require_memory
 from diffdrive.simulate import LoopState, move, start
 
 SETTLING = 0.3  # s of the motion after which filters have found their gains
 HELD = ("covariance", "count", "known", "started")  # no part of a small motion about the steady one
 BALANCING = 8  # sweeps
+MATRICES = 4  # of a loop that are in memory at once: itself, and what solving needs
 APART = 1e-12  # cosine below which left and right eigenvectors tell no derivative: a multiple mode
 
 
@@ -67,6 +70,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
     settled = _settled(drive, controller, sampling, at)
     held = (*HELD, "load") if _load_is_assumed(controller) else HELD
     moving, rebuild = _moving(settled, held)
+    _require_room(moving.size, 1)
     reference = Reference(settled.plant.position, at.velocity, 0.0)
 
     def step(moving: Array, force: Scalar) -> tuple[Array, Scalar]:
@@ -114,7 +118,7 @@ def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: Opera
     way = velocity * sampling.period * jnp.arange(count)
     inside, _ = lax.scan(body, inside, way)
     table = plant.PlantState(velocity * sampling.period * count, velocity + 0.0 * force, deflection + 0.0 * force)
-    under_way = jax.tree.map(lambda _: force, begin.actuator)
+    under_way = actuator.under_way(drive.actuator, force)
     carried = _carried(drive, sampling, at, table, force, count)
     return LoopState(table, under_way, inside, begin.count, carried)
 
@@ -167,6 +171,16 @@ def _balanced(a: Array, b: Array, c: Array, period: float) -> OpenLoop:
     return OpenLoop(a * scale[None, :] / scale[:, None], b / scale, c * scale, period)
 
 
+def _require_room(size: int, count: int) -> None:
+    """Raise `ParameterError` where the matrices of a loop with so many states, `count` of them, are too large."""
+    require_memory(
+        ParameterError,
+        f"a linearised loop of {size} states",
+        16.0 * MATRICES * count * size**2,
+        "shorten actuator.delay_samples or controller.velocity_samples, of which each sample is a state",
+    )
+
+
 class Response(NamedTuple):
     """A loop's frequency response L, with 1 + L the return difference, and dL/d(log frequency)."""
 
@@ -182,6 +196,7 @@ def response(loop: OpenLoop, frequency: Float[Array, " f"] | Float[np.ndarray, "
     a, b, c = lax.stop_gradient((loop.a, loop.b, loop.c))
     matrix = z[:, None, None] * np.eye(len(b)) - a
     count = len(frequency)
+    _require_room(len(b), count)
     right = jnp.linalg.solve(matrix, jnp.broadcast_to(b + 0j, (count, len(b)))[..., None])[..., 0]
     left = jnp.linalg.solve(jnp.swapaxes(matrix, 1, 2), jnp.broadcast_to(c + 0j, (count, len(c)))[..., None])[..., 0]
     # d/dz (z I - A)^-1 = -(z I - A)^-2, and dz = j z d(angle)

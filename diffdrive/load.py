@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import MotionError
-from diffdrive.parameters import Drive, Scalar
+from diffdrive.parameters import Drive, Sampling, Scalar
 
 GRAVITY = 9.80665  # m/s^2
 
@@ -78,6 +78,30 @@ def material_removal(
             "cut less, more slowly, or a heavier one"
         )
     return GRAVITY * mass
+
+
+def require_resolved(drive: Drive, highest: Scalar, fastest: float, sampling: Sampling) -> None:
+    """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion.
+
+    `highest` is the load (N), `fastest` the speed (m/s); drive and load are numbers, or arrays over machines. A force F
+    is known to eps F, and in a substep h that is a velocity of eps F h / M.
+    """
+    friction = drive.friction
+    forces = [
+        getattr(friction.coulomb_screw, side)
+        + getattr(friction.load_coefficient, side) * (friction.initial_load + highest)
+        + np.maximum(getattr(friction.breakaway_gap, side), 0.0)
+        for side in ("positive", "negative")
+    ]
+    step = sampling.period / sampling.plant_steps
+    for force in forces:
+        rounding = np.max(np.finfo(float).eps * step * np.asarray(force) / np.asarray(drive.plant.mass))
+        if fastest > 0.0 and rounding > fastest:
+            raise MotionError(
+                f"under a load of {np.max(highest):g} N the rounding of the friction, {np.max(force):.3g} N, alone "
+                f"moves the table by {rounding:.2g} m/s, the motion by {fastest:.2g}: check the units of [friction], "
+                "load and speed"
+            )
 
 
 def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:

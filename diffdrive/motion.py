@@ -4,12 +4,14 @@ Every stroke is a chain of pieces of constant jerk, integrated exactly, so that 
 agree to rounding at any sample rate.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from diffdrive.errors import MotionError
+from diffdrive.motion_size import reckoned, require_resolved, require_room
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,9 @@ def _dwell(motion: str, dwell: float) -> list[tuple[float, float, float]]:
     return [(dwell, 0.0, 0.0)] if dwell > 0 else []
 
 
-def _grid(duration: float, rate: float) -> np.ndarray:
+def _grid(name: str, duration: float, rate: float, *, pieces: int = 0, waves: int = 0) -> np.ndarray:
     _positive("time grid", duration=duration, rate=rate)
+    require_room(name, duration, rate, pieces=pieces, waves=waves)
     samples = round(duration * rate)
     if samples < 2:
         raise MotionError(f"a motion of {duration:g} s at {rate:g} Hz has fewer than three samples: make it longer")
@@ -156,9 +159,17 @@ def _pieces(
     """
     _finite(name, start=start)
     _positive(name, rate=rate)
+    with reckoned(name):
+        return _integrated(name, pieces, rate, start, duration)
+
+
+def _integrated(
+    name: str, pieces: Sequence[tuple[float, float, float]], rate: float, start: float, duration: float | None
+) -> Motion:
     lengths = np.array([p[0] for p in pieces])
     knots = np.concatenate([[0.0], np.cumsum(lengths)])
-    time = _grid(duration if duration is not None else np.ceil(knots[-1] * rate - 1e-6) / rate, rate)
+    end = duration if duration is not None else float(np.ceil(knots[-1] * rate - 1e-6)) / rate
+    time = _grid(name, end, rate, pieces=len(pieces))
     x, v = start, 0.0
     begin = []
     for length, a, jerk in pieces:
@@ -172,7 +183,9 @@ def _pieces(
     x0, v0, a0, j0, since = (np.repeat(column, samples) for column in np.column_stack([begin, knots]).T)
     s = time - since
     position = x0 + s * (v0 + s * (a0 / 2 + s * j0 / 6))
-    return Motion(time, position, v0 + s * (a0 + s * j0 / 2), a0 + s * j0, name)
+    velocity = v0 + s * (a0 + s * j0 / 2)
+    require_resolved(name, position, velocity)
+    return Motion(time, position, velocity, a0 + s * j0, name)
 
 
 def triangular(
@@ -191,7 +204,8 @@ def triangular(
     reversals are centred stroke / speed apart, the first at `first_reversal` (s), by default after one such time.
     """
     _positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
-    apart = stroke / speed
+    with reckoned("triangular motion"):
+        apart, acceleration = stroke / speed, 2.0 * speed / rounding
     first = apart if first_reversal is None else first_reversal
     _positive("triangular motion", first_reversal=first)
     if rounding > min(apart, first) * (1 + 1e-9):
@@ -199,7 +213,14 @@ def triangular(
             f"triangular motion: a rounding of {rounding:g} s does not fit between reversals {min(apart, first):g} s "
             "apart: round less, or lengthen the stroke"
         )
-    acceleration = 2.0 * speed / rounding
+    _positive("triangular motion", rate=rate)
+    if apart * rate < 1.0:
+        raise MotionError(
+            f"triangular motion: reversals {apart:g} s apart are closer than the samples at {rate:g} Hz: lengthen the "
+            "stroke, or slow the motion"
+        )
+    with reckoned("triangular motion"):
+        require_room("triangular motion", duration, rate, pieces=2 * int(duration / apart))
     pieces = [(rounding / 2, acceleration, 0.0), (max(first - rounding, 0.0), 0.0, 0.0)]
     direction, elapsed = 1.0, first - rounding / 2
     while elapsed < duration:
@@ -212,7 +233,9 @@ def triangular(
 def constant_speed(*, speed: float, ramp: float, duration: float, rate: float, start: float = 0.0) -> Motion:
     """From rest to `speed` (m/s, either sign) at constant acceleration over `ramp` (s), then on at that speed."""
     _positive("constant speed", speed=abs(speed), ramp=ramp, duration=duration)
-    return _pieces("constant speed", [(ramp, speed / ramp, 0.0)], rate, start, duration)
+    with reckoned("constant speed"):
+        acceleration = speed / ramp
+    return _pieces("constant speed", [(ramp, acceleration, 0.0)], rate, start, duration)
 
 
 def _stroke(distance: float, speed: float, acceleration: float) -> list[tuple[float, float, float]]:
@@ -249,13 +272,18 @@ def _jerk_stroke(distance: float, speed: float, acceleration: float, jerk: float
 
 
 def _to_and_fro(
-    name: str, out: list[tuple[float, float, float]], back: list[tuple[float, float, float]],
+    name: str, stroke: Callable[[float], list[tuple[float, float, float]]], distance: float,
     dwell: float, repeats: int, rate: float, start: float,
 ) -> Motion:  # fmt: skip
+    """There and back by strokes of a signed distance (m)."""
     if not (np.isfinite(repeats) and repeats >= 1 and int(repeats) == repeats):
         raise MotionError(f"{name}: repeats = {repeats!r} must be a whole number of at least 1")
+    _positive(name, rate=rate)
     rest = _dwell(name, dwell)
-    return _pieces(name, (rest + out + rest + back) * int(repeats) + rest, rate, start)
+    with reckoned(name):
+        cycle = rest + stroke(distance) + rest + stroke(-distance)
+        require_room(name, repeats * sum(length for length, _, _ in cycle), rate, pieces=int(repeats) * len(cycle))
+    return _pieces(name, cycle * int(repeats) + rest, rate, start)
 
 
 def trapezoidal(
@@ -270,8 +298,8 @@ def trapezoidal(
 ) -> Motion:
     """Strokes of `distance` (m) there and back, acceleration-limited, resting `dwell` (s) in between."""
     _positive("trapezoidal stroke", distance=abs(distance), speed=speed, acceleration=acceleration)
-    out, back = (_stroke(d, speed, acceleration) for d in (distance, -distance))
-    return _to_and_fro("trapezoidal", out, back, dwell, repeats, rate, start)
+    stroke = partial(_stroke, speed=speed, acceleration=acceleration)
+    return _to_and_fro("trapezoidal", stroke, distance, dwell, repeats, rate, start)
 
 
 def jerk_limited(
@@ -287,8 +315,8 @@ def jerk_limited(
 ) -> Motion:
     """Strokes of `distance` (m) there and back with limited `jerk` (m/s^3), resting `dwell` (s) in between."""
     _positive("jerk-limited stroke", distance=abs(distance), speed=speed, acceleration=acceleration, jerk=jerk)
-    out, back = (_jerk_stroke(d, speed, acceleration, jerk) for d in (distance, -distance))
-    return _to_and_fro("jerk-limited", out, back, dwell, repeats, rate, start)
+    stroke = partial(_jerk_stroke, speed=speed, acceleration=acceleration, jerk=jerk)
+    return _to_and_fro("jerk-limited", stroke, distance, dwell, repeats, rate, start)
 
 
 def multisine(
@@ -305,38 +333,41 @@ def multisine(
     It starts at `start`; its first velocity is not zero in general: fade in with a `from_array` of your own if the axis
     must start from rest.
     """
+    return _waves("multisine", amplitudes, frequencies, phases, duration, rate, start)
+
+
+def _waves(
+    name: str, amplitudes: Sequence[float], frequencies: Sequence[float], phases: Sequence[float] | None,
+    duration: float, rate: float, start: float,
+) -> Motion:  # fmt: skip
     amplitude, frequency = np.asarray(amplitudes, float), np.asarray(frequencies, float)
     if amplitude.shape != frequency.shape or amplitude.ndim != 1 or not len(amplitude):
-        raise MotionError("multisine: give as many amplitudes as frequencies, at least one of each")
+        raise MotionError(f"{name}: give as many amplitudes as frequencies, at least one of each")
     if not (np.all(np.isfinite(amplitude)) and np.all(np.isfinite(frequency)) and np.all(frequency > 0)):
-        raise MotionError("multisine: amplitudes and frequencies must be finite, frequencies positive")
-    _finite("multisine", start=start)
-    time = _grid(duration, rate)
+        raise MotionError(f"{name}: amplitudes and frequencies must be finite, frequencies positive")
+    _finite(name, start=start)
+    time = _grid(name, duration, rate, waves=len(amplitude))
     if np.any(frequency >= rate / 2):
-        raise MotionError(f"multisine: {frequency.max():g} Hz is beyond half of the rate {rate:g} Hz: lower it")
+        raise MotionError(f"{name}: {frequency.max():g} Hz is beyond half of the rate {rate:g} Hz: lower it")
     number = np.arange(len(amplitude))
     phase = -np.pi * number * (number + 1) / len(amplitude) if phases is None else np.asarray(phases, float)
     if phase.shape != amplitude.shape or not np.all(np.isfinite(phase)):
-        raise MotionError("multisine: give as many phases (rad, finite) as amplitudes, or none")
-    angle = 2 * np.pi * np.outer(time, frequency) + phase
-    omega = 2 * np.pi * frequency
-    position = np.sin(angle) @ amplitude
-    return Motion(
-        time,
-        start + (position - position[0]),
-        np.cos(angle) @ (amplitude * omega),
-        -np.sin(angle) @ (amplitude * omega**2),
-        "multisine",
-    )
+        raise MotionError(f"{name}: give as many phases (rad, finite) as amplitudes, or none")
+    with reckoned(name):
+        angle = 2 * np.pi * np.outer(time, frequency) + phase
+        omega = 2 * np.pi * frequency
+        place = np.sin(angle) @ amplitude
+        position = start + (place - place[0])
+        velocity = np.cos(angle) @ (amplitude * omega)
+        acceleration = -np.sin(angle) @ (amplitude * omega**2)
+    require_resolved(name, position, velocity)
+    return Motion(time, position, velocity, acceleration, name)
 
 
 def sine(*, amplitude: float, frequency: float, duration: float, rate: float, start: float = 0.0) -> Motion:
     """One sine that begins at its turning point, hence from rest: start + amplitude (1 - cos(2 pi f t))."""
     _positive("sine", amplitude=amplitude, frequency=frequency)
-    motion = multisine(
-        amplitudes=[amplitude], frequencies=[frequency], phases=[-np.pi / 2], duration=duration, rate=rate, start=start
-    )
-    return Motion(motion.time, motion.position, motion.velocity, motion.acceleration, "sine")
+    return _waves("sine", [amplitude], [frequency], [-np.pi / 2], duration, rate, start)
 
 
 def chirp(
@@ -345,7 +376,7 @@ def chirp(
     """A sine whose frequency rises linearly from `from_frequency` to `to_frequency` (Hz), starting from rest."""
     _positive("chirp", amplitude=amplitude, from_frequency=from_frequency, to_frequency=to_frequency)
     _finite("chirp", start=start)
-    time = _grid(duration, rate)
+    time = _grid("chirp", duration, rate)
     if max(from_frequency, to_frequency) >= rate / 2:
         raise MotionError(
             f"chirp: {max(from_frequency, to_frequency):g} Hz is beyond half of the rate {rate:g} Hz: lower it"
@@ -355,15 +386,14 @@ def chirp(
     wave = [
         scipy_chirp(time, from_frequency, duration, to_frequency, method="linear", phi=phi) for phi in (0.0, 90.0)
     ]  # cos(angle), cos(angle + 90 deg) = -sin(angle)
-    slope = (to_frequency - from_frequency) / duration
-    omega = 2 * np.pi * (from_frequency + slope * time)
-    return Motion(
-        time,
-        start + amplitude * (1.0 - wave[0]),
-        -amplitude * wave[1] * omega,
-        amplitude * (wave[0] * omega**2 - wave[1] * 2 * np.pi * slope),
-        "chirp",
-    )
+    with reckoned("chirp"):
+        slope = (to_frequency - from_frequency) / duration
+        omega = 2 * np.pi * (from_frequency + slope * time)
+        position = start + amplitude * (1.0 - wave[0])
+        velocity = -amplitude * wave[1] * omega
+        acceleration = amplitude * (wave[0] * omega**2 - wave[1] * 2 * np.pi * slope)
+    require_resolved("chirp", position, velocity)
+    return Motion(time, position, velocity, acceleration, "chirp")
 
 
 def staircase(
@@ -377,8 +407,9 @@ def staircase(
     )
     rest = _dwell("staircase", dwell)
     pieces = list(rest)
-    for speed in speeds:
-        pieces += _stroke(travel, speed, acceleration) + rest + _stroke(-travel, speed, acceleration) + rest
+    with reckoned("staircase"):
+        for speed in speeds:
+            pieces += _stroke(travel, speed, acceleration) + rest + _stroke(-travel, speed, acceleration) + rest
     return _pieces("staircase", pieces, rate, start)
 
 

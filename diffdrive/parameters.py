@@ -5,6 +5,7 @@ range checks and the reference table in the documentation are all derived from t
 """
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,7 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError, PrecisionError
+from diffdrive.messages import shown
+from diffdrive.units import in_unit
 
+LONGEST_SUBSTEP, ITS_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
+# s: the integrator is of second order, and here its error is the rounding of a position of a metre
+FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / ITS_ERROR))
+ROUNDING = 1e-6  # of a width over which something is smoothed: what the rounding of numbers may make of it
 Scalar = Float[Array, ""] | float
 Tree = TypeVar("Tree")
 
@@ -47,8 +54,9 @@ class Quantity(NamedTuple):
             ("below", self.below, np.less),
             ("at most", self.at_most, np.less_equal),
         )
+        unit = "" if self.unit == "1" else f" {self.unit}"
         return [
-            f"{word} {bound:g} {self.unit}"
+            f"{word} {bound:g}{unit}"
             for word, bound, kept in bounds
             if bound is not None and not np.all(kept(numbers, bound))
         ]
@@ -165,6 +173,11 @@ class Actuator(eqx.Module):
         "1", "further delay as a share of the control period, 0 to 1", at_least=0.0, default=None
     )
 
+    @property
+    def pipelines(self) -> tuple[tuple[str, int], ...]:
+        """What holds values back for some samples: its name and how many."""
+        return (("actuator.delay_samples", self.delay_samples),)
+
 
 class Sensor(eqx.Module):
     """Linear scale at the table: white noise, then quantisation."""
@@ -191,7 +204,7 @@ class Sampling(eqx.Module):
     """Control rate, and plant substeps in each control period (`None`: as many as keep a substep within 20 us).
 
     At that substep the integrator's position error is 0.1 nm or less on the paper's drive at 10 kHz, and of that order
-    on others (docs/numerics.md).
+    on others (docs/numerics.md). No substep may be shorter than `FINEST_SUBSTEP`.
     """
 
     rate: float = eqx.field(static=True, default=10_000.0)
@@ -199,10 +212,18 @@ class Sampling(eqx.Module):
 
     def __check_init__(self) -> None:
         if not (isinstance(self.rate, int | float | np.number) and 10.0 <= self.rate <= 1e6):
-            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {self.rate!r}")
+            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {shown(self.rate)}")
         whole = isinstance(self.substeps, int) and not isinstance(self.substeps, bool)
-        if self.substeps is not None and not (whole and self.substeps >= 1):
-            raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {self.substeps!r}")
+        if self.substeps is None:
+            return
+        if not (whole and self.substeps >= 1):
+            raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {shown(self.substeps)}")
+        most = math.ceil(self.period / FINEST_SUBSTEP)
+        if self.substeps > most:
+            raise ParameterError(
+                f"sampling.substeps must be at most {most} at {self.rate:g} Hz, got {shown(self.substeps)}: finer "
+                "substeps gain nothing, since their error is below the last digit of a position"
+            )
 
     @property
     def period(self) -> float:
@@ -212,7 +233,7 @@ class Sampling(eqx.Module):
     @property
     def plant_steps(self) -> int:
         """Substeps of the plant in one control period."""
-        return self.substeps or int(np.ceil(round(self.period / 20e-6, 6)))
+        return self.substeps or int(np.ceil(round(self.period / LONGEST_SUBSTEP, 6)))
 
 
 def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any]]:
@@ -256,9 +277,13 @@ def check(module: Any, path: str = "") -> None:
             if isinstance(number, jax.core.Tracer):
                 continue
             if isinstance(number, bool) or not isinstance(number, int | float | np.number | np.ndarray | jax.Array):
-                problems.append(f"{name}{where} must be a number in {declared.unit}, got {number!r}")
+                problems.append(f"{name}{where} must be a number{in_unit(declared.unit)}, got {shown(number)}")
                 continue
-            numbers = np.asarray(number, dtype=float)
+            try:
+                numbers = np.asarray(number, dtype=float)
+            except OverflowError:  # a whole number that no float holds
+                problems.append(f"{name}{where} must be finite, got {shown(number)}")
+                continue
             if not np.all(np.isfinite(numbers)):
                 problems.append(f"{name}{where} must be finite, got {_told(numbers)}")
                 continue
@@ -274,11 +299,19 @@ def check_drive(drive: Drive) -> None:
     check(drive)
     delay = drive.actuator.delay_samples
     if not isinstance(delay, int) or delay < 0:
-        raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {delay!r}")
+        raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {shown(delay)}")
     fraction = drive.actuator.delay_fraction
     if fraction is not None and not isinstance(fraction, jax.core.Tracer) and not np.all(np.asarray(fraction) <= 1):
         raise ParameterError(
             f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
+        )
+    limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
+    known = limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width))
+    # the rounded limit is a difference of numbers as large as the limit
+    if known and np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
+        raise ParameterError(
+            f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
+            f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
         )
     friction = drive.friction
     for side in ("positive", "negative"):

@@ -1,5 +1,6 @@
 """The result of a simulation: its signals, and a status that says whether to believe them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -99,8 +100,11 @@ def sane_error(reference: np.ndarray, limits: Limits) -> float:
     return min(max(10.0 * float(np.ptp(reference)), 0.1), (high - low) if np.isfinite(high - low) else np.inf)
 
 
-def judged(run: Run, limits: Limits, force_limit: float | None) -> Run:
-    """The run with its status: finite, within a sane distance of its reference, and how much of it saturated."""
+def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequence[str] = ()) -> Run:
+    """The run with its status: finite, within a sane distance of its reference, and how much of it saturated.
+
+    `effects` are those without which the same loop stays within its bounds, where that is known.
+    """
     reach = sane_error(run.reference, limits)
     limit = np.inf if force_limit is None else force_limit
     with np.errstate(invalid="ignore", over="ignore"):
@@ -126,8 +130,17 @@ def judged(run: Run, limits: Limits, force_limit: float | None) -> Run:
         share = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"
         return replace(run, status=Status(True, share))
     k, name, signal, bound = min(first, key=lambda fault: fault[0])
-    if np.mean(limited[: k + 1]) > 0.5:
+    if effects:
+        cause = (
+            f"without {' and '.join(f'effects.{name}' for name in effects)} it stays within them; check the units there"
+        )
+    elif np.mean(limited[: k + 1]) > 0.5:
         cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
+    elif np.isnan(signal[k]):
+        cause = (
+            "numbers leave the range of floating point; check the units of the drive's parameters, or lower kd, kp or "
+            "the delay"
+        )
     else:
         cause = (
             "the loop is unstable with these gains, delay and sampling; lower kd, kp or the delay, or check their units"

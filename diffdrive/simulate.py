@@ -7,7 +7,8 @@ the measurement at k and on the force applied up to k, so there is no algebraic 
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,11 +22,12 @@ from jaxtyping import Array, Float
 from diffdrive import actuator, plant, sensor
 from diffdrive.controllers import Controller, Reference
 from diffdrive.convergence import advice
-from diffdrive.effects import acting
-from diffdrive.effects.base import Push
+from diffdrive.effects import acting, possible
+from diffdrive.effects.base import Effect, Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.friction import bristle_at, friction_force
-from diffdrive.load import Ramp, require_possible
+from diffdrive.load import Ramp, require_possible, require_resolved
+from diffdrive.messages import shown
 from diffdrive.metrics import safe_sqrt
 from diffdrive.motion import Limits, Motion, require_within
 from diffdrive.observer import Estimate
@@ -40,7 +42,11 @@ from diffdrive.parameters import (
     in_precision_of,
     require_double_precision,
 )
+from diffdrive.pipeline import require_shorter
+from diffdrive.resources import require_memory
 from diffdrive.run import Run, judged
+
+GIVEN, KEPT, DOUBLE = 8, 14, 8  # arrays over the samples of a run, those over the kept ones, and bytes of a number
 
 
 class Inputs(NamedTuple):
@@ -313,17 +319,44 @@ def simulate(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
         )
     if not isinstance(every, int) or not 1 <= every < len(motion.time):
-        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {every!r}")
+        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {shown(every)}")
     if isinstance(load, str):
-        raise MotionError(f"load must be in N, one number or one per sample, got {load!r}")
+        raise MotionError(f"load must be in N, one number or one per sample, got {shown(load)}")
+    require_shorter(len(motion.time), (*drive.actuator.pipelines, *controller.pipelines))
+    require_memory(
+        ParameterError,
+        f"a run of {len(motion.time)} samples",
+        DOUBLE * len(motion.time) * (GIVEN + KEPT / every),
+        "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
+    )
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = require_possible(drive, loads, motion.time)
+    require_resolved(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
+    possible.require_possible(drive, possible.envelope_of(motion.position, motion.velocity, loads, sampling.period))
     for problem in advice(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
-    if seed is not None and not isinstance(seed, int):
-        raise ParameterError(f"seed must be a whole number, or None for no noise, got {seed!r}")
+    if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
+        raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {shown(seed)}")
     noisy = seed is not None and float(drive.sensor.noise) > 0
     key = jax.random.key(seed) if noisy else None
-    frames = _rollout(*as_arrays((drive, controller)), inputs_of(motion, loads), sampling, key, every)
-    limit = acting.force_limit(drive)
-    return judged(Run.of(motion, loads, frames, every), limits, None if limit is None else float(limit))
+
+    def of(machine: Drive) -> tuple[Run, float | None]:
+        frames = _rollout(*as_arrays((machine, controller)), inputs_of(motion, loads), sampling, key, every)
+        limit = acting.force_limit(machine)
+        return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
+
+    def sound_without(effects: Sequence[Effect]) -> bool:
+        machine = replace(
+            drive, effects=tuple(one for one in drive.effects if not any(one is gone for gone in effects))
+        )
+        run, limit = of(machine)
+        return judged(run, limits, limit).status.ok
+
+    run, limit = of(drive)
+    found = judged(run, limits, limit)
+    if found.status.ok or found.status.message.startswith("saturated") or not drive.effects:
+        return found
+    # gains are blamed only for what they do without the effects, too
+    single = [[one] for one in drive.effects]
+    guilty = next((some for some in (*single, list(drive.effects)) if sound_without(some)), [])
+    return judged(run, limits, limit, [one.name for one in guilty])

@@ -15,6 +15,7 @@ from jax import lax
 from diffdrive.parameters import Scalar
 from diffdrive.polynomial import polynomial
 
+MOST_TURNS = 1e9  # of an angle: there its own rounding is a millionth of a radian, and grows with it
 _QUARTERS = 2.0 / math.pi
 _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8))  # in r^2; what is left out is 5e-17
 _COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(9))

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from diffdrive.atomic_write import FULL
+from diffdrive.messages import printable
 from experiments.cli_options import (
     DEFAULT_MOTION,
     Believed,
@@ -24,6 +25,9 @@ from experiments.cli_options import (
     Out,
     Shifts,
     Units,
+    count_of,
+    finite,
+    seed_of,
 )  # fmt: skip
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
@@ -84,8 +88,10 @@ def simulate(
         Path | None,
         typer.Option(help="Drive file of the machine itself, where it differs from what the controller believes."),
     ] = None,
-    settle: Annotated[float, typer.Option(min=0.0, help="Seconds at the start that do not count.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
+    settle: Annotated[
+        float, typer.Option(callback=finite, min=0.0, help="Seconds at the start that do not count.")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of the sensor noise.")] = 0,
     out: Out = None,
 ) -> None:
     """Simulate one motion of a drive under its controller, and say how well it follows.
@@ -109,11 +115,14 @@ def tune(
     max_load: Annotated[str, typer.Option(help="Highest load; the lowest is none.")] = "12.6 kN",
     loads: Annotated[int, typer.Option(min=2, max=64, help="How many loads, evenly spaced.")] = 4,
     machines: Annotated[int, typer.Option(min=1, max=32, help="How many machines; the first is the file's own.")] = 2,
-    spread: Annotated[float, typer.Option(min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")] = 0.03,
-    gain_margin: Annotated[float, typer.Option(min=0.0, help="dB, up and down.")] = 6.0,
-    phase_margin: Annotated[float, typer.Option(min=0.0, max=90.0, help="Degrees.")] = 30.0,
+    spread: Annotated[
+        float, typer.Option(callback=finite, min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")
+    ] = 0.03,
+    gain_margin: Annotated[float, typer.Option(callback=finite, min=0.0, help="dB, up and down.")] = 6.0,
+    phase_margin: Annotated[float, typer.Option(callback=finite, min=0.0, max=90.0, help="Degrees.")] = 30.0,
     sensitivity: Annotated[
-        float | None, typer.Option(min=1.0, help="Largest peak of the sensitivity, Ms; none by default.")
+        float | None,
+        typer.Option(callback=finite, min=1.0, help="Largest peak of the sensitivity, Ms; none by default."),
     ] = None,
     noise: Annotated[
         str | None, typer.Option(help="Largest command noise, RMS; by default twice that of the gains as given.")
@@ -121,14 +130,18 @@ def tune(
     load_error: Annotated[
         str | None, typer.Option(help="Largest RMS load error; by default 1.1 times that of the gains as given.")
     ] = None,
-    peak: Annotated[float, typer.Option(min=0.0, help="Weight of the peak error beside the RMS error.")] = 0.0,
+    peak: Annotated[
+        float, typer.Option(callback=finite, min=0.0, help="Weight of the peak error beside the RMS error.")
+    ] = 0.0,
     aggregation: Annotated[str, typer.Option(help="Over the scenarios: mean, worst or cvar.")] = "mean",
     friction: Annotated[
         bool, typer.Option("--friction", help="Tune the observer's friction parameters along.")
     ] = False,
-    starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the file's gains.")] = 4,
-    seed: Annotated[int, typer.Option(help="Seed of the machines and of the other starts.")] = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Most search steps from each start.")] = 40,
+    starts: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="How many starts; the first is the file's gains.")
+    ] = 4,
+    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of the machines and of the other starts.")] = 0,
+    steps: Annotated[int, typer.Option(callback=count_of, min=1, help="Most search steps from each start.")] = 40,
     pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
 ) -> None:
     """Tune the controller's gains by gradient over loads and machines, within margins, and verify them held out.
@@ -148,11 +161,16 @@ def tune(
     from experiments.tune import tune_drive
     from experiments.tuning_cases import Plan
     from tuning.objective import AGGREGATIONS, Objective
-    from tuning.requirements import Limits
+    from tuning.requirements import MOST_GAIN_MARGIN, Limits
 
     description = read_drive(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
     highest = at_least_zero(max_load, "N", "--max-load")
+    if gain_margin > MOST_GAIN_MARGIN:
+        raise ParameterError(
+            f"--gain-margin {gain_margin:g}: must be at most {MOST_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
+            "is lost in rounding; 6 to 12 dB are usual"
+        )
     factor = 10.0 ** (gain_margin / 20.0)
     limits = Limits(
         gain_up=factor,
@@ -218,8 +236,10 @@ def identify(
         list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
     ] = None,
     load: Loads = None,
-    starts: Annotated[int, typer.Option(min=1, help="How many starts; the first is the inverse dynamics' answer.")] = 6,
-    seed: Annotated[int, typer.Option(help="Seed of the other starts.")] = 0,
+    starts: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="How many starts; the first is the inverse dynamics' answer.")
+    ] = 6,
+    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of the other starts.")] = 0,
     held_out: Annotated[
         list[Path] | None, typer.Option(help="A log that is only looked at afterwards; repeatable.")
     ] = None,
@@ -261,6 +281,7 @@ def diagnose(
     tolerance: Annotated[
         float,
         typer.Option(
+            callback=finite,
             min=1e-4,
             max=1.0,
             help="How well the drive file is known: 0.02 is right to 2 %, give or take (a standard deviation).",
@@ -328,7 +349,7 @@ def _text(text: str, out: Path | None, name: str) -> None:
 
 def _plain_warning(error: Console) -> Callable[..., None]:
     def show(message: Warning | str, *_: object, **__: object) -> None:
-        error.print(f"warning: {message}", markup=False, style="yellow", soft_wrap=True)
+        error.print(f"warning: {printable(str(message))}", style="yellow", soft_wrap=True)
 
     return show
 
@@ -344,12 +365,12 @@ def main() -> None:
     configure()
     keep_compiled()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it loses no more than by Ctrl-C
-    error = Console(stderr=True, highlight=False)
+    error = Console(stderr=True, markup=False, emoji=False, highlight=False)
     warnings.showwarning = _plain_warning(error)
     try:
         app()
     except DiffdriveError as problem:
-        error.print(f"error: {problem}", markup=False, style="red", soft_wrap=True)
+        error.print(f"error: {problem}", style="red", soft_wrap=True)
         sys.exit(2)
     except OSError as problem:
         if problem.errno not in FULL:
@@ -357,7 +378,7 @@ def main() -> None:
         error.print(
             "error: no room is left on the disk: make some, or name another folder; what was written so far stays, and "
             "where a sweep, a search or a study was under way the same command goes on",
-            markup=False, style="red", soft_wrap=True,
+            style="red", soft_wrap=True,
         )  # fmt: skip
         sys.exit(2)
     except SystemExit as ended:

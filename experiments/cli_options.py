@@ -1,13 +1,54 @@
-"""What several commands take."""
+"""What several commands take, and what no option may be."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from diffdrive.errors import ParameterError
+from diffdrive.messages import shown
+
+MOST = 2**63  # beyond: what the libraries count in
+
+
+def finite(param: typer.CallbackParam, value: float | None) -> float | None:
+    """A number, and not nan or infinite, which pass every range."""
+    if value is not None and not math.isfinite(value):
+        raise ParameterError(f"{param.opts[0]}: must be a finite number, got {value:g}")
+    return value
+
+
+def seed_of(param: typer.CallbackParam, value: int | None) -> int | None:
+    """A seed that every generator takes."""
+    if value is not None and not 0 <= value < MOST:
+        raise ParameterError(f"{param.opts[0]}: must be a whole number from 0 to 2^63 - 1, got {shown(value)}")
+    return value
+
+
+def count_of(param: typer.CallbackParam, value: int | None) -> int | None:
+    """A count that the machine can count to."""
+    if value is not None and value >= MOST:
+        raise ParameterError(f"{param.opts[0]}: must be less than 2^63, got {shown(value)}")
+    return value
+
+
+def folder_of(text: str) -> Path:
+    """A folder by its name; one without a name would be the current one."""
+    if not text.strip():
+        raise typer.BadParameter("is empty; name a folder, or . for the current one")
+    return Path(text)
+
+
 DriveFile = Annotated[Path, typer.Argument(help="Drive file (TOML); `diffdrive template` prints one.")]
 Out = Annotated[
-    Path | None, typer.Option("--out", help="Folder for figures, tables and result.json; made if it does not exist.")
+    Path | None,
+    typer.Option(
+        "--out",
+        parser=folder_of,
+        metavar="PATH",
+        help="Folder for figures, tables and result.json; made if it does not exist.",
+    ),
 ]
 Logs = Annotated[
     list[Path],

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli_options import DriveFile, Out
+from experiments.cli_options import DriveFile, Out, count_of, finite, folder_of, seed_of
 
 PANEL = "Studies of the tool itself"
 
@@ -15,9 +15,9 @@ studies = typer.Typer()
 @studies.command("tuning-study", rich_help_panel=PANEL)
 def tuning_study(
     out: Out = None,
-    evaluations: Annotated[int, typer.Option(min=50, help="Of each derivative-free search.")] = 2550,
-    runs: Annotated[int, typer.Option(min=1, help="Of each derivative-free search.")] = 3,
-    starts: Annotated[int, typer.Option(min=1, help="Random starts of the gradient search.")] = 10,
+    evaluations: Annotated[int, typer.Option(callback=count_of, min=50, help="Of each derivative-free search.")] = 2550,
+    runs: Annotated[int, typer.Option(callback=count_of, min=1, help="Of each derivative-free search.")] = 3,
+    starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Random starts of the gradient search.")] = 10,
 ) -> None:
     """The gradient tuner against CMA-ES, Nelder-Mead and random search on one compiled ensemble (docs/tuning.md).
 
@@ -32,9 +32,19 @@ def tuning_study(
 
 @studies.command(rich_help_panel=PANEL)
 def withheld(
-    out: Annotated[Path, typer.Option("--out", help="Folder for machines, answers, key and scorecard; resumable.")],
-    cases: Annotated[int | None, typer.Option(min=1, help="How many machines; by default 120.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the machines; by default 0.")] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            parser=folder_of,
+            metavar="PATH",
+            help="Folder for machines, answers, key and scorecard; resumable.",
+        ),
+    ],
+    cases: Annotated[
+        int | None, typer.Option(callback=count_of, min=1, help="How many machines; by default 120.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(callback=seed_of, help="Seed of the machines; by default 0.")] = None,
     axis: Annotated[
         list[str] | None,
         typer.Option(help="paper (default), gantry, linear or vertical; repeatable: machines of each in turn."),
@@ -43,7 +53,9 @@ def withheld(
         Path | None,
         typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Machines that are diagnosed at once; each takes 2 to 4 GB.")] = 1,
+    workers: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="Machines that are diagnosed at once; each takes 2 to 4 GB.")
+    ] = 1,
     twice: Annotated[
         bool, typer.Option("--twice", help="Ask again with nothing but the true effects, and without them.")
     ] = False,
@@ -164,8 +176,12 @@ def evolution(
         Path | None, typer.Option(help="Folder of the EMPS files; by default that beside the checkout.")
     ] = None,
     synthetic: Annotated[bool, typer.Option(help="A simulated log in place of the EMPS estimation file.")] = False,
-    seconds: Annotated[float, typer.Option(min=1.0, help="The most that one evolution may take.")] = 300.0,
-    runs: Annotated[int, typer.Option(min=1, max=20, help="How often both searches run, by turns.")] = 3,
+    seconds: Annotated[
+        float, typer.Option(callback=finite, min=1.0, help="The most that one evolution may take.")
+    ] = 300.0,
+    runs: Annotated[
+        int, typer.Option(callback=count_of, min=1, max=20, help="How often both searches run, by turns.")
+    ] = 3,
     out: Out = None,
 ) -> None:
     """Gradient search against differential evolution on one identification problem: what equal quality costs.
@@ -181,9 +197,16 @@ def evolution(
 
 @studies.command(rich_help_panel=PANEL)
 def recovery(
-    out: Annotated[Path, typer.Option(help="Folder; a study that was interrupted goes on from what is in it.")],
-    draws: Annotated[int, typer.Option(min=1, help="How many random drives.")] = 200,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; by default one per core.")] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            parser=folder_of, metavar="PATH", help="Folder; a study that was interrupted goes on from what is in it."
+        ),
+    ],
+    draws: Annotated[int, typer.Option(callback=count_of, min=1, help="How many random drives.")] = 200,
+    workers: Annotated[
+        int | None, typer.Option(callback=count_of, min=1, help="Processes; by default one per core.")
+    ] = None,
 ) -> None:
     """How well identification recovers known drives, and whether its intervals hold the truth.
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from experiments.cli_options import DEFAULT_MOTION, DriveFile, LoadText, Out
+from experiments.cli_options import DEFAULT_MOTION, DriveFile, LoadText, Out, count_of, finite, seed_of
 
 sweeps = typer.Typer()
 
@@ -42,17 +42,22 @@ def sweep(
         list[Path] | None,
         typer.Option(help="Drive file whose controller gets the same machines, loads and noise; repeatable."),
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, help="How many machines; powers of two for sobol.")] = 1024,
+    samples: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="How many machines; powers of two for sobol.")
+    ] = 1024,
     method: Annotated[str, typer.Option(help="sobol, latin-hypercube or random.")] = "sobol",
     tolerance: Annotated[str | None, typer.Option(help="Error that must not be exceeded: `2um`.")] = None,
     by: Annotated[str, typer.Option(help="The error that counts: peak or rms.")] = "peak",
-    settle: Annotated[float, typer.Option(min=0.0, help="Seconds at the start that do not count.")] = 0.5,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the machines and of their noise.")] = 0,
+    settle: Annotated[
+        float, typer.Option(callback=finite, min=0.0, help="Seconds at the start that do not count.")
+    ] = 0.5,
+    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of the machines and of their noise.")] = 0,
     record: Annotated[
         str, typer.Option(help="Signals of the worst machines to write as netCDF: `error,command,load_estimate`.")
     ] = "",
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; by default this process, on all cores.")
+        int | None,
+        typer.Option(callback=count_of, min=1, help="Worker processes; by default this process, on all cores."),
     ] = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler: `tcp://host:8786`.")] = None,
     precision: Annotated[
@@ -99,7 +104,7 @@ def sweep(
 @sweeps.command()
 def replay(
     folder: Annotated[Path, typer.Argument(help="Folder of a sweep (its --out).")],
-    machine: Annotated[int, typer.Option(min=0, help="Number of the machine.")],
+    machine: Annotated[int, typer.Option(callback=count_of, min=0, help="Number of the machine.")],
     controller: Annotated[str | None, typer.Option(help="By the name of its drive file; default the first.")] = None,
     motion: Annotated[str | None, typer.Option(help="By its name in the sweep; default the first.")] = None,
     out: Out = None,

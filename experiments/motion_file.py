@@ -8,7 +8,9 @@ import numpy as np
 
 from diffdrive.errors import MotionError
 from diffdrive.logs.column_unit import Conversion, conversion, split
+from diffdrive.messages import listed, shortened
 from diffdrive.motion import Motion, from_array
+from diffdrive.text_file import decoded
 
 # a log holds both: where the table should be is asked for again, not where the scale saw it
 _PREFERRED = ("reference", "position")
@@ -17,9 +19,7 @@ _PREFERRED = ("reference", "position")
 def read_motion(path: Path) -> str:
     """The text of a motion's file."""
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise MotionError(f"{path}: not a text file: {error}") from None
+        return decoded(path.read_bytes())
     except OSError as error:
         raise MotionError(f"{path}: cannot be read: {error.strerror or error}") from None
 
@@ -31,17 +31,21 @@ def parse_motion_table(text: str, path: str) -> Motion:
     there the reference is taken, and the motion's name says so. Raises `MotionError` for a column that is missing or
     there twice, or in what is no unit of it.
     """
-    header = next(csv.reader([text.partition("\n")[0]], skipinitialspace=True), [])
+    first, _, rest = text.partition("\n")
     try:
+        header = next(csv.reader([first], skipinitialspace=True), [])
+        if not rest.strip():  # numpy warns
+            raise ValueError("no row of numbers")
         table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
-    except ValueError as error:
-        raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {error}") from None
+    except (ValueError, csv.Error) as error:
+        problem = shortened(str(error).partition("\n")[0], 200)
+        raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {problem}") from None
     found = {channel: _columns(header, channel) for channel in ("time", *_PREFERRED)}
     taken = next((channel for channel in _PREFERRED if found[channel]), None)
     if not found["time"] or taken is None or table.shape[1] != len(header):
         raise MotionError(
             f"{path}: needs a header line with the columns time and position (or reference), each with its unit unless "
-            f"it is s and m, such as 'time [s],position [mm]'; has {','.join(header)!r}"
+            f"it is s and m, such as 'time [s],position [mm]'; has {listed(header, taken or 'position', 'columns')}"
         )
     time, place = (_in_si(table, header, channel, found[channel], path) for channel in ("time", taken))
     name = Path(path).name

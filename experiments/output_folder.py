@@ -33,6 +33,8 @@ class OutputFolder:
         self._is_open = False
         if os.path.exists(path) and not os.path.isdir(path):  # a Path raises where it may not look
             raise ParameterError(f"--out {path}: is a file, not a folder; name another")
+        if os.path.islink(path) and not os.path.exists(path):
+            raise ParameterError(f"--out {path}: is a link to a folder that is not there; make that, or name another")
         self._made = [one for one in (path, *path.parents) if not os.path.exists(one)]  # the deepest first
         try:
             path.mkdir(parents=True, exist_ok=True)

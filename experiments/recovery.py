@@ -17,14 +17,16 @@ import numpy as np
 
 from diffdrive.atomic_write import write_text
 from diffdrive.controllers import Gains
-from diffdrive.errors import DiffdriveError
+from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.load import ramp
 from diffdrive.parameters import Drive
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.resources import counted, require_memory
 from experiments.report import Report, new_figure
 from experiments.runtime import configure, cores
 
 RATE = 4_000.0  # Hz
+RESULT, PROCESS = 1e4, 5e8  # bytes: of a draw's rows in memory, and of a process that identifies
 LOAD, LOADED = 8_000.0, (6.0, 6.2)  # N, and when it comes on, s
 BARS = dict.fromkeys(  # %, that an estimate should be within
     ("mass", "coulomb_at_no_load", "coulomb_screw", "load_coefficient", "viscous", "bristle_stiffness"), 2.0
@@ -106,10 +108,14 @@ def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
 
 def study(out: Path, count: int = 200, workers: int | None = None) -> None:
     """`diffdrive recovery`: errors and coverage over `count` random drives."""
+    workers = cores() if workers is None else workers
+    mend = "give fewer"
+    require_memory(ParameterError, f"--draws {counted(count)}: their results", RESULT * count, mend)
+    require_memory(ParameterError, f"--workers {counted(workers)}: as many processes", PROCESS * workers, mend)
     with Report(f"identification of {count} random drives", out) as report:
         done = []
         with report.progress("draws", count) as advance:
-            for one in draws(count, out / "draws.jsonl", workers or cores()):
+            for one in draws(count, out / "draws.jsonl", workers):
                 done.append(one)
                 advance(len(done), count, one["seconds"])
         rows = summary(done)

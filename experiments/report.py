@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from diffdrive.atomic_write import atomic_write
+from diffdrive.messages import printable
 from experiments.output_folder import OutputFolder
 
 RESULT = "result.json"
@@ -63,7 +64,8 @@ SELDOM = 30.0  # s, between two lines of progress where there is no terminal
 
 
 def _console() -> Console:
-    console = Console(highlight=False, soft_wrap=True)
+    # what is printed quotes files: [brackets] and :names: in it are no markup and no emoji
+    console = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
     if not console.is_terminal:
         console.width = 120  # a pipe or a log file has no width of its own
     return console
@@ -99,7 +101,7 @@ class Report:
         self._started = time.perf_counter()
         self._no_result = {*self.data, "timings_s", "notes"}
         self._folder = None if out is None else OutputFolder(out, RESULT)
-        self.console.print(f"[bold]{title}[/bold]")
+        self.console.print(printable(title), style="bold")
 
     def __enter__(self) -> "Report":
         """Raises `ParameterError` where another run writes to the folder."""
@@ -133,25 +135,25 @@ class Report:
         """Print a sentence and keep it."""
         self.data.setdefault("notes", []).append(text)
         self._hold()
-        self.console.print(text, markup=False)
+        self.console.print(printable(text))
 
     def values(self, name: str, **numbers: Any) -> None:
         """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
         self.data.setdefault(name, {}).update(plain(numbers))
         self._hold()
         listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
-        self.console.print(f"{name}: {listed}", markup=False)
+        self.console.print(printable(f"{name}: {listed}"))
 
     def table(
         self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "", digits: int = 4
     ) -> None:
         """Print a table with so many significant digits, keep its rows as records, and write it as CSV."""
-        drawn = Table(title=caption or name, title_justify="left", header_style="")
+        drawn = Table(title=printable(caption or name), title_justify="left", header_style="")
         for k, column in enumerate(columns):
             # a name that is cut off says nothing: it goes on in the next line
-            drawn.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
+            drawn.add_column(printable(column), justify="left" if k == 0 else "right", overflow="fold")
         for row in rows:
-            drawn.add_row(*(escape(_shown(value, digits)) for value in row))  # a [table] of a file is no markup
+            drawn.add_row(*(printable(_shown(value, digits)) for value in row))
         self.console.print(drawn)
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),
@@ -176,24 +178,24 @@ class Report:
     def working(self, what: str) -> Iterator[None]:
         """Show that something is under way, and how long it took."""
         began = time.perf_counter()
-        with self.console.status(f"{what} ..."):
+        with self.console.status(Text(printable(f"{what} ..."))):
             yield
         elapsed = time.perf_counter() - began
         self.data.setdefault("timings_s", {})[what] = round(elapsed, 1)
         if elapsed > 2:
-            self.console.print(f"[dim]{what}: {elapsed:.1f} s[/dim]")
+            self.console.print(printable(f"{what}: {elapsed:.1f} s"), style="dim")
 
     @contextlib.contextmanager
     def progress(self, what: str, total: int) -> Iterator[Callable[[int, int, float], None]]:
         """A progress bar; yields a function of (step, most, cost) that moves it."""
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
         )
         with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
-            task = bar.add_task(what, total=total, note="compiling")
+            task = bar.add_task(printable(what), total=total, note="compiling")
 
             def advance(step: int, most: int, cost: float) -> None:
                 bar.update(task, completed=step, total=most, note=f"cost {cost:.4g}")
@@ -209,13 +211,13 @@ class Report:
         if not self.console.is_terminal:
             yield self._lines()
             return
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
         with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
             tasks: dict[str, Any] = {}
 
             def advance(stage: str, done: int, most: int) -> None:
                 if stage not in tasks:
-                    tasks[stage] = bar.add_task(stage, total=most)
+                    tasks[stage] = bar.add_task(printable(stage), total=most)
                 bar.update(tasks[stage], completed=done, total=most)
 
             yield advance
@@ -231,17 +233,17 @@ class Report:
             begins = stage != before or done < told
             if begins or now - at >= SELDOM or (done == most and told != most):
                 before, at, told = stage, now, done
-                self.console.print(f"{stage}: {done} of {most}, {now:.0f} s", markup=False)
+                self.console.print(printable(f"{stage}: {done} of {most}, {now:.0f} s"))
 
         return advance
 
     @contextlib.contextmanager
     def counted(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
         """A progress bar with rate and time left; yields a function of how many are done."""
-        rate = TextColumn("{task.fields[rate]}")
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate)
+        rate = TextColumn("{task.fields[rate]}", markup=False)
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), rate)
         with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=self.console) as bar:
-            task = bar.add_task(what, total=total, rate="compiling")
+            task = bar.add_task(printable(what), total=total, rate="compiling")
             began: list[tuple[float, int]] = []
 
             def advance(done: int) -> None:
@@ -262,7 +264,7 @@ class Report:
         if self._folder.write_result(_json(self.data), *shorter) and "stopped_by" not in self.data:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
-        self.console.print(f"{stopped} {self.out}", markup=False)
+        self.console.print(printable(f"{stopped} {self.out}"))
 
 
 def named_file(text: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from diffdrive import load, motion
 from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import MotionError, ParameterError
+from diffdrive.messages import shortened
 from diffdrive.motion import Motion
 from diffdrive.units import to_si
 from experiments.motion_file import parse_motion_table, read_motion
@@ -49,12 +50,20 @@ LISTS = ("speeds", "amplitudes", "frequencies", "phases", "times", "loads")
 PAIRS = ("cuts",)
 
 
+def _bare(text: str) -> float | None:
+    """A number without a unit; None where the text is none."""
+    with contextlib.suppress(ValueError):
+        return float(text)
+    return None
+
+
 def number(text: str, unit: str, where: str) -> float:
     """A number in the SI `unit` from text: bare, or with a unit that converts to it."""
-    with contextlib.suppress(ValueError):
-        bare = float(text)
-        if math.isfinite(bare):
-            return bare
+    bare = _bare(text)
+    if bare is not None and math.isfinite(bare):
+        return bare
+    if bare is not None and any(one.isdigit() for one in text):  # and not "inf"
+        raise MotionError(f"{where}: '{shortened(text)}' is larger than any number that a computer reckons with")
     try:
         return to_si(text, unit)
     except ValueError as problem:

@@ -21,7 +21,7 @@ from experiments.interruption import at_next_step
 from experiments.loop_figures import bode, nyquist, responses
 from experiments.report import Report, new_figure
 from experiments.tuning_cases import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
-from tuning.gains import STARTS, Tuned, default_space, factors_of, tune
+from tuning.gains import STARTS, Tuned, default_space, factors_of, require_starts, tune
 from tuning.objective import Objective
 from tuning.requirements import Limits, Requirements, check_limits, points
 from tuning.scenarios import Ensemble, Scenario, ensemble
@@ -57,6 +57,7 @@ def tune_drive(
     written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
     """
     check_limits(limits)
+    require_starts(starts)
     if friction and not isinstance(description.controller, FrictionCompensation):
         raise ParameterError("--friction: this controller observes no friction that could be tuned along")
     on, off = tuned_on(description, plan), held_out(description, plan)

@@ -16,6 +16,7 @@ from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.load import require_possible
 from diffdrive.motion import Motion, require_within, triangular
 from diffdrive.parameters import Drive, Sampling, as_arrays, quantities
+from diffdrive.pipeline import require_shorter
 from diffdrive.run import Run
 from diffdrive.simulate import simulate
 from tuning.scenarios import Scenario
@@ -123,6 +124,7 @@ def _machine(number: int) -> str:
 def _require_possible(description: DriveDescription, scenarios: list[Scenario]) -> None:
     for one in scenarios:
         require_within(one.motion, description.limits)
+        require_shorter(len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines))
         weights = np.broadcast_to(np.asarray(one.load, float), one.motion.time.shape)
         require_possible(description.drive, weights, one.motion.time)
 

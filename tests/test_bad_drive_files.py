@@ -3,6 +3,7 @@
 import copy
 
 import pytest
+import tomli_w
 
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
@@ -71,7 +72,7 @@ FILES = {
         r"\[sampling\] rate: '0.1 ms' has the wrong unit: it must be in Hz",
     ),
     "substeps 0": ("sampling.substeps", 0, r"sampling\.substeps must be a whole number of at least 1"),
-    "bool substeps": ("sampling.substeps", True, r"substeps: must be a whole number of at least 1"),
+    "bool substeps": ("sampling.substeps", True, r"sampling\.substeps must be a whole number of at least 1"),
     "substeps as text": ("sampling.substeps", "4", r"sampling\.substeps must be a whole number of at least 1"),
     "stroke reversed": (
         "limits.stroke",
@@ -79,6 +80,33 @@ FILES = {
         r"\[limits\] stroke: the lowest position must be below the highest",
     ),
     "stroke of three": ("limits.stroke", [0.0, 0.1, 0.2], r"\[limits\] stroke: must be \[lowest, highest\]"),
+    "one end of the stroke with a unit": (
+        "limits.stroke",
+        ["-75 mm", 75],
+        r"\[limits\] stroke: give both ends a unit, or neither where they are in m, got \['-75 mm', 75\]$",
+    ),
+    "megametres": ("limits.speed", "5 Mm/s", r"\[limits\] speed: '5 Mm/s' says Mm, which is 1000 km; write mm"),
+    "400 digits": ("plant.mass", 10**400, r"\[plant\] mass: 1000000.*0000 is larger than any number that a computer"),
+    "400 digits with a unit": (
+        "plant.mass",
+        "9" * 400 + " kg",
+        r"\[plant\] mass: '999.* kg' is larger than any number",
+    ),
+    "an exponent of 400": ("limits.speed", "1e400 m/s", r"\[limits\] speed: '1e400 m/s' is larger than any number"),
+    "a list of a thousand lists": ("plant.mass", [[[1]] * 1000] * 1000, r"\[plant\] mass: must be one number .{,90}$"),
+    "a share of nothing": (
+        "friction.stribeck_exponent",
+        4.5,
+        r"friction\.stribeck_exponent must be at most 4, got 4\.5$",
+    ),
+    "a share as text": ("friction.load_coefficient", [], r"load_coefficient: needs two values"),
+    "a share as bool": ("friction.load_coefficient", True, r"load_coefficient: must be a number, got True$"),
+    "a key that colours the terminal": ("plant.\x1b[31mmass", 1.0, r"\[plant\] \\x1b\[31mmass: unknown key"),
+    "substeps beyond rounding": (
+        "sampling.substeps",
+        10**12,
+        r"sampling\.substeps must be at most 3356 at 10000 Hz, got 1000000000000: finer substeps gain nothing",
+    ),
     "stroke in kg": ("limits.stroke", [0.0, "3 kg"], r"\[limits\] stroke: '3 kg' has the wrong unit: it must be in m"),
     "speed 0": ("limits.speed", 0.0, r"\[limits\] speed: must be positive"),
     "NaN acceleration": ("limits.acceleration", NAN, r"\[limits\] acceleration: must be positive"),
@@ -155,7 +183,19 @@ def test_a_bad_drive_file_is_refused(place, value, says):
     [
         ("[plant\nmass = 1", r"drive\.toml: not a TOML file: .*line 1"),
         ("mass = 100 kg", r"drive\.toml: not a TOML file"),
-        (b"\xff\xfe", r"drive\.toml: not a TOML file"),
+        (b"\xff\xfe", r"drive\.toml: .*\[plant\] mass: is missing"),
+        (b"\xff\xfe\x00", r"drive\.toml: is cut off or no text: its byte-order mark says UTF-16; save it as UTF-8$"),
+        (
+            "[plant]".encode("utf-16-le"),
+            r"drive\.toml: is UTF-16 without a byte-order mark, or binary: save it as UTF-8$",
+        ),
+        (
+            "[plant]\n# Führung\nmass = 1".encode("latin-1"),
+            r"drive\.toml: line 2 holds the byte 0xfc \('ü' in Latin-1\), which is no UTF-8: save the file as UTF-8$",
+        ),
+        ("a = " + "[" * 2000 + "]" * 2000, r"drive\.toml: not a TOML file: tables or lists are nested too deeply"),
+        ("a = " + "{a = " * 2000 + "1" + "}" * 2000, r"drive\.toml: not a TOML file: tables or lists are nested too"),
+        ("a = " + 5000 * "1", r"drive\.toml: not a TOML file: Exceeds the limit"),
         ("", r"drive\.toml: .*\[plant\] mass: is missing"),
         (None, r"drive\.toml: no such file; 'diffdrive template > drive\.toml' writes one"),
     ],
@@ -168,8 +208,18 @@ def test_a_file_that_cannot_be_read_is_refused(content, says, tmp_path):
         read_drive(path)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+def test_a_drive_file_is_read_in_every_encoding_that_names_itself(encoding, tmp_path):
+    """As `diffdrive template > drive.toml` writes it in Windows PowerShell, too."""
+    text = "# Führung\n" + tomli_w.dumps(TABLES)
+    path = tmp_path / "drive.toml"
+    mark = "\ufeff" if encoding.endswith(("-le", "-be")) else ""
+    path.write_bytes((mark + text).replace("\n", "\r\n").encode(encoding))
+    assert drive_tables(read_drive(path)) == TABLES
+
+
 def test_a_folder_is_not_a_drive_file(tmp_path):
-    with pytest.raises(DriveFileError, match="is a folder, not a drive file"):
+    with pytest.raises(DriveFileError, match="is a folder, not a file"):
         read_drive(tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(DriveFileError, match="cannot be read"):

@@ -1,6 +1,7 @@
 """The command line as a user meets it."""
 
 import errno
+import inspect
 import json
 import os
 import re
@@ -8,14 +9,16 @@ import signal
 import subprocess
 import sys
 import tomllib
+import warnings
 from importlib import metadata
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from diffdrive.drive_file import read_drive
-from diffdrive.errors import DiffdriveError, LoadEstimatorWarning
+from diffdrive.errors import DiffdriveError, LoadEstimatorWarning, ParameterError
 from diffdrive.logs import Mapping, read_log
 from experiments import cli
 from experiments.cli import app
@@ -292,3 +295,83 @@ def test_a_run_is_the_motion_that_it_was_asked_for_and_not_the_one_that_was_meas
     )
     np.testing.assert_array_equal(ours.reference, theirs.reference)
     assert not np.array_equal(ours.reference, ours.position)
+
+
+HOSTILE = "[red]:on: \x1b[31mfire\x1b[0m\x07 [/bold]"
+SHOWN = r"[red]:on: \x1b[31mfire\x1b[0m\x07 [/bold]"
+
+
+def test_what_a_file_says_is_printed_as_it_is_and_never_obeyed(capsys):
+    """Neither markup nor emoji nor the codes of a terminal, wherever a name of a file or a key comes to be printed."""
+    with Report(HOSTILE, None) as report:
+        report.say(HOSTILE)
+        report.values(HOSTILE, **{HOSTILE: HOSTILE})
+        report.table(HOSTILE, [HOSTILE], [[HOSTILE]])
+        with report.working(HOSTILE), report.stages() as stages, report.counted(HOSTILE, 1) as done:
+            stages(HOSTILE, 1, 1)
+            done(1)
+    printed = capsys.readouterr().out.replace("\n", "")
+    assert "\x1b" not in printed
+    assert "\x07" not in printed
+    assert printed.count(SHOWN) >= 7
+
+
+def test_errors_and_warnings_show_the_codes_that_they_quote(monkeypatch, capsys):
+    def failing():
+        warnings.warn(HOSTILE, LoadEstimatorWarning, stacklevel=1)
+        raise ParameterError(HOSTILE)
+
+    monkeypatch.setattr(cli, "app", failing)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(SystemExit):
+            cli.main()
+    assert capsys.readouterr().err == f"warning: {SHOWN}\nerror: {SHOWN}\n"
+
+
+def test_a_folder_needs_a_name_and_a_link_needs_its_folder(drive_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for empty in ("", " "):
+        answer = run("simulate", drive_file, "--out", empty)
+        assert answer.exit_code == 2
+        assert "is empty; name a folder" in answer.output + answer.stderr
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    assert "--out link: is a link to a folder that is not there" in refused("template", "--out", "link")
+    assert {path.name for path in tmp_path.iterdir()} == {"drive.toml", "link"}
+
+
+NUMBERS = {float: ["nan", "inf", "-inf", "1e400"], int: ["9" * 400, "-" + "9" * 400, str(10**22)]}
+
+
+def numeric_options():
+    """Every option of every command that takes a number, with what no number may be."""
+    groups = [app, *(group.typer_instance for group in app.registered_groups)]
+    found = []
+    for command in (one for group in groups for one in group.registered_commands):
+        hints = get_type_hints(command.callback)
+        needed = [
+            ("--" + key if get_args(hints[key]) == () and key == "out" else None)
+            for key, one in inspect.signature(command.callback).parameters.items()
+            if one.default is inspect.Parameter.empty
+        ]
+        files = [text for option in needed for text in ([option, "x"] if option else ["x"])]
+        for key, hint in hints.items():
+            kinds = set(NUMBERS) & {hint, *get_args(hint)}
+            name = command.name or command.callback.__name__
+            found += [(name, files, f"--{key.replace('_', '-')}", value) for kind in kinds for value in NUMBERS[kind]]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("command", "files", "option", "value"),
+    [pytest.param(*one, id=f"{one[0]} {one[2]} {one[3][:12]}") for one in numeric_options()],
+)
+def test_no_numeric_option_takes_what_no_number_is(command, files, option, value, tmp_path, monkeypatch):
+    """Not a number, infinite, or of more digits than the libraries count with: refused before a file is looked for."""
+    monkeypatch.chdir(tmp_path)
+    answer = CliRunner().invoke(app, [command, *files, f"{option}={value}"])
+    said = f"{answer.exception} {answer.output}"
+    assert isinstance(answer.exception, ParameterError) or answer.exit_code == 2
+    assert option in said

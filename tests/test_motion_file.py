@@ -47,7 +47,7 @@ def test_the_reference_goes_before_what_was_measured_and_is_named():
         ("time [s],position [kg]", "own.csv: column 'position \\[kg\\]': 'kg' is no unit of the position"),
         ("time [mm],position", "column 'time \\[mm\\]': 'mm' is no unit of the time"),
         ("time,position [counts]", "'counts' is no unit of the position"),
-        ("time,place", "needs a header line with the columns time and position .*has 'time,place'"),
+        ("time,place", "needs a header line with the columns time and position .*has 'time', 'place'"),
         ("time,position,position [mm]", "has 2 columns called position: leave one"),
         ("0.0,0.0", "needs a header line"),
     ],
@@ -60,8 +60,23 @@ def test_a_header_that_says_something_else_is_refused(header, says):
 
 def test_a_file_that_is_no_text_is_named(tmp_path):
     path = tmp_path / "own.csv"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(MotionError, match=r"own\.csv: not a text file"):
-        read_motion(path)
+    for raw in (b"\xff\xfe\x00", b"\x00\xff" * 100, b"", b"time,position\n\n"):
+        path.write_bytes(raw)
+        with pytest.raises(MotionError, match=r"own\.csv: not a comma-separated table of numbers"):
+            parse_motion_table(read_motion(path), str(path))
     with pytest.raises(MotionError, match=r"absent\.csv: cannot be read"):
         read_motion(tmp_path / "absent.csv")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_a_motion_is_read_in_the_encodings_of_a_log(encoding, tmp_path):
+    path = tmp_path / "own.csv"
+    path.write_bytes(text("time [s],position [µm]", TIME, 1e6 * PLACE).encode(encoding))
+    np.testing.assert_allclose(parse_motion_table(read_motion(path), str(path)).position, PLACE, rtol=1e-12, atol=1e-18)
+
+
+def test_a_header_of_very_many_names_is_counted_and_not_printed():
+    header = ",".join(f"signal {k}" for k in range(20_000))
+    with pytest.raises(MotionError, match=r"has 20000 columns, 'signal 0', .* and 19990 more$") as error:
+        parse_motion_table(f"{header}\n{','.join('0' * 20_000)}\n", "own.csv")
+    assert len(str(error.value)) < 600

@@ -202,5 +202,86 @@ def test_arrays_of_another_length_are_refused_only_where_they_are_meant(tmp_path
     with pytest.raises(LogError, match="'spare' has 7 values, 'time' has 400"):
         read_log(path, Mapping({"load": "spare"}))
     scipy.io.savemat(path, {"kp": 1.0, "name": "axis"})
-    with pytest.raises(LogError, match=r"holds no arrays of numbers \(variables: kp, name\)"):
+    with pytest.raises(LogError, match=r"holds no arrays of numbers \('kp' holds a single value, 'name' holds text\)"):
+        read_log(path)
+
+
+LONG = 200_000  # characters, of a cell that no table of numbers has
+STRANGE_CSV = {
+    "a line of letters": (spoilt(57, "x" * LONG), "line 57 has 200000 characters, too many for one row of a table"),
+    "a line of digits": (spoilt(57, "1" * LONG), "line 57 has 200000 characters, too many for one row"),
+    "a header without end": (NAMES + "x" * LONG + "\n" + rows(), "line 1 has 2000.. characters, too many for one row"),
+    "nothing but a line": ("1" * LONG, "line 1 has 200000 characters"),
+    "400 digits": (
+        spoilt(57, f"0.055,0.1,{'9' * 400},3"),
+        r"line 57, column 'position': '9{40}\.\.\.9{17}' is larger than any number that a computer",
+    ),
+    "an exponent of 400": (spoilt(57, "0.055,0.1,1e400,3"), "'1e400' is larger than any number"),
+    "400 digits in a time": (spoilt(57, f"{'9' * 400},0.1,2,3"), "line 57, column 'time': '9.*9' is larger than any"),
+    "very many columns": (
+        ",".join(f"positio{k}" for k in range(3000)) + "\n" + (",".join("1" * 3000) + "\n") * 4,
+        r"the file has 3000 columns; near 'position' are 'positio\d', .*'$",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "says"), STRANGE_CSV.values(), ids=STRANGE_CSV.keys())
+def test_a_csv_file_of_strange_size_is_refused_in_one_short_line(text, says, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(LogError, match=says) as error:
+        read_log(path)
+    assert len(str(error.value)) - len(str(path)) < 500
+
+
+def test_infinity_in_words_still_stands_for_no_value(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(spoilt(57, "0.055,0.1,inf,3"))
+    assert read_log(path).notes[0] == "1 samples without a value were left out, which leaves 1 gaps"
+
+
+NO_SIGNALS = {
+    "complex": (np.exp(1j * TIME), "holds complex numbers"),
+    "text": ("0.1 0.2", "holds text"),
+    "texts": (np.array(["a", "b"] * 200, dtype=object), "holds text"),
+    "a single value": (3.0, "holds a single value"),
+    "four dimensions": (np.zeros((2, 2, 2, 400)), "has 4 dimensions"),
+}
+
+
+@pytest.mark.parametrize(("value", "why"), NO_SIGNALS.values(), ids=NO_SIGNALS.keys())
+def test_a_variable_that_is_no_signal_is_said_to_be_so(value, why, tmp_path):
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, PLAIN | {"position": value})
+    with pytest.raises(LogError, match=rf"'position' {why}, which is no signal"):
+        read_log(path)
+    with pytest.raises(LogError, match=rf"\[columns\] position = 'position': no such column; .*'position' {why}"):
+        read_log(path, Mapping({"position": "position"}))
+    scipy.io.savemat(path, PLAIN | {"spare": value})
+    said = (f"left out, since a signal is one number in each row: 'spare' {why}",)
+    assert read_log(path).notes == (said if why not in ("holds text", "holds a single value") else ())
+
+
+def test_a_column_of_lists_is_left_out_and_said(tmp_path):
+    path = tmp_path / "log.parquet"
+    lists = {"spare": pa.array([[0.0, 1.0]] * N), "pairs": pa.array([{"x": 1.0}] * N)}
+    pq.write_table(pa.table({**{name: pa.array(values) for name, values in COLUMNS.items()}, **lists}), path)
+    [said] = read_log(path).notes
+    assert said == (
+        "left out, since a signal is one number in each row: 'spare' holds a list<element: double> in each row, "
+        "'pairs' holds a struct<x: double> in each row"
+    )
+    with pytest.raises(LogError, match=r"'spare' holds a list<element: double> in each row, which is no signal"):
+        read_log(path, Mapping({"load": "spare"}))
+
+
+@pytest.mark.parametrize("extension", [".csv", ".parquet"])
+def test_a_log_that_does_not_fit_is_refused_before_it_is_read(extension, tmp_path, monkeypatch):
+    path = tmp_path / f"log{extension}"
+    path.write_bytes(whole(".parquet", tmp_path)) if extension == ".parquet" else path.write_text(NAMES + "\n" + rows())
+    read_log(path)
+    monkeypatch.setattr("diffdrive.resources.memory_available", lambda: 3e4)
+    with pytest.raises(
+        LogError, match=r"log\.\w+: reading .* would take about .* kB of memory, and 30 kB are free: cut it"
+    ):
         read_log(path)

@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.controllers import DOBVSC, Cascade, Controller, FrictionCompensation, PDFeedforwardDOB
+from diffdrive.errors import ParameterError
 from diffdrive.load_estimator import InnovationLoad
 from diffdrive.observer import LoadStateObserver
 from diffdrive.parameters import as_arrays, check, require_double_precision
+from diffdrive.resources import counted, require_memory
 from diffdrive.smooth import smooth
 from tuning.checkpoint import Checkpoint
 from tuning.constrained import Gains, Point, problem_of, worth
@@ -137,6 +139,7 @@ def tune(
     """
     require_double_precision()
     check(controller)
+    require_starts(starts)
     space = default_space(controller) if space is None else space
     gains = Gains(space.free, objective)
     problem = problem_of(as_arrays(smooth(controller)), space, scenarios, requirements)
@@ -164,6 +167,14 @@ def tune(
             break
     best = min(results, key=lambda one: float(one.at.point.penalised))
     return _tuned(controller, space, best, worths[0], results, ends, screening)
+
+
+START = 1e4  # bytes: what is known of a start before any is searched from
+
+
+def require_starts(starts: int) -> None:
+    """Raise `ParameterError` for more starts than fit into memory; looking at one takes a tenth of a second or more."""
+    require_memory(ParameterError, f"{counted(starts)} starts", START * starts, "give fewer")
 
 
 def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:

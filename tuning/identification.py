@@ -14,8 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
+from diffdrive.resources import counted, require_memory
 from tuning.adequacy import Adequacy, adequacy
 from tuning.estimates import Estimate, estimates
 from tuning.fit import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampling_of
@@ -119,6 +121,7 @@ def identify(
 
 def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
+    require_memory(ParameterError, f"{counted(starts)} starts", 8.0 * starts * len(free), "give fewer")
     loose = np.array([one.path.split(".")[0] in SCATTERED for one in free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
     return np.vstack([np.zeros(len(loose)), noise])

@@ -16,7 +16,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from diffdrive.errors import DivergenceError
+from diffdrive.errors import DivergenceError, ParameterError
+from diffdrive.resources import require_memory
 
 Progress = Callable[[int, int, float], None]
 Residuals = Callable[[Float[Array, " k"], Any], Float[Array, " m"]]
@@ -195,6 +196,17 @@ def _step_lanes(residuals: Residuals, solver: Any, points: Any, units: Any, args
     return eqx.filter_vmap(one, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
 
 
+def require_room(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: Any) -> None:
+    """Raise `ParameterError` where searches from all these starts at once do not fit into memory.
+
+    Each holds its residuals and their derivative by every parameter.
+    """
+    count = sum(leaf.size for leaf in jax.tree.leaves(jax.eval_shape(residuals, jnp.zeros(starts.shape[1]), args)))
+    needed = 8.0 * len(starts) * count * (starts.shape[1] + 2)
+    request = f"a search from {len(starts)} starts side by side, each with {count} residuals,"
+    require_memory(ParameterError, request, needed, "give fewer starts")
+
+
 def many_starts(
     residuals: Residuals,
     starts: Float[np.ndarray, "s k"],
@@ -208,6 +220,7 @@ def many_starts(
     The cost is the root of the sum of squares; infinite where a start never had a finite one. Interrupted (Ctrl-C), it
     returns the best so far and says so, with True at the end.
     """
+    require_room(residuals, starts, args)
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0)
     points = jnp.asarray(starts)
     units, state = _begin_lanes(residuals, solver, points, args)

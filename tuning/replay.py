@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from diffdrive.actuator import ActuatorState, limited
+from diffdrive.actuator import limited, under_way
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import acting
 from diffdrive.errors import LogError, ParameterError
@@ -22,6 +22,7 @@ from diffdrive.friction import steepest_fall
 from diffdrive.logs import Log
 from diffdrive.motion import from_array
 from diffdrive.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
+from diffdrive.pipeline import require_shorter
 from diffdrive.run import Status
 from diffdrive.simulate import Inputs, LoopState, rollout
 from tuning.fit import FINE_SUBSTEP, SHORTEST, lanes_of, sampling_of
@@ -94,9 +95,10 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
         return controller.step(state, *sample, force, period)[0], None
 
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
-    under_way = ActuatorState((force,) * drive.actuator.delay_samples, force, force)
     effects = acting.at_rest(drive.effects, force)
-    return LoopState(moving(drive, at.lanes), under_way, warm, jnp.zeros((), jnp.uint32), effects)
+    return LoopState(
+        moving(drive, at.lanes), under_way(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
+    )
 
 
 def replay(drive: Drive, controller: Controller, given: Given, sampling: Sampling) -> Replayed:
@@ -152,6 +154,7 @@ def closed_loop(drive: Drive, controller: Controller, log: Log, sampling: Sampli
     """
     check_drive(drive)
     check(controller)
+    require_shorter(len(log.time), (*drive.actuator.pipelines, *controller.pipelines))
     pieces = given([log])
     found = _replay(*as_arrays((drive, controller)), pieces, _sampling(log, sampling))
     counted = np.asarray(pieces.lanes.counts) > 0

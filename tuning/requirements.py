@@ -23,6 +23,7 @@ from diffdrive.smooth import smooth
 from tuning.objective import rms
 from tuning.scenarios import Signals
 
+MOST_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a loop gain of more, 1 is rounding
 UNSTABLE = 20.0  # 1/s of growth that counts as much as a margin that is missed altogether
 
 
@@ -44,6 +45,14 @@ def check_limits(limits: Limits) -> None:
         least = 1.0 if name in ("gain_up", "gain_down", "sensitivity") else 0.0
         if value is not None and not np.all(np.asarray(value) >= least):
             raise ParameterError(f"the limit {name} must be at least {least:g}, got {np.min(np.asarray(value)):g}")
+        if value is not None and not np.all(np.isfinite(np.asarray(value))):
+            raise ParameterError(f"the limit {name} must be finite; None requires nothing")
+    most = 10.0 ** (MOST_GAIN_MARGIN / 20.0)
+    for name in ("gain_up", "gain_down"):
+        if getattr(limits, name) > most:
+            raise ParameterError(
+                f"the limit {name} must be at most {most:.2g}, beyond which gains are lost in rounding"
+            )
 
 
 class Points(NamedTuple):

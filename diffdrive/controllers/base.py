@@ -39,6 +39,11 @@ class Controller(eqx.Module):
     ) -> tuple[Any, Command]:
         """One period: measured `position` (m), and the force (N) that acted since the last one."""
 
+    @property
+    def pipelines(self) -> tuple[tuple[str, int], ...]:
+        """What holds values back for some samples: its name and how many."""
+        return ()
+
 
 class Feedforward(eqx.Module):
     """Force for the reference's inertia and damping; zero mass and damping switch it off."""

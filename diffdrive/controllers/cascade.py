@@ -3,17 +3,20 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from diffdrive.controllers.base import Command, Controller, Feedforward, Reference
 from diffdrive.errors import ParameterError
+from diffdrive.messages import shown
 from diffdrive.parameters import Scalar, quantity
+from diffdrive.pipeline import Pipeline, filled, pushed
 
 
 class CascadeState(NamedTuple):
     """Past positions and the velocity loop's integral."""
 
-    past: tuple[Scalar, ...]  # measured positions, newest first
+    past: Pipeline  # measured positions, oldest first
     integral: Scalar  # N
     started: Scalar
 
@@ -36,19 +39,25 @@ class Cascade(Controller):
     def __check_init__(self) -> None:
         samples = self.velocity_samples
         if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-            raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {samples!r}")
+            raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {shown(samples)}")
+
+    @property
+    def pipelines(self) -> tuple[tuple[str, int], ...]:
+        """The positions that the velocity is computed from."""
+        return (("controller.velocity_samples", self.velocity_samples),)
 
     def init(self, position: Scalar) -> CascadeState:
         zero = jnp.zeros_like(position)
-        return CascadeState((position,) * self.velocity_samples, zero, zero)
+        return CascadeState(filled(position, self.velocity_samples), zero, zero)
 
     def step(
         self, state: CascadeState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[CascadeState, Command]:
         # before the first sample the table stood where it is first measured
-        past = tuple(state.started * p + (1.0 - state.started) * position for p in state.past)
-        velocity = (position - past[-1]) / (self.velocity_samples * period)
+        past = jax.tree.map(lambda p: state.started * p + (1.0 - state.started) * position, state.past)
+        oldest, past = pushed(past, position)
+        velocity = (position - oldest) / (self.velocity_samples * period)
         wanted = self.kp * (reference.position - position) + self.velocity_feedforward * reference.velocity
         integral = state.integral + self.ki * period * (wanted - velocity)
         force = self.kv * (wanted - velocity) + integral + self.feedforward.force(reference)
-        return CascadeState((position, *past[:-1]), integral, jnp.ones_like(position)), Command(force)
+        return CascadeState(past, integral, jnp.ones_like(position)), Command(force)

@@ -60,10 +60,33 @@ class Acts(NamedTuple):
         return Acts(*(a + b for a, b in zip(self, other, strict=True)))
 
 
+class Envelope(NamedTuple):
+    """Within what a drive is moved, as far as that is known: what is not (None) rules nothing out."""
+
+    position: tuple[float, float] | None = None  # m, lowest and highest
+    speed: float | None = None  # m/s, highest
+    load: float = 0.0  # N on the guides, lowest
+    duration: float | None = None  # s
+    period: float | None = None  # s, of control
+
+    @property
+    def farthest(self) -> float:
+        """The largest distance from 0 (m)."""
+        return 0.0 if self.position is None else max(map(abs, self.position))
+
+
 class Effect(eqx.Module):
     """One unmodelled effect; `name` is that of the catalogue."""
 
     name: ClassVar[str]
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """Why no machine can have this effect beside `drive`, or why it cannot be computed; None where it can.
+
+        Parameters are each in their range by then; numbers, or arrays over machines. What depends on the motion is
+        judged by the envelope.
+        """
+        return None
 
 
 class MachineEffect(Effect):

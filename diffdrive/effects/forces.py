@@ -3,12 +3,13 @@
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
-from diffdrive.effects.base import Acts, Place, Seen, TableEffect
+from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swinging
 from diffdrive.friction import resisting_midway, under
 from diffdrive.parameters import Drive, Scalar, quantity
-from diffdrive.turning import cosine_sine, doubled, tripled
+from diffdrive.turning import MOST_TURNS, cosine_sine, doubled, tripled
 
 EDGE = 5e-3  # s, over which a process force sets in and ends
 
@@ -26,6 +27,31 @@ def ending(seen: Seen, drive: Drive, period: float) -> Scalar:
 def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE) -> Scalar:
     """One between `start` and `end` (s), zero outside, smooth over `edge` (s)."""
     return 0.25 * (1.0 + jnp.tanh(2.0 * (time - start) / edge)) * (1.0 - jnp.tanh(2.0 * (time - end) / edge))
+
+
+def too_stiff(stiffness: Any, drive: Drive, within: Envelope) -> str | None:
+    """Why a force with this gradient (N/m, of either sign) cannot be computed: each period has one force.
+
+    With k T^2 / M above 1 it turns the table round within a period T, or doubles its way.
+    """
+    if within.period is None:
+        return None
+    most = np.min(drive.plant.mass) / within.period**2
+    largest = float(np.max(np.abs(stiffness)))
+    if largest <= most:
+        return None
+    return (
+        f"its force changes by {largest:.3g} N/m along the stroke, more than the {most:.3g} N/m that moving mass and "
+        "control period resolve: check its units"
+    )
+
+
+def too_many_turns(turns: Any, what: str) -> str | None:
+    """Why a wave of so many turns cannot be computed: its phase is lost in rounding."""
+    largest = float(np.max(np.abs(turns)))
+    if largest <= MOST_TURNS:
+        return None
+    return f"{what} is {largest:.3g} of its waves, of which {MOST_TURNS:g} can be told apart: check its units"
 
 
 class ConstantForce(TableEffect):
@@ -50,6 +76,10 @@ class PositionSpring(TableEffect):
     stiffness: Scalar = quantity("N/m", "force per displacement, against it", default=0.0)
     neutral: Scalar = quantity("m", "position without force", default=0.0)
 
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A spring that swings faster than the control samples."""
+        return too_stiff(self.stiffness, drive, within)
+
     def init(self) -> Any:
         """Nothing is carried."""
         return ()
@@ -70,6 +100,21 @@ class Cogging(TableEffect):
     sine2: Scalar = quantity("N", "amplitude of the sine of the second harmonic", default=0.0)
     cosine6: Scalar = quantity("N", "amplitude of the cosine of the sixth harmonic", default=0.0)
     sine6: Scalar = quantity("N", "amplitude of the sine of the sixth harmonic", default=0.0)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A ripple so short that its phase is rounding, or so steep that a period of control steps over it."""
+        first, second, sixth = (
+            np.hypot(self.cosine, self.sine),
+            np.hypot(self.cosine2, self.sine2),
+            np.hypot(self.cosine6, self.sine6),
+        )
+        height = first + 2.0 * second + 6.0 * sixth
+        if not np.any(height > 0.0):
+            return None
+        turns = within.farthest / np.asarray(self.period)
+        return too_many_turns(turns, "the way from 0 to the end of the stroke") or too_stiff(
+            2.0 * np.pi * height / np.asarray(self.period), drive, within
+        )
 
     def init(self) -> Any:
         """Nothing is carried."""
@@ -96,6 +141,16 @@ class ProcessForce(TableEffect):
     sine2: Scalar = quantity("N", "amplitude of the sine of the second harmonic", default=0.0)
     start: Scalar = quantity("s", "when it sets in", default=0.0)
     end: Scalar = quantity("s", "when it ends", default=1e9)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A vibration that one force in each control period cannot show."""
+        if not any(np.any(np.asarray(one) != 0.0) for one in (self.cosine, self.sine, self.cosine2, self.sine2)):
+            return None
+        if within.period is not None and np.any(np.asarray(self.frequency) * within.period >= 0.5):
+            most = 0.5 / within.period
+            return f"its {np.max(self.frequency):g} Hz are beyond half of the control rate, {most:g} Hz: lower them"
+        turns = np.asarray(self.frequency) * (within.duration or 0.0)
+        return too_many_turns(turns, "the motion's duration")
 
     def init(self) -> Any:
         """Nothing is carried."""

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from diffdrive.effects.base import Acts, Place, Seen, TableEffect
-from diffdrive.effects.forces import ending, middle, window
+from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
+from diffdrive.effects.forces import ending, middle, too_many_turns, window
 from diffdrive.friction import coulomb, relaxing, slide, under
 from diffdrive.once import once
 from diffdrive.parameters import Directional, Drive, Scalar, quantity
@@ -15,6 +16,7 @@ from diffdrive.polynomial import inverse
 from diffdrive.relaxation import relaxation
 from diffdrive.turning import cosine_sine
 
+GRID, FINE_ENOUGH = 4096, 32  # places along a stroke at which a level is looked at, and of them in each wave
 ELEMENTS = 6  # Maxwell elements of presliding hysteresis
 FINE = 1e-4  # s, in which they are stepped
 
@@ -28,6 +30,23 @@ class AppliedLoad(TableEffect):
     start: Scalar = quantity("s", "when it is put on", default=0.0)
     end: Scalar = quantity("s", "when it is taken off", default=1e9)
     edge: Scalar = quantity("s", "how long that takes", above=0.0, default=0.05)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A load that lifts the table off its guides, or leaves it without friction."""
+        least = np.asarray(self.load) + np.minimum(self.more, 0.0)
+        pressed = drive.friction.initial_load + within.load + least
+        if np.any(pressed < 0.0):
+            return (
+                f"a load of {np.min(least):g} N lifts the table off its guides, which initial_load and the load press "
+                f"with {np.min(drive.friction.initial_load + within.load):g} N"
+            )
+        levels = [
+            getattr(drive.friction.coulomb_screw, side) + getattr(drive.friction.load_coefficient, side) * pressed
+            for side in ("positive", "negative")
+        ]
+        if any(np.any(np.asarray(level) <= 0.0) for level in levels):
+            return f"a load of {np.min(least):g} N leaves no Coulomb friction: it must stay above 0"
+        return None
 
     def init(self) -> Any:
         """Nothing is carried."""
@@ -49,6 +68,30 @@ class PositionFriction(TableEffect):
     cosine: Scalar = quantity("1", "share of Coulomb friction, cosine", default=0.0)
     sine: Scalar = quantity("1", "share of Coulomb friction, sine", default=0.0)
 
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """Friction that is gone, or drives the table, at some place of the stroke."""
+        height = np.hypot(self.cosine, self.sine)
+        low, high = within.position or (0.0, 0.0)
+        if np.any(height > 0.0):
+            turns = within.farthest / np.asarray(self.period)
+            if problem := too_many_turns(turns, "the way from 0 to the end of the stroke"):
+                return problem
+        short = FINE_ENOUGH * (high - low) / np.asarray(self.period) > GRID
+        if within.position is None:
+            least = -height
+        else:
+            slope, neutral, period, height, cosine, sine, short = np.broadcast_arrays(
+                self.slope, self.neutral, self.period, height, self.cosine, self.sine, short
+            )
+            at = np.linspace(low, high, GRID).reshape(-1, *[1] * slope.ndim)
+            along = slope * (at - neutral)
+            angle = 2.0 * np.pi * at / period
+            wave = np.where(short, -height, cosine * np.cos(angle) + sine * np.sin(angle))
+            least = np.min(along + wave, axis=0)
+        if np.all(1.0 + least > 0.0):
+            return None
+        return f"it takes {-100 * np.min(least):.4g} % of the Coulomb friction off at some place: less than all must go"
+
     def init(self) -> Any:
         """Nothing is carried."""
         return ()
@@ -68,6 +111,14 @@ class ViscousDrift(TableEffect):
     viscous: Scalar = quantity("1", "share of viscous friction that goes", default=0.0)
     coulomb: Scalar = quantity("1", "share of Coulomb friction that goes", default=0.0)
     time_constant: Scalar = quantity("s", "in which all but a share of 1 / e has gone", above=0.0, default=5.0)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """Friction that is gone, or drives the table, while the machine is cold."""
+        if np.any(np.asarray(self.viscous) < -1.0):
+            return f"viscous = {np.min(self.viscous):g} takes off more viscous friction than there is: -1 is all of it"
+        if np.any(np.asarray(self.coulomb) <= -1.0):
+            return f"coulomb = {np.min(self.coulomb):g} leaves no Coulomb friction: it must be above -1"
+        return None
 
     def init(self) -> Any:
         """Nothing is carried."""
@@ -101,6 +152,21 @@ class FrictionDwell(TableEffect):
     slip: Scalar = quantity("m", "travel over which it is forgotten", above=0.0, default=1e-5)
     rested: Scalar = quantity("s", "time at rest before the motion", at_least=0.0, default=0.0)
 
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """Breakaway that is gone once the table has rested."""
+        oldest = np.asarray(self.rested) + (within.duration or 0.0)
+        grown = 1.0 + np.asarray(self.growth) * np.log1p(oldest / np.asarray(self.onset))
+        for side in ("positive", "negative"):
+            guide = getattr(drive.friction.load_coefficient, side) * (drive.friction.initial_load + within.load)
+            gap = getattr(drive.friction.breakaway_gap, side)
+            breakaway = getattr(drive.friction.coulomb_screw, side) + guide + gap * grown
+            if not np.all(np.asarray(breakaway) > 0.0):
+                return (
+                    f"the breakaway friction in the {side} direction falls to {np.min(breakaway):g} N at rest: it must "
+                    "stay above 0"
+                )
+        return None
+
     def init(self) -> Any:
         """The contact's age (s)."""
         return jnp.asarray(self.rested)
@@ -132,6 +198,22 @@ class PreslidingHysteresis(TableEffect):
     share: Scalar = quantity("1", "of the bristle that elements replace", default=0.0)
     longest: Scalar = quantity("m", "longest slip distance", above=0.0, default=5e-6)
     shortest: Scalar = quantity("1", "shortest slip distance over the longest", above=0.0, default=0.2)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """Elements and bristle that together push the table away from where it rests."""
+        softness = sum(1.0 / (np.asarray(self.longest) * part) for part in self._spread()) / ELEMENTS
+        for side in ("positive", "negative"):
+            stiffness = getattr(drive.friction.bristle_stiffness, side)
+            guide = getattr(drive.friction.load_coefficient, side) * (drive.friction.initial_load + within.load)
+            held = (getattr(drive.friction.coulomb_screw, side) + guide) * softness
+            total = (1.0 - np.asarray(self.share)) * stiffness + self.share * held
+            if not np.all(total > 0.0):
+                return f"the stiffness before sliding becomes {np.min(total):.3g} N/m: it must stay above 0"
+        return None
+
+    def _spread(self) -> list[Scalar]:
+        """The elements' slip distances over the longest."""
+        return [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
 
     def init(self) -> Any:
         """How far each element is stretched, in units of its slip distance, and the bristle's deflection (m)."""
@@ -187,6 +269,5 @@ class PreslidingHysteresis(TableEffect):
         return (*self._stretched(elements, travel), slide(deflection, travel / period, at.rate, period))
 
     def _stretched(self, elements: Sequence[Scalar], travel: Scalar) -> tuple[Scalar, ...]:
-        spread = [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
-        pairs = zip(elements, spread, strict=True)
+        pairs = zip(elements, self._spread(), strict=True)
         return tuple(jnp.clip(one + travel / (self.longest * part), -1.0, 1.0) for one, part in pairs)

@@ -4,8 +4,9 @@ import dataclasses
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
-from diffdrive.effects.base import Acts, MachineEffect, Seen, TableEffect
+from diffdrive.effects.base import Acts, Envelope, MachineEffect, Seen, TableEffect
 from diffdrive.parameters import Directional, Drive, Scalar, quantity
 
 
@@ -46,6 +47,18 @@ class FrictionShape(MachineEffect, TableEffect):
     coulomb: Scalar = quantity("N", "more Coulomb friction, in both directions", default=0.0)
     viscous: Scalar = quantity("N*s/m", "more viscous friction, in both directions", default=0.0)
     curvature: Scalar = quantity("N*s^2/m^2", "growth of the viscous coefficient with speed", default=0.0)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """Viscous friction that drives the table at the highest speed."""
+        fastest = within.speed or 0.0
+        for side in ("positive", "negative"):
+            drag = getattr(drive.friction.viscous, side) + getattr(drive.plant.damping, side) + self.curvature * fastest
+            if not np.all(np.asarray(drag) >= 0.0):
+                return (
+                    f"with this curvature viscous friction and damping are {np.min(drag):g} N s/m at {fastest:g} m/s: "
+                    "they must not drive the table"
+                )
+        return None
 
     def alter(self, drive: Drive) -> Drive:
         """The drive with its curve bent."""

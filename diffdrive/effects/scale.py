@@ -1,12 +1,29 @@
 """Effects on the measured position."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
-from diffdrive.effects.base import ScaleEffect
-from diffdrive.parameters import Scalar, quantity
+from diffdrive.effects.base import Envelope, ScaleEffect
+from diffdrive.effects.forces import too_many_turns
+from diffdrive.parameters import Drive, Scalar, quantity
 from diffdrive.turning import cosine_sine, doubled
+
+
+def _backwards(linear: Any, height: Any, period: Any, within: Envelope) -> str | None:
+    """Why a scale with a wave of this height (m) cannot be: what it shows must rise where the table moves on."""
+    if not np.any(height > 0.0) and np.all(1.0 + np.asarray(linear) > 0.0):
+        return None
+    if problem := too_many_turns(within.farthest / np.asarray(period), "the way from 0 to the end of the stroke"):
+        return problem
+    slope = 1.0 + np.asarray(linear) - 2.0 * np.pi * height / np.asarray(period)
+    if np.all(slope > 0.0):
+        return None
+    return (
+        f"with it the scale counts {np.min(slope):.3g} m for each metre that the table moves: above 0 it must be "
+        "everywhere; check the units"
+    )
 
 
 class LeadError(ScaleEffect):
@@ -17,6 +34,10 @@ class LeadError(ScaleEffect):
     cosine: Scalar = quantity("m", "amplitude of the cosine", default=0.0)
     sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)
     linear: Scalar = quantity("1", "error per travel", default=0.0)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A scale that counts backwards."""
+        return _backwards(self.linear, np.hypot(self.cosine, self.sine), self.lead, within)
 
     def error(self, position: Scalar) -> Scalar:
         """The pitch error."""
@@ -33,6 +54,11 @@ class InterpolationError(ScaleEffect):
     sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)
     cosine2: Scalar = quantity("m", "amplitude of the cosine of the second harmonic", default=0.0)
     sine2: Scalar = quantity("m", "amplitude of the sine of the second harmonic", default=0.0)
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A scale that counts backwards."""
+        height = np.hypot(self.cosine, self.sine) + 2.0 * np.hypot(self.cosine2, self.sine2)
+        return _backwards(0.0, height, self.period, within)
 
     def error(self, position: Scalar) -> Scalar:
         """The error within a signal period."""

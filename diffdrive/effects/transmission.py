@@ -22,9 +22,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from diffdrive.effects.base import Acts, Place, Seen, TableEffect
+from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
+from diffdrive.effects.forces import too_many_turns
 from diffdrive.effects.oscillator import Oscillator, Swinging, swinging
 from diffdrive.friction import coulomb, resisting_midway, under
 from diffdrive.once import once
@@ -206,6 +208,13 @@ class Transmission(TableEffect):
     @abc.abstractmethod
     def screw(self) -> Screw:
         """What connects them."""
+
+    def problem(self, drive: Drive, within: Envelope) -> str | None:
+        """A screw that swings so often in a substep that its phase is rounding."""
+        if within.period is None:
+            return None
+        substep = within.period / _substeps(within.period)
+        return too_many_turns(np.asarray(self.screw.frequency) * substep, "a substep")
 
     def substeps(self, period: float) -> int:
         """Those of motor and table."""

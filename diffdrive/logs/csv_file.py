@@ -1,5 +1,6 @@
 """Reads CSV and its relatives: any delimiter, decimal comma, a preamble, a unit row, comments, several encodings."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,13 @@ from diffdrive.logs.csv_lines import COMMENTS, Line, beginning, lines_of, sample
 from diffdrive.logs.csv_rows import cells_of, column_of, rows_of, width_of
 from diffdrive.logs.csv_unquoted import SAMPLED, refuse_unquoted
 from diffdrive.logs.table import Table
+from diffdrive.resources import in_bytes, require_memory
+from diffdrive.text_file import decoded, encoding_of
 
+IN_MEMORY = 20.0  # bytes for each of the file, while its cells are texts: measured, a cell of 8 characters takes 57
 _OUTER = " \n\x00"  # what may stand around a text
 _CONTROL = bytes(code for code in range(32) if chr(code) not in "\t\n\r\f\x1a")  # which text does not hold
+_OF_BYTES = ("utf-8", "utf-8-sig")  # encodings in which these are bytes of their own
 _SIGNATURES = {
     b"PAR1": "a Parquet file; name it .parquet",
     b"MATLAB": "a MAT file; name it .mat",
@@ -26,11 +31,26 @@ _SIGNATURES = {
 
 def read_csv(path: Path) -> Table:
     """The columns of a text table; raises `LogError` naming the file, the line and the column."""
-    text = _decoded(path, path.read_bytes())
+    size = path.stat().st_size
+    mend = "cut it into several, or export it as Parquet"
+    require_memory(LogError, f"{path}: reading {in_bytes(size)} of text", IN_MEMORY * size, mend)
+    text = _text(path, path.read_bytes())
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     if not text.strip(" \n\x00"):
         raise LogError(f"{path}: is empty; export the log again")
+    try:
+        return _table(path, text)
+    except csv.Error as problem:  # a cell beyond what the library reads
+        lines = text.split("\n")
+        number = max(range(len(lines)), key=lambda k: len(lines[k]))
+        raise LogError(
+            f"{path}: line {number + 1} has {len(lines[number])} characters, too many for one row of a table "
+            f"({problem}); correct or remove it"
+        ) from None
+
+
+def _table(path: Path, text: str) -> Table:
     lines = sampled(text)
     dialect = dialect_of(lines) if lines else None
     head, start = ([], None) if dialect is None else beginning(text, dialect, SAMPLED)
@@ -76,17 +96,12 @@ def _body(path: Path, text: str, first: Line, dialect: Dialect) -> tuple[np.ndar
     return np.array([number for number, _ in rows]), [column_of(column, dialect) for column in cells], notes
 
 
-def _decoded(path: Path, raw: bytes) -> str:
+def _text(path: Path, raw: bytes) -> str:
     for signature, what in _SIGNATURES.items():
         if raw.startswith(signature):
             raise LogError(f"{path}: is {what}")
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return raw.decode("utf-16", errors="replace")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    if len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
+    text = decoded(raw)
+    if encoding_of(raw) in _OF_BYTES and len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
         raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
     return text
 

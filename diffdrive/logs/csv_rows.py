@@ -9,6 +9,7 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs.csv_dialect import Dialect
+from diffdrive.logs.table import MISSING
 
 
 def rows_of(
@@ -58,5 +59,8 @@ def column_of(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
     plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]
     for kind in () if mixed else (np.int64, np.float64):
         with contextlib.suppress(ValueError, OverflowError):
-            return np.array(plain, dtype=kind)
+            values = np.array(plain, dtype=kind)
+            # infinite is what says so, not what has 400 digits
+            if all(cells[k].strip().casefold() in MISSING for k in np.flatnonzero(np.isinf(values))):
+                return values
     return np.array([cell.strip() for cell in cells], dtype=object)

@@ -10,6 +10,7 @@ from typing import Any
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
+from diffdrive.messages import shown
 from diffdrive.units import to_si
 
 
@@ -37,7 +38,7 @@ class Mapping:
                 if channel not in READABLE:
                     raise LogError(f"[{table}] {channel}: no such channel; {_near(channel, known)}")
                 if not isinstance(text, str) or not text.strip():
-                    raise LogError(f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {text!r}")
+                    raise LogError(f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {shown(text)}")
         for key, electric in FORCE_PER.items():
             gain = getattr(self, key)
             if gain is not None and not (math.isfinite(gain) and gain != 0):
@@ -50,7 +51,7 @@ class Mapping:
                 known = [one for one in READABLE if one != "time"]
                 raise LogError(f"[shifts] {key}: no channel that can be moved; {_near(channel, known)}")
             if isinstance(by, bool) or not isinstance(by, int):
-                raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {by!r}")
+                raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {shown(by)}")
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
         held: dict[str, str] = {}
@@ -110,7 +111,7 @@ def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[s
     """From the tables of a drive file; raises `LogError` naming the key and the mend."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
-            raise LogError(f"[{name}] must be a table, got {table!r}")
+            raise LogError(f"[{name}] must be a table, got {shown(table)}")
     gains = {key: _gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
     plain = {key: unit for key, unit in units.items() if key not in FORCE_PER}
     return Mapping(dict(columns), plain, **gains, shifts=dict(shifts))
@@ -132,7 +133,8 @@ def _gain(key: str, value: Any, where: str) -> float:
     unit = f"N/{FORCE_PER[key]}"
     if isinstance(value, str):
         try:
-            return float(value)
+            if math.isfinite(gain := float(value)):
+                return gain
         except ValueError:
             pass
         try:
@@ -140,8 +142,13 @@ def _gain(key: str, value: Any, where: str) -> float:
         except ValueError as problem:
             raise LogError(f"{where} {key}: {problem}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise LogError(f"{where} {key}: must be a number in {unit}, got {value!r}")
-    return float(value)
+        raise LogError(f"{where} {key}: must be a number in {unit}, got {shown(value)}")
+    try:
+        return float(value)
+    except OverflowError:
+        raise LogError(
+            f"{where} {key}: {shown(value)} is larger than any number that a computer reckons with"
+        ) from None
 
 
 def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:

@@ -15,9 +15,10 @@ from pymatreader import read_mat as read_variables
 
 from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
-from diffdrive.logs.table import Table
+from diffdrive.logs.table import Table, in_words, left_out
 
-Column = tuple[str, np.ndarray, str | None]  # path, values, unit
+Column = tuple[str, np.ndarray | str, str | None]  # path, values or why it has none, unit
+ALONE, TEXT = "holds a single value", "holds text"  # what may stand beside signals
 
 
 def read_mat(path: Path) -> Table:
@@ -33,17 +34,19 @@ def read_mat(path: Path) -> Table:
         ) from None
     held = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
     found = list(_columns("", held))
-    columns = {name: values for name, values, _ in found}
+    columns = {name: values for name, values, _ in found if not isinstance(values, str)}
+    passed_over = {name: values for name, values, _ in found if isinstance(values, str)}
     if not columns:
         raise LogError(
-            f"{path}: holds no arrays of numbers (variables: {', '.join(held) or 'none'}); export signals as arrays or "
-            "as structure with time, not as timeseries or Dataset objects"
+            f"{path}: holds no arrays of numbers ({in_words(passed_over) or 'it is empty'}); export signals as arrays "
+            "or as structure with time, not as timeseries or Dataset objects"
         )
     named = held.get("units")
     units = {name: unit for name, _, unit in found if unit}
     if isinstance(named, dict):
         units |= {name: unit for name, unit in named.items() if name in columns and isinstance(unit, str)}
-    return Table(str(path), columns, units)
+    odd = left_out({name: why for name, why in passed_over.items() if why not in (ALONE, TEXT)})
+    return Table(str(path), columns, units, notes=odd, passed_over=passed_over)
 
 
 def write_mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
@@ -55,6 +58,8 @@ def write_mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str])
 def _columns(path: str, value: Any) -> Iterator[Column]:
     if isinstance(value, dict):
         yield from _structure(path, value)
+    elif isinstance(value, list) and value and all(isinstance(item, str) for item in value):
+        yield path, TEXT, None
     elif isinstance(value, list):
         for k, item in enumerate(value):
             yield from _columns(f"{path}({k + 1})", item)
@@ -104,14 +109,29 @@ def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[str, np.ndarray]]:
+def _why_none(value: Any) -> str | None:
+    """Why a variable is no signal; None where it is one."""
+    if isinstance(value, str) or getattr(getattr(value, "dtype", None), "kind", None) in ("U", "S"):
+        return TEXT
+    if not isinstance(value, np.ndarray):
+        return ALONE if np.isscalar(value) or value is None else f"holds a {type(value).__name__}"
+    if value.dtype.kind == "c" or (value.dtype.names or ())[:1] == ("real",):
+        return "holds complex numbers"
+    if value.dtype.kind not in "fiub":
+        return f"holds {value.dtype.name} in place of numbers"
+    if value.size < 2:
+        return ALONE
+    return f"has {value.ndim} dimensions" if value.ndim > 3 else None
+
+
+def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[str, np.ndarray | str]]:
     """A vector as it is, a matrix column by column, signals in time along its longer side, or the one of `count`.
 
     In an array of three dimensions time is the last one, as Simulink writes matrices.
     """
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.size < 2 or value.ndim > 3:
-        return
-    if value.ndim == 1:
+    if (why := _why_none(value)) is not None:
+        yield path, why
+    elif value.ndim == 1:
         yield path, value
     elif value.ndim == 3:
         for i, j in np.ndindex(value.shape[:2]):

@@ -8,22 +8,29 @@ import pyarrow.parquet as pq
 
 from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
-from diffdrive.logs.table import Table
+from diffdrive.logs.table import Table, left_out
+from diffdrive.resources import counted, require_memory
+
+IN_MEMORY = 24.0  # bytes for each number: as the library reads it, as an array, as a signal
 
 
 def read_parquet(path: Path) -> Table:
     """The columns of a Parquet file, nulls as NaN; raises `LogError` if it is none or cut off."""
     try:
         with pq.ParquetFile(path) as file:
+            cells = file.metadata.num_rows * file.metadata.num_columns
+            mend = "cut it into several, or leave columns out"
+            require_memory(LogError, f"{path}: reading {counted(cells)} numbers", IN_MEMORY * cells, mend)
             table = file.read()
     except (pa.ArrowException, OSError, UnicodeDecodeError) as problem:
         raise LogError(
             f"{path}: cannot be read as Parquet, it is another format or cut off ({_first_line(problem)}); "
             "export or copy it again"
         ) from None
-    columns, units = {}, {}
+    columns, units, passed_over = {}, {}, {}
     for field, column in zip(table.schema, table.columns, strict=True):
         if pa.types.is_nested(field.type):
+            passed_over[field.name] = f"holds a {field.type} in each row"
             continue
         if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
             column = column.cast(pa.int64())
@@ -33,7 +40,7 @@ def read_parquet(path: Path) -> Table:
         columns[field.name] = _array(column)
         if field.metadata and b"unit" in field.metadata:
             units[field.name] = field.metadata[b"unit"].decode()
-    return Table(str(path), columns, units)
+    return Table(str(path), columns, units, notes=left_out(passed_over), passed_over=passed_over)
 
 
 def write_parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:

@@ -13,8 +13,8 @@ from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.stamps import integer_seconds, text_seconds
 from diffdrive.logs.table import Table
+from diffdrive.messages import listed
 
-_LISTED = 30  # columns named in an error
 _EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
 
@@ -56,7 +56,7 @@ def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
         found = _find(free, channel, channel, exact=False)
         if len(found) > 1:
             raise LogError(
-                f"{table.source}: the columns {_listed(found)} may each be the {channel}; say which: [columns] "
+                f"{table.source}: the columns {listed(found)} may each be the {channel}; say which: [columns] "
                 f'{channel} = "{found[0]}", or {_option(channel, found[0])}'
             )
         if found:
@@ -73,8 +73,15 @@ def missing(table: Table, channel: str) -> LogError:
     guess = near[0] if near else "COLUMN"
     return LogError(
         f'{table.source}: no column is called "{channel}"; say which is the {READABLE[channel].meaning}, such as '
-        f'[columns] {channel} = "{guess}" or {_option(channel, guess)}; the file has {_listed(names)}'
+        f'[columns] {channel} = "{guess}" or {_option(channel, guess)}; the file has '
+        f"{listed(names, channel, 'columns')}{_unusable(table, channel)}"
     )
+
+
+def _unusable(table: Table, wanted: str) -> str:
+    """What the file holds of that name, or near it, that is no column, and why."""
+    near = difflib.get_close_matches(wanted, list(table.passed_over), n=1)
+    return f"; '{near[0]}' {table.passed_over[near[0]]}, which is no signal" if near else ""
 
 
 def _option(channel: str, column: str) -> str:
@@ -106,14 +113,14 @@ def _mapped(table: Table, channel: str, column: str) -> str:
         return found[0]
     if found:
         raise LogError(
-            f"{table.source}: [columns] {channel} = '{column}' fits {_listed(found)}; write one of them in full"
+            f"{table.source}: [columns] {channel} = '{column}' fits {listed(found)}; write one of them in full"
         )
     near = difflib.get_close_matches(column, list(table.columns), n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     without = "" if READABLE[channel].required else f"; a log needs no {channel}: leave that line out"
     raise LogError(
         f"{table.source}: [columns] {channel} = '{column}': no such column; {hint}the file has "
-        f"{_listed(list(table.columns))}{without}"
+        f"{listed(list(table.columns), column, 'columns')}{_unusable(table, column)}{without}"
     )
 
 
@@ -171,8 +178,3 @@ def _seconds(table: Table, column: str, to_si: Conversion) -> tuple[np.ndarray, 
     if values.dtype.kind in "iu" and (counted := integer_seconds(values)) is not None:
         return to_si(counted[0]), to_si, [counted[1]]
     return to_si(table.numbers(column)), to_si, []
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
-    return shown + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")

@@ -10,6 +10,7 @@ from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
 from diffdrive.logs.log import CHANNELS, Log
 
+BLOCK = 65_536  # rows that are held as Python's numbers, of four times the size, at a time
 Write = Callable[[Path, dict[str, np.ndarray], dict[str, str]], None]
 
 
@@ -19,7 +20,11 @@ def write_csv(path: Path, columns: dict[str, np.ndarray], units: dict[str, str] 
     with atomic_write(path, "w") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{units[name]}]" if name in units else name for name in columns])
-        writer.writerows(zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True))
+        signals = [np.asarray(values) for values in columns.values()]
+        if len({len(values) for values in signals}) > 1:
+            raise ValueError("columns must be equally long")
+        for begin in range(0, len(signals[0]), BLOCK):
+            writer.writerows(zip(*(values[begin : begin + BLOCK].tolist() for values in signals), strict=True))
 
 
 def _parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:

@@ -21,6 +21,7 @@ from experiments.sweeps.engine import Precision
 from experiments.sweeps.parts import Computed, Engine, Say, here, kept, missing, run
 from experiments.sweeps.plan import Plan
 from experiments.sweeps.replay import SIGNALS, chosen, costs_again, errors_of, machine_of, run_of, traces
+from experiments.sweeps.room import require_room
 from experiments.sweeps.samples import Method
 from experiments.sweeps.summary import ERRORS, Group, first_to_diverge, groups, worst
 from experiments.sweeps.tables import TOLD, Told, announce, influences_of, tell
@@ -41,6 +42,7 @@ def sweep_drive(
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
     plan = asked.plan()
+    require_room(plan, Path(tempfile.gettempdir()) if out is None else out)
     warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:

@@ -14,10 +14,13 @@ import pyarrow as pa
 
 from diffdrive.controllers import Controller
 from diffdrive.drive_file import DriveDescription
+from diffdrive.effects.base import Envelope
+from diffdrive.effects.possible import envelope_of, envelope_within, require_possible
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.load import Ramp
+from diffdrive.load import Ramp, require_resolved
 from diffdrive.motion import Motion, require_within
 from diffdrive.parameters import Drive, require_double_precision
+from diffdrive.resources import require_memory
 from diffdrive.simulate import Costs
 from experiments.edition import edition
 from experiments.runtime import arithmetic
@@ -147,7 +150,29 @@ class Plan:
     def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
         require_ordered(ramp)
+        require_possible(machine, self._envelope)
+        highest = self._highest + ramp.load + np.maximum(ramp.change, 0.0)
+        try:
+            require_resolved(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
+        except MotionError as problem:
+            raise ParameterError(str(problem)) from None
         return machine, ramp
+
+    @cached_property
+    def _highest(self) -> float:
+        """The highest load over time (N), beside what varies of it."""
+        return max((float(np.max(course.load)) for course in self.nominal), default=0.0)
+
+    @cached_property
+    def _envelope(self) -> Envelope:
+        """Within what the machines move: a motion that varies may go wherever the limits let it."""
+        if self._varies("motion"):
+            return envelope_within(self.axis.limits, self.axis.sampling)
+        position, velocity = (
+            np.concatenate([getattr(one, name) for one in self.motions.values()]) for name in ("position", "velocity")
+        )
+        every = envelope_of(position, velocity, np.zeros(1), self.axis.sampling.period)
+        return every._replace(duration=max(one.duration for one in self.motions.values()))
 
     @property
     def nominal(self) -> list[Course]:
@@ -250,7 +275,15 @@ class Plan:
 
     def _at_once(self, motion: str) -> int:
         """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
-        blocks = int(MOST_HELD / (HELD * self._longest[motion] * block(own_courses=True)))
+        of_one = HELD * self._longest[motion] * block(own_courses=True)
+        require_memory(
+            ParameterError,
+            f"{motion}: {block(own_courses=True)} machines side by side, each on its own course of up to "
+            f"{self._longest[motion]} samples,",
+            of_one,
+            "shorten the motion, or lower sampling.rate",
+        )
+        blocks = int(MOST_HELD / of_one)
         return block(own_courses=True) * max(1, min(blocks, len(jax.devices())))
 
     def costs(self, part: int) -> pa.Table:

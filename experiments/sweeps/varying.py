@@ -1,6 +1,5 @@
 """What varies in a sweep from what a user gives: quantities one by one, all of them together, or an identification."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from diffdrive.drive_file import read_drive
 from diffdrive.errors import ParameterError
 from diffdrive.parameters import quantities
+from diffdrive.text_file import read_toml
 from experiments.scenario import number
 from experiments.sweeps.varied import WIDEST, known_quantities
 
@@ -76,14 +76,12 @@ def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
 
 def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
     """What an identification left open: its file uncertainty.toml."""
+    told = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
     try:
-        told = tomllib.loads(path.read_text(encoding="utf-8"))
         vary = [f"{name}={text}" for name, text in told["vary"].items()]
         together = told.get("correlation", {})
         return vary, {one: {other: float(value) for other, value in of.items()} for one, of in together.items()}
-    except FileNotFoundError:
-        raise ParameterError(f"{path}: no such file; `diffdrive identify --out FOLDER` writes it") from None
-    except (OSError, KeyError, AttributeError, TypeError, ValueError) as problem:
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as problem:
         raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
 
 

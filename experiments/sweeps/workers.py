@@ -16,11 +16,13 @@ from concurrent.futures.process import BrokenProcessPool
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
+from diffdrive.resources import require_memory
 from experiments.runtime import configure, cores, keep_compiled, with_accelerator
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Computed, Engine, Say
 from experiments.sweeps.plan import Plan
 
+WORKER = 3e8  # bytes of a process that has done nothing yet, jax and the package in it
 AHEAD = 2  # parts for each worker, one that it runs and the next: what is done waits in memory to be written
 MOST_LOSSES = 3  # of workers in a row without a part done, as many as Dask allows
 
@@ -49,8 +51,10 @@ def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Tab
 def on_workers(asked: Asked, workers: int) -> Engine:
     """An engine for `parts.run`: so many processes of this machine, which share its cores.
 
-    A part whose worker is killed is run again. Raises `ParameterError` where workers are killed again and again.
+    A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, and where
+    workers are killed again and again.
     """
+    require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER * workers, "give fewer")
 
     def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
         run = functools.partial(run_part, to_text(asked), plan.question(), max(1, cores() // workers))

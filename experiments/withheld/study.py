@@ -12,6 +12,7 @@ from typing import Any
 from diffdrive.atomic_write import atomic_write
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
+from diffdrive.resources import counted, require_disk, require_memory
 from experiments.report import Report
 from experiments.withheld import again
 from experiments.withheld.answer import machines, unanswered
@@ -28,8 +29,15 @@ SHOWN = (
     "shrinks_of_oracle", "oracle_asked", "interval_coverage", "intervals_told", "declared_at_once", "most_declared",
     "declared_clear_of_few",
 )  # fmt: skip
+CASE, PROCESS = 2e5, 2e9  # bytes at least: of a case's logs on the disk, and of a process that diagnoses
 ANSWERING = ("-m", "experiments.withheld.answer")
 CODE = Path(__file__).resolve().parents[2]
+
+
+def require_workers(workers: int) -> None:
+    """Raise `ParameterError` for more processes than fit into memory."""
+    request = f"--workers {counted(workers)}: as many processes"
+    require_memory(ParameterError, request, PROCESS * (workers - 1), "give fewer")
 
 
 def withheld(
@@ -41,6 +49,9 @@ def withheld(
     answers are there.
     """
     on = axes_named(axes)
+    require_workers(workers)
+    above = next(one for one in (out, *out.resolve().parents) if one.is_dir())
+    require_disk(ParameterError, f"--cases {counted(count)}: their logs", above, CASE * float(count), "give fewer")
     with Report(f"withheld-effect check: {count} machines of {', '.join(axes)}, seed {seed}", out) as report:
         cases, parts = out / "cases", out / "key_parts"
         with report.stages() as progress:
@@ -52,6 +63,7 @@ def withheld(
 
 def examined(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
     """The same on machines that are there, such as a bench's: a folder for each, and the key to all."""
+    require_workers(workers)
     told = _checked_key(cases, key)
     with Report(f"withheld-effect check: {cases.name}", out) as report:
         _ask(report, cases, out / "answers", workers)

@@ -1,0 +1,52 @@
+"""What stands in messages of what a user gave: on one line, of bounded length, and without what a terminal obeys."""
+
+import difflib
+import reprlib
+import unicodedata
+from collections.abc import Collection
+from typing import Any
+
+MOST_LISTED = 30  # names; of more, the nearest ones say more than the first
+NEAREST = 5
+LONGEST = 60  # characters of one name or value
+
+_REPR = reprlib.Repr(maxlevel=3, maxlist=6, maxdict=4, maxstring=LONGEST, maxlong=40, maxother=LONGEST)
+
+
+def printable(text: str) -> str:
+    """The text with its control characters written out: colours, cursor moves, line ends, changes of direction.
+
+    A message that quotes a file must stay one line, and the file must not draw on the terminal. Tabs stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or not _is_control(one) else _written_out(one) for one in text)
+
+
+def _is_control(character: str) -> bool:
+    return character != "\t" and unicodedata.category(character) in ("Cc", "Cf", "Cs", "Zl", "Zp")
+
+
+def _written_out(character: str) -> str:
+    return character.encode("unicode_escape").decode()
+
+
+def shown(value: Any) -> str:
+    """`repr` of a value, shortened: a list of a thousand lists, or a number of 400 digits, is known by its ends."""
+    return shortened(_REPR.repr(value), 2 * LONGEST)
+
+
+def shortened(text: str, longest: int = LONGEST) -> str:
+    """A text with its middle left out where it is long."""
+    return text if len(text) <= longest else f"{text[: longest - 20]}...{text[-17:]}"
+
+
+def listed(names: Collection[str], wanted: str = "", what: str = "names") -> str:
+    """Names in quotes, all of them where they are few; of many how many there are, and those near `wanted`."""
+    if len(names) <= MOST_LISTED:
+        return ", ".join(f"'{shortened(name)}'" for name in names)
+    near = difflib.get_close_matches(wanted, names, n=NEAREST)
+    if near:
+        return f"{len(names)} {what}; near '{shortened(wanted)}' are {listed(near)}"
+    first = [name for name, _ in zip(names, range(2 * NEAREST), strict=False)]
+    return f"{len(names)} {what}, {listed(first)} and {len(names) - len(first)} more"
