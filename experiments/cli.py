@@ -1,7 +1,6 @@
 """The `diffdrive` command."""
 
 import math
-import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -26,10 +25,9 @@ from experiments.cli_options import (
 )  # fmt: skip
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
+from experiments.ending import INTERRUPTED, leave, out_of, watched
 from experiments.runtime import configure, keep_compiled
 from experiments.whole import FULL
-
-INTERRUPTED = 130
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -338,13 +336,23 @@ app.add_typer(studies)
 
 def main() -> None:
     """Run the command line: expected errors in one line, without a traceback, and code 2."""
-    from diffdrive.errors import DiffdriveError
-
     configure()
     keep_compiled()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it loses no more than by Ctrl-C
     error = Console(stderr=True, highlight=False)
     warnings.showwarning = _plain_warning(error)
+    with watched(out_of(sys.argv[1:])) as watch:
+        try:
+            _expected(error)
+        except SystemExit as ended:
+            if ended.code == INTERRUPTED:  # which typer makes of a Ctrl-C; other threads may go on computing
+                leave(watch.last_words("and what was written so far stays"))
+            raise
+
+
+def _expected(error: Console) -> None:
+    """The command line; what may be expected to fail in one line."""
+    from diffdrive.errors import DiffdriveError
+
     try:
         app()
     except DiffdriveError as problem:
@@ -359,7 +367,3 @@ def main() -> None:
             markup=False, style="red", soft_wrap=True,
         )  # fmt: skip
         sys.exit(2)
-    except SystemExit as ended:
-        if ended.code == INTERRUPTED:  # which typer makes of a Ctrl-C
-            error.print("interrupted; what was written so far stays", style="yellow")
-        raise
