@@ -1,0 +1,51 @@
+"""Finished parts of a command's computation, in a folder, from which the same command continues when it was stopped."""
+
+import shutil
+import threading
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from experiments.edition import edition
+from experiments.runtime import arithmetic
+from experiments.whole import whole
+from tuning.kept import Arrays, digest
+
+
+class KeptParts:
+    """A `Store` in a folder: one file of arrays a part, written as a whole, read back to the last bit.
+
+    A part is found again by the same edition of the code on the same kind of processor alone: others round otherwise.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.found = 0  # parts that were there
+        self._of = digest(edition(), arithmetic())
+        self._writes = threading.Lock()
+
+    def _path(self, key: str) -> Path:
+        return self.folder / f"{digest(self._of, key)}.npz"
+
+    def read(self, key: str) -> Arrays | None:
+        """The part of that key; None where there is none, or it is damaged."""
+        try:
+            with self._path(key).open("rb") as file:
+                part = dict(np.load(file, allow_pickle=False))
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            return None
+        self.found += 1
+        return part
+
+    def write(self, key: str, piece: Arrays) -> None:
+        """Keep a part."""
+        path = self._path(key)
+        with self._writes:  # two threads may have had the same question
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with whole(path) as half, half.open("wb") as file:
+                np.savez(file, **piece)
+
+    def remove(self) -> None:
+        """Remove all parts, once what they are parts of is written."""
+        shutil.rmtree(self.folder, ignore_errors=True)
