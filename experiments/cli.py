@@ -344,7 +344,8 @@ def main() -> None:
         try:
             _expected(error)
         except SystemExit as ended:
-            if ended.code == INTERRUPTED:  # which typer makes of a Ctrl-C; other threads may go on computing
+            # typer makes that code of a Ctrl-C, and a search ends on it with its best; threads may go on computing
+            if ended.code == INTERRUPTED or (watch.came is not None and not ended.code):
                 leave(watch.last_words("and what was written so far stays"))
             raise
 

@@ -71,7 +71,7 @@ def diagnose_logs(
     description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = read(report, paths, description, loads)
-        parts = None if out is None else KeptParts(out / PARTS)
+        parts = KeptParts.within(out, PARTS)
         with report.stages() as progress:
             found = diagnosed(
                 description, logs, fatal,

@@ -68,7 +68,7 @@ def identify_drive(
         logs = checked(paths, name="findings")
         others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
         _inverse_dynamics(report, logs, others)
-        parts = None if out is None else KeptParts(out / PARTS)
+        parts = KeptParts.within(out, PARTS)
         with (
             report.progress("searching", 1) as advance,
             at_next_step(advance, report.say) as progress,

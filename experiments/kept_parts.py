@@ -25,6 +25,11 @@ class KeptParts:
         self._of = digest(edition(), arithmetic())
         self._writes = threading.Lock()
 
+    @classmethod
+    def within(cls, out: Path | None, name: str) -> "KeptParts | None":
+        """Those of that name in a command's folder; None without a folder."""
+        return None if out is None else cls(out / name)
+
     def _path(self, key: str) -> Path:
         return self.folder / f"{digest(self._of, key)}.npz"
 
