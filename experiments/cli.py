@@ -228,7 +228,8 @@ def identify(
     The logs are looked over first, and one with a fatal finding (volts for newtons, a shifted command) is refused.
     Writes identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter
     that the logs do not determine is named and stays as believed. Structure that the model leaves is said, and is no
-    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far.
+    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far. Stopped or
+    killed, the same command with the same --out continues where it was.
 
     Example: `diffdrive identify lap1.csv lap2.csv --drive drive.toml --unit command=V --held-out lap3.csv --out found`
     """
@@ -274,7 +275,8 @@ def diagnose(
     the gap is judged on held-out data: with several logs the last that the others can spare. Writes diagnosis.json,
     report.html (one page, self-contained), figures, and augmented.toml: the drive with what was found, for `simulate`,
     `tune` and `sweep`. No log is refused for what it shows, but a fatal finding in one (volts for newtons, a shifted
-    command) leaves no confidence above 0.5, and in a command with a reversed sign no cause is looked for.
+    command) leaves no confidence above 0.5, and in a command with a reversed sign no cause is looked for. Stopped or
+    killed, the same command with the same --out continues where it was and ends with the same numbers.
 
     Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
     """
