@@ -24,6 +24,11 @@ FIRST, SECOND = 11.0, 2.5
 TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
 LAST_WORDS = 1.0  # s, that a blocked pipe may hold up the end
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
+# what commands continue from: diagnose, identify, real-axes, tune, sweep, recovery, withheld
+CONTINUED = (
+    "diagnosis.parts", "identification.parts", "real-axes.parts", "tuning.checkpoint.json", "parts", "draws.jsonl",
+    "answers",
+)  # fmt: skip
 SWALLOWED = 0  # on the wake-up socket, beside the numbers of signals
 SHOW_CURSOR = b"\x1b[?25h"
 
@@ -125,17 +130,23 @@ def out_of(arguments: Sequence[str]) -> Path | None:
 
 
 def left_in(out: Path | None, since: float) -> str:
-    """What a folder holds that was written after `since` (s, as `time.time` has it); unfinished files are hidden."""
-    found = []
+    """What a folder holds that was written after `since` (s, as `time.time` has it), and what can be continued from.
+
+    Unfinished files are hidden, and no part of it.
+    """
+    written, continued = [], []
     with contextlib.suppress(OSError), os.scandir(out or os.devnull) as entries:
         for one in sorted(entries, key=lambda entry: entry.name):
             if one.name.startswith("."):
                 continue
+            if one.name in CONTINUED:
+                continued.append(one.name)
             if one.is_file() and one.stat().st_mtime >= since:
-                found.append(one.name)
+                written.append(one.name)
             elif one.is_dir() and (count := _files_in(one.path, since)):
-                found.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
-    return f"{out} holds, of this run: {', '.join(found)}" if found else "it had written nothing"
+                written.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
+    says = f"{out} holds, of this run: {', '.join(written)}" if written else "it had written nothing"
+    return says + (f"; the same command continues from {', '.join(continued)}" if continued else "")
 
 
 def _files_in(folder: str, since: float) -> int:

@@ -99,7 +99,9 @@ def test_what_is_left_is_of_this_run(tmp_path):
         (tmp_path / name).touch()
     for name in ("old.csv", "parts/old"):
         os.utime(tmp_path / name, (1.0, 1.0))
-    assert left_in(tmp_path, 10.0) == f"{tmp_path} holds, of this run: new.csv, parts (1 file)"
+    assert left_in(tmp_path, 10.0) == (
+        f"{tmp_path} holds, of this run: new.csv, parts (1 file); the same command continues from parts"
+    )
     assert left_in(tmp_path / "none", 10.0) == left_in(None, 10.0) == "it had written nothing"
 
 

@@ -11,7 +11,10 @@ from sound_log import DRIVE
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.parameters import Sampling
+from experiments import diagnose, identify, real_axes, tune
+from experiments.ending import CONTINUED
 from experiments.kept_parts import KeptParts
+from experiments.sweeps import command as sweep
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
@@ -38,6 +41,11 @@ def test_a_part_is_read_as_it_was_written_and_a_damaged_one_is_none(tmp_path):
     assert parts.read("one") is None
     parts.remove()
     assert not (tmp_path / "parts").exists()
+
+
+def test_what_commands_continue_from_is_said_when_they_are_interrupted():
+    names = (diagnose.PARTS, identify.PARTS, real_axes.PARTS, tune.CHECKPOINT, sweep.PARTS)
+    assert set(names) < set(CONTINUED)
 
 
 def test_a_digest_tells_apart_whatever_differs():
