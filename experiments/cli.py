@@ -228,8 +228,8 @@ def identify(
     The logs are looked over first, and one with a fatal finding (volts for newtons, a shifted command) is refused.
     Writes identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter
     that the logs do not determine is named and stays as believed. Structure that the model leaves is said, and is no
-    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far. Stopped or
-    killed, the same command with the same --out continues where it was.
+    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far. Stopped
+    or killed, the same command with the same --out continues where it was.
 
     Example: `diffdrive identify lap1.csv lap2.csv --drive drive.toml --unit command=V --held-out lap3.csv --out found`
     """
