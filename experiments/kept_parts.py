@@ -23,7 +23,7 @@ class KeptParts:
         self.folder = folder
         self.found = 0  # parts that were there
         self._of = digest(edition(), arithmetic())
-        self._writes = threading.Lock()
+        self._lock = threading.Lock()
 
     @classmethod
     def within(cls, out: Path | None, name: str) -> "KeptParts | None":
@@ -40,13 +40,14 @@ class KeptParts:
                 part = dict(np.load(file, allow_pickle=False))
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return None
-        self.found += 1
+        with self._lock:
+            self.found += 1
         return part
 
     def write(self, key: str, piece: Arrays) -> None:
         """Keep a part."""
         path = self._path(key)
-        with self._writes:  # two threads may have had the same question
+        with self._lock:  # two threads may have had the same question
             self.folder.mkdir(parents=True, exist_ok=True)
             with whole(path) as half, half.open("wb") as file:
                 np.savez(file, **piece)
