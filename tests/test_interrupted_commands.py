@@ -95,7 +95,7 @@ def commands(tmp_path_factory):
     write_log(here / "sines.parquet", logged(DRIVE, two_sines(1.0)))
     write_drive(here / "sines.toml", DRIVE)
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.2s"
-    sweep = ("sweep", here / "sines.toml", "--spread", "3%", "--samples", 8192, "--motion", motion)
+    sweep = ("sweep", here / "sines.toml", "--spread", "3%", "--samples", 8192, "--motion", motion, "--settle", 0.05)
     texts = {
         "tune": ("tune", here / "tuned.toml", *QUICK),
         "identify": ("identify", here / "lap.csv", "--drive", here / "drive.toml", *QUESTION),
