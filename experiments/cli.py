@@ -25,7 +25,7 @@ from experiments.cli_options import (
 )  # fmt: skip
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
-from experiments.ending import INTERRUPTED, leave, out_of, watched
+from experiments.ending import INTERRUPTED, out_of, watched
 from experiments.runtime import configure, keep_compiled
 from experiments.whole import FULL
 
@@ -348,7 +348,7 @@ def main() -> None:
         except SystemExit as ended:
             # typer makes that code of a Ctrl-C, and a search ends on it with its best; threads may go on computing
             if ended.code == INTERRUPTED or (watch.came is not None and not ended.code):
-                leave(watch.last_words("and what was written so far stays"))
+                watch.leave("and what was written so far stays")
             raise
 
 

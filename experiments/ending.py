@@ -7,6 +7,7 @@ which the C handler writes at once, and ends the process where the main thread d
 
 import _thread
 import contextlib
+import math
 import os
 import select
 import signal
@@ -14,15 +15,15 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 INTERRUPTED = 130
 # s: a command ends within 15 s of the first signal and 5 s of the second; what is left is for a busy machine to end it
 FIRST, SECOND = 11.0, 2.5
 TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
-LAST_WORDS = 1.0  # s, that a blocked pipe may hold up the end
+LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the three steps of the end
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
 # what commands continue from: diagnose, identify, real-axes, tune, sweep, recovery, withheld
 CONTINUED = (
@@ -81,7 +82,7 @@ class Watch:
         while True:
             left = None if ends is None else max(0.0, ends - time.monotonic())
             if not select.select([self._here], [], [], left)[0]:
-                leave(self.last_words("stopped at once"))
+                self.leave("stopped at once")
             received = self._here.recv(64)
             if not received:
                 self._here.close()
@@ -103,9 +104,17 @@ class Watch:
         self.own += 1
         _thread.interrupt_main(signal.SIGINT)
 
-    def last_words(self, how: str) -> str:
-        """One line about what is left of an interrupted command."""
-        return f"interrupted, {how}; {left_in(self.out, self.began)}"
+    def leave(self, how: str) -> NoReturn:
+        """End the process here and now, its other threads with it, after one line about what is left."""
+
+        def last_words() -> None:
+            if os.isatty(1):
+                os.write(1, SHOW_CURSOR)  # which a progress bar hides
+            os.write(2, f"\ninterrupted, {how}; {left_in(self.out, self.began)}\n".encode())
+
+        for step in (sys.stdout.flush, sys.stderr.flush, last_words):
+            _within(LAST_WORDS, step)
+        os._exit(INTERRUPTED)
 
 
 @contextlib.contextmanager
@@ -135,38 +144,44 @@ def left_in(out: Path | None, since: float) -> str:
     Unfinished files are hidden, and no part of it.
     """
     written, continued = [], []
-    with contextlib.suppress(OSError), os.scandir(out or os.devnull) as entries:
-        for one in sorted(entries, key=lambda entry: entry.name):
-            if one.name.startswith("."):
-                continue
-            if one.name in CONTINUED:
-                continued.append(one.name)
-            if one.is_file() and one.stat().st_mtime >= since:
-                written.append(one.name)
-            elif one.is_dir() and (count := _files_in(one.path, since)):
-                written.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
+    for one in _visible(out):
+        if one.name in CONTINUED:
+            continued.append(one.name)
+        count = sum(_time(path) >= since for path in _files_in(one))
+        if one.is_dir() and count:
+            written.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
+        elif count:
+            written.append(one.name)
     says = f"{out} holds, of this run: {', '.join(written)}" if written else "it had written nothing"
     return says + (f"; the same command continues from {', '.join(continued)}" if continued else "")
 
 
-def _files_in(folder: str, since: float) -> int:
-    walked = ((here, name) for here, _, names in os.walk(folder) for name in names if not name.startswith("."))
-    return sum(os.stat(os.path.join(here, name)).st_mtime >= since for here, name in walked)
+def _visible(out: Path | None) -> list[Path]:
+    with contextlib.suppress(OSError):
+        return sorted(one for one in (out or Path(os.devnull)).iterdir() if not one.name.startswith("."))
+    return []
 
 
-def leave(words: str) -> None:
-    """End the process here and now, its other threads with it, after `words` on standard error."""
+def _files_in(place: Path) -> list[Path]:
+    if not place.is_dir():
+        return [place]
+    return [Path(here) / name for here, _, names in os.walk(place) for name in names if not name.startswith(".")]
 
-    def say() -> None:
+
+def _time(path: Path) -> float:
+    """When it was written (s); never, where it is gone meanwhile."""
+    with contextlib.suppress(OSError):
+        return path.stat().st_mtime
+    return -math.inf
+
+
+def _within(seconds: float, step: Callable[[], object]) -> None:
+    """Run a step in a thread that nobody waits for longer: a reader that does not read must not keep the process."""
+
+    def run() -> None:
         with contextlib.suppress(OSError, ValueError):
-            if os.isatty(1):
-                os.write(1, SHOW_CURSOR)  # which a progress bar hides
-            os.write(2, f"\n{words}\n".encode())
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                stream.flush()
+            step()
 
-    saying = threading.Thread(target=say, daemon=True)  # a reader that does not read must not keep it
-    saying.start()
-    saying.join(LAST_WORDS)
-    os._exit(INTERRUPTED)
+    running = threading.Thread(target=run, daemon=True)
+    running.start()
+    running.join(seconds)

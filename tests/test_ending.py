@@ -53,6 +53,21 @@ def test_what_stays_in_compiled_code_is_ended_and_says_what_is_there(tmp_path, w
     assert seconds < 3.0
 
 
+def test_a_reader_that_does_not_read_keeps_nothing_alive(tmp_path):
+    """The pipe is full, and the main thread waits in the midst of a write."""
+    program = "ending.FIRST = 0.2\nwhile True: sys.stdout.write('x' * 4096)"
+    with subprocess.Popen(
+        [sys.executable, "-c", BEGIN + program, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
+        assert process.stdout.readline() == b"begun\n"
+        time.sleep(0.3)
+        process.send_signal(signal.SIGTERM)
+        try:
+            assert process.wait(10.0)
+        finally:
+            process.kill()
+
+
 def test_a_second_signal_ends_it_sooner(tmp_path):
     code, said, seconds = ended("ending.FIRST = 60.0; computes()", tmp_path, signal.SIGTERM, signal.SIGTERM)
     assert code == 130
