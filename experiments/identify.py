@@ -84,6 +84,8 @@ def identify_drive(
             _write(report, replace(description, drive=found.drive))
             write_uncertainty(report.out, found)
         _words(report, found)
+        if interrupted(found.search) and parts is not None and parts.folder.exists():
+            report.say(f"The same command continues the search from {PARTS}.")
         if unstated := unstated_noise(description.drive, found.noise):
             report.say(unstated)
         if found.search.status == "converged":

@@ -296,6 +296,7 @@ def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3_and
     written = json.loads((out / "result.json").read_text())
     assert written["search"]["status"].startswith("interrupted")
     assert any("did not converge" in said for said in written["notes"])
+    assert "The same command continues the search from identification.parts." in written["notes"]
     assert (out / "identified.toml").is_file()
     monkeypatch.undo()
     again = run(*command)
