@@ -154,7 +154,10 @@ def searched(
     else:
         values = {name: one if name == "y" else one.tolist() for name, one in kept.items()}
         search = Search(**values)
-        progress(search.steps, most, search.cost)
+        try:
+            progress(search.steps, most, search.cost)
+        except KeyboardInterrupt:  # as in the search itself
+            search = dataclasses.replace(search, status=f"interrupted after {search.steps} steps")
     predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
