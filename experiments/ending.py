@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 
 INTERRUPTED = 130
 # s: a command ends within 15 s of the first signal and 5 s of the second; what is left is for a busy machine to end it
-FIRST, SECOND = 11.0, 2.5
+FIRST, SECOND = 11.0, 1.5
 TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
 LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the three steps of the end
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
