@@ -8,6 +8,7 @@ which the C handler writes at once, and ends the process where the main thread d
 import _thread
 import contextlib
 import math
+import multiprocessing
 import os
 import select
 import signal
@@ -23,7 +24,7 @@ INTERRUPTED = 130
 # s: a command ends within 15 s of the first signal and 5 s of the second; what is left is for a busy machine to end it
 FIRST, SECOND = 11.0, 1.5
 TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
-LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the three steps of the end
+LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the four steps of the end
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
 # what commands continue from: diagnose, identify, real-axes, tune, sweep, recovery, withheld
 CONTINUED = (
@@ -112,7 +113,7 @@ class Watch:
                 os.write(1, SHOW_CURSOR)  # which a progress bar hides
             os.write(2, f"\ninterrupted, {how}; {left_in(self.out, self.began)}\n".encode())
 
-        for step in (sys.stdout.flush, sys.stderr.flush, last_words):
+        for step in (end_children, sys.stdout.flush, sys.stderr.flush, last_words):
             _within(LAST_WORDS, step)
         os._exit(INTERRUPTED)
 
@@ -175,11 +176,17 @@ def _time(path: Path) -> float:
     return -math.inf
 
 
+def end_children() -> None:
+    """End the processes that this one has begun: they see too late that it is gone while they still import."""
+    for one in multiprocessing.active_children():
+        one.kill()
+
+
 def _within(seconds: float, step: Callable[[], object]) -> None:
     """Run a step in a thread that nobody waits for longer: a reader that does not read must not keep the process."""
 
     def run() -> None:
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, RuntimeError):
             step()
 
     running = threading.Thread(target=run, daemon=True)

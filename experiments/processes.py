@@ -8,6 +8,8 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 
+from experiments.ending import end_children
+
 
 @contextlib.contextmanager
 def processes(count: int, initializer: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
@@ -37,10 +39,11 @@ def _begin(initializer: Callable[[], None] | None) -> None:
 
 
 def ends_with(wait: Callable[[], object]) -> None:
-    """End this process, whatever it computes, once `wait` has returned."""
+    """End this process and those that it has begun, whatever they compute, once `wait` has returned."""
 
     def watch() -> None:
         wait()
+        end_children()
         os._exit(1)
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
