@@ -1,7 +1,6 @@
 """The `diffdrive` command."""
 
 import math
-import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -31,9 +30,8 @@ from experiments.cli_options import (
 )  # fmt: skip
 from experiments.cli_studies import studies
 from experiments.cli_sweeps import sweeps
+from experiments.ending import INTERRUPTED, out_of, watched
 from experiments.runtime import configure, keep_compiled
-
-INTERRUPTED = 130
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -250,7 +248,8 @@ def identify(
     The logs are looked over first, and one with a fatal finding (volts for newtons, a shifted command) is refused.
     Writes identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter
     that the logs do not determine is named and stays as believed. Structure that the model leaves is said, and is no
-    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far.
+    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far. Stopped
+    or killed, the same command with the same --out continues where it was.
 
     Example: `diffdrive identify lap1.csv lap2.csv --drive drive.toml --unit command=V --held-out lap3.csv --out found`
     """
@@ -297,7 +296,8 @@ def diagnose(
     the gap is judged on held-out data: with several logs the last that the others can spare. Writes diagnosis.json,
     report.html (one page, self-contained), figures, and augmented.toml: the drive with what was found, for `simulate`,
     `tune` and `sweep`. No log is refused for what it shows, but a fatal finding in one (volts for newtons, a shifted
-    command) leaves no confidence above 0.5, and in a command with a reversed sign no cause is looked for.
+    command) leaves no confidence above 0.5, and in a command with a reversed sign no cause is looked for. Stopped or
+    killed, the same command with the same --out continues where it was and ends with the same numbers.
 
     Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
     """
@@ -360,13 +360,24 @@ app.add_typer(studies)
 
 def main() -> None:
     """Run the command line: expected errors in one line, without a traceback, and code 2."""
-    from diffdrive.errors import DiffdriveError
-
     configure()
     keep_compiled()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it loses no more than by Ctrl-C
     error = Console(stderr=True, markup=False, emoji=False, highlight=False)
     warnings.showwarning = _plain_warning(error)
+    with watched(out_of(sys.argv[1:])) as watch:
+        try:
+            _expected(error)
+        except SystemExit as ended:
+            # typer makes that code of a Ctrl-C, and a search ends on it with its best; threads may go on computing
+            if ended.code == INTERRUPTED or (watch.came is not None and not ended.code):
+                watch.leave("and what was written so far stays")
+            raise
+
+
+def _expected(error: Console) -> None:
+    """The command line; what may be expected to fail in one line."""
+    from diffdrive.errors import DiffdriveError
+
     try:
         app()
     except DiffdriveError as problem:
@@ -381,7 +392,3 @@ def main() -> None:
             style="red", soft_wrap=True,
         )  # fmt: skip
         sys.exit(2)
-    except SystemExit as ended:
-        if ended.code == INTERRUPTED:  # which typer makes of a Ctrl-C
-            error.print("interrupted; what was written so far stays", style="yellow")
-        raise

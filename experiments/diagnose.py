@@ -23,6 +23,7 @@ from experiments.checked_logs import described, fatal_of, looked_over, parse_loa
 from experiments.diagnose_figures import draw
 from experiments.diagnose_page import page, tell
 from experiments.diagnosis_json import as_json
+from experiments.kept_parts import KeptParts
 from experiments.payoff import in_words, payoff
 from experiments.report import Report, null, plain
 from experiments.scale_noise import unstated_noise
@@ -36,6 +37,7 @@ from tuning.diagnosis.verdict import UNSURE, Belief
 
 SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
 NEXT = "next_reference.csv"
+PARTS = "diagnosis.parts"  # finished searches, from which the same command continues
 NOT_ALWAYS = ("augmented.toml", NEXT, "causes.csv", "causes.png", "payoff.csv")
 NOT_YET = Experiment("", [], 0.0, "not looked for: the command was stopped before")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
@@ -70,11 +72,14 @@ def diagnose_logs(
     description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         logs, findings, fatal = read(report, paths, description, loads)
+        parts = KeptParts.within(out, PARTS)
         with report.stages() as progress:
             found = diagnosed(
                 description, logs, fatal,
-                without=without, tolerance=tolerance, most_effects=most_effects, progress=progress,
+                without=without, tolerance=tolerance, most_effects=most_effects, store=parts, progress=progress,
             )  # fmt: skip
+        if parts is not None and parts.found:
+            report.console.print(f"{parts.found} finished parts of an interrupted diagnosis were used.")
         beside = {
             "logs": [log.name for log in logs], "findings": findings, "searched": not _voided(fatal),
             "scale_noise": "" if _voided(fatal) else unstated_noise(description.drive, float(found.logged.noise)),
@@ -99,6 +104,8 @@ def diagnose_logs(
                 heaviest = max((float(np.max(log.load)) for log in logs if log.load is not None), default=0.0)
                 told["payoff"] = _pay(report, told, description, augmented, heaviest)
                 _save(report, told, augmented)  # again: what was found is not lost where the tuning is interrupted
+    if parts is not None:
+        parts.remove()
     return told
 
 

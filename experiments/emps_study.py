@@ -21,6 +21,8 @@ from tuning.curves import stribeck_curves
 from tuning.estimates import Estimate
 from tuning.identification import Identified, identify
 from tuning.inverse_dynamics import BENCHMARK_BORDERS
+from tuning.kept import Store
+from tuning.refinement import interrupted
 from tuning.replay import ClosedLoop, closed_loop, open_loop
 
 PUBLISHED, IDENTIFIED, FITTED = "published", "prediction error", "closed-loop fit"
@@ -69,10 +71,14 @@ def emps_study(report: Report, folder: Path | None) -> None:
     _friction_figure(report, drives, log)
 
 
-def identify_axis(report: Report, records: Records, starts: int = 6) -> Identified:
+def identify_axis(report: Report, records: Records, starts: int = 6, store: Store | None = None) -> Identified:
     """Identification by prediction error from the estimation file alone, starting from the published parameters."""
     with report.progress("identifying the real axis (EMPS)", 1) as advance:
-        found = identify([records["estimation"].log], emps.reference_drive(), starts=starts, progress=advance)
+        found = identify(
+            [records["estimation"].log], emps.reference_drive(), starts=starts, store=store, progress=advance
+        )
+    if interrupted(found.search):
+        raise KeyboardInterrupt  # what follows would be of half a search
     report.values("emps_search", status=found.status, steps=found.search.steps, simulations=found.simulations)
     return found
 

@@ -17,6 +17,7 @@ from experiments.checked_logs import described, parse_loads, read_checked
 from experiments.gaps import gap_table
 from experiments.identify_figures import draw
 from experiments.interruption import at_next_step
+from experiments.kept_parts import KeptParts
 from experiments.left_open import write_uncertainty
 from experiments.report import Report
 from experiments.scale_noise import unstated_noise
@@ -26,8 +27,10 @@ from tuning.identification import Identified, identify
 from tuning.inverse_dynamics import SLOWEST
 from tuning.next_motion import proposals
 from tuning.ranges import BOUNDABLE, NAMES
+from tuning.refinement import interrupted
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
+PARTS = "identification.parts"  # finished searches, from which the same command continues
 DIGITS = 6  # intervals may be narrow
 
 
@@ -65,18 +68,24 @@ def identify_drive(
         logs = checked(paths, name="findings")
         others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
         _inverse_dynamics(report, logs, others)
+        parts = KeptParts.within(out, PARTS)
         with (
             report.progress("searching", 1) as advance,
             at_next_step(advance, report.say) as progress,
         ):
             found = identify(
-                logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, progress=progress
-            )
+                logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, store=parts,
+                progress=progress,
+            )  # fmt: skip
+        if parts is not None and parts.found:
+            report.console.print(f"{parts.found} finished searches of an interrupted identification were used.")
         _estimates(report, found)
         if report.out is not None:
             _write(report, replace(description, drive=found.drive))
             write_uncertainty(report.out, found)
         _words(report, found)
+        if interrupted(found.search) and parts is not None and parts.folder.exists():
+            report.say(f"The same command continues the search from {PARTS}.")
         if unstated := unstated_noise(description.drive, found.noise):
             report.say(unstated)
         if found.search.status == "converged":
@@ -85,6 +94,8 @@ def identify_drive(
         if report.out is not None:
             with report.working("drawing"):
                 draw(report, found, description.drive, logs)
+    if parts is not None and not interrupted(found.search):
+        parts.remove()
     return found.search.status == "converged"
 
 

@@ -40,6 +40,8 @@ def payoff(
         quiet = Report(f"tuned on the {name} drive", _below(report, f"tuned-{name}"), Console(quiet=True))
         with report.working(f"tuning on the {name} drive"), quiet:
             tuned, kept = tune_drive(description, quiet, plan=plan)
+        if tuned.status.startswith("interrupted"):
+            raise KeyboardInterrupt  # half a tuning pays nothing
         gains.append(tuned.controller)
         accepted.append(kept)
     scenarios = held_out(augmented, plan)

@@ -22,12 +22,14 @@ from experiments.cause_words import numbers
 from experiments.diagnose import augmented_drive
 from experiments.diagnosis_json import cause
 from experiments.emps_study import Records, identify_axis
+from experiments.kept_parts import KeptParts
 from experiments.report import Report
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.registration import registered
 from tuning.inverse_dynamics import DYNAMICS
 
+PARTS = "real-axes.parts"  # finished searches, from which the same command continues
 TRUSTED = 0.02  # tolerance of a published model's parameters
 IDENTIFIED = 0.005  # of a drive that was identified from the same log
 GUESSED = 0.2  # of one whose friction below sliding nobody knows
@@ -112,18 +114,23 @@ def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = 
             report.say(f"{name}: left out, its data are not there")
         else:
             study(report, folder)
+    if parts := KeptParts.within(report.out, PARTS):
+        parts.remove()
 
 
 def _diagnosed(
     report: Report, drive: Drive, controller: Controller, log: Log, most: int, tolerance: float
 ) -> Diagnosis:
+    parts = KeptParts.within(report.out, PARTS)
     with report.stages() as progress:
-        return diagnose(drive, controller, [log], tolerance=tolerance, most_effects=most, progress=progress)
+        return diagnose(
+            drive, controller, [log], tolerance=tolerance, most_effects=most, store=parts, progress=progress
+        )
 
 
 def _emps(report: Report, folder: Path, wanted_terms: Sequence[str]) -> None:
     records = emps.read_all(folder)
-    drive = identify_axis(report, records).drive
+    drive = identify_axis(report, records, store=KeptParts.within(report.out, PARTS)).drive
     controller = emps.controller(records["estimation"])
     cases = {term: case for term, case in terms(drive).items() if term in wanted_terms or not wanted_terms}
     if cases:

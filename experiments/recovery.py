@@ -6,10 +6,9 @@ Draws are kept line by line as they come; an interrupted study goes on where it 
 """
 
 import json
-import multiprocessing
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from diffdrive.load import ramp
 from diffdrive.parameters import Drive
 from diffdrive.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.resources import counted, require_memory
+from experiments.processes import processes
 from experiments.report import Report, new_figure
 from experiments.runtime import configure, cores
 
@@ -97,8 +97,7 @@ def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
     left = sorted(set(range(count)) - {one["draw"] for one in kept})
     if not left:
         return
-    # spawned, not forked: a forked JAX hangs
-    with ProcessPoolExecutor(min(workers, len(left)), multiprocessing.get_context("spawn")) as pool:
+    with processes(min(workers, len(left))) as pool:
         for done in as_completed([pool.submit(draw, number) for number in left]):
             one = done.result()
             kept.append(one)

@@ -80,6 +80,8 @@ def tune_drive(
             max_steps=max_steps, checkpoint=checkpoint, progress=progress,
         )  # fmt: skip
     _result(report, tuned)
+    if tuned.status.startswith("interrupted") and checkpoint is not None and checkpoint.exists():
+        report.say(f"The same command continues the search from {CHECKPOINT}.")
     margins = _margins_table(report, description, tuned.controller, plan)
     _loop_figures(report, description, tuned.controller, plan, limits)
     runs = _verify(report, description.controller, tuned.controller, on, off, description.sampling)

@@ -218,7 +218,7 @@ def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, 
     asked, costs = [], one.cost - np.cumsum(gains)
     ahead = iter(costs)
 
-    def evolved(before, model, index, u, seed):
+    def evolved(store, before, model, index, u, seed):
         asked.append((index, seed))
         return {name: 1.1 * value for name, value in model.values(u)[index].items()}, np.array([1.0, 1.0])
 
@@ -226,7 +226,7 @@ def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, 
         def fit(self, model, u, process, course):
             return one._replace(u=u, cost=next(ahead))
 
-    monkeypatch.setattr(leading, "evolved", evolved)
+    monkeypatch.setattr(leading, "evolved_once", evolved)
     again = leading.searched_again(Fits(fitter.logged), base, one)
     assert asked == [(0, seed) for seed in range(1, 1 + searches)]
     assert again.cost == min(costs)

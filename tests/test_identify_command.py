@@ -15,7 +15,7 @@ from diffdrive.drive_file import read_drive, write_drive
 from diffdrive.errors import LogError, MotionError, ParameterError
 from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
-from experiments import emps
+from experiments import emps, interruption
 from experiments.checked_logs import read_checked
 from experiments.cli import app
 from experiments.excitation import joined, resting, strokes
@@ -26,6 +26,7 @@ from experiments.sweeps.machines import machines
 from experiments.sweeps.samples import correlated, root_of, shares
 from experiments.sweeps.varied import parse_varied
 from experiments.sweeps.varying import varying
+from tuning.identification import COARSE_STEPS
 
 TRUE = described()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
@@ -265,7 +266,8 @@ def test_force_goes_on_over_a_fatal_finding_and_says_so(in_volts, capsys):
     assert "FORCED over fatal findings" in capsys.readouterr().out
 
 
-def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once():
+def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkeypatch):
+    monkeypatch.setattr(interruption, "TOGETHER", 0.0)
     steps, said = [], []
     handler = signal.getsignal(signal.SIGINT)
     with at_next_step(lambda *step: steps.append(step), said.append) as progress:
@@ -276,33 +278,46 @@ def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert [step[0] for step in steps] == [1, 2]
-    assert "best so far is kept" in said[0]
+    assert "best so far is written" in said[0]
     assert signal.getsignal(signal.SIGINT) is handler
 
 
-def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3(folder, monkeypatch, tmp_path):
+def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3_and_continues(
+    identified, folder, monkeypatch, tmp_path
+):
     def interrupted(self, what, total):
         return _interrupting()
 
     monkeypatch.setattr(Report, "progress", interrupted)
     out = tmp_path / "out"
-    result = run(folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--out", out)
+    command = (folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--out", out)
+    result = run(*command)
     assert result.exit_code == 3
     written = json.loads((out / "result.json").read_text())
     assert written["search"]["status"].startswith("interrupted")
     assert any("did not converge" in said for said in written["notes"])
+    assert "The same command continues the search from identification.parts." in written["notes"]
     assert (out / "identified.toml").is_file()
+    monkeypatch.undo()
+    again = run(*command)
+    assert again.exit_code == 0
+    assert "1 finished searches of an interrupted identification were used" in again.output
+    continued = json.loads((out / "result.json").read_text())
+    for name in ("search", "accuracy", "adequacy", "starts"):
+        assert continued[name] == identified[2][name]
+    assert records(continued) == records(identified[2])
+    assert not (out / "identification.parts").exists()
 
 
 class _interrupting:  # noqa: N801
-    """A progress bar whose user has Ctrl-C pressed by the second step."""
+    """A progress bar whose user presses Ctrl-C once the starts are done."""
 
     def __enter__(self):
         self.steps = 0
 
         def advance(*_):
             self.steps += 1
-            if self.steps == 2:
+            if self.steps == COARSE_STEPS + 1:
                 signal.raise_signal(signal.SIGINT)
 
         return advance

@@ -1,7 +1,10 @@
 """Progress of a job that no terminal watches."""
 
 import io
+import threading
+import time
 
+import pytest
 from rich.console import Console
 
 from experiments.report import Report
@@ -18,3 +21,16 @@ def test_a_job_without_a_terminal_sees_each_stage_begin_and_end_each_time():
     lines = [line.partition(",")[0] for line in written.getvalue().splitlines()[1:]]
     screening, fitting = ["screening: 0 of 3", "screening: 3 of 3"], ["fitting: 0 of 2", "fitting: 2 of 2"]
     assert lines == screening + fitting + screening + screening
+
+
+def test_an_interrupt_does_not_wait_for_what_runs():
+    running, began = threading.Event(), time.monotonic()
+
+    def interrupted(done):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        in_parallel(lambda item: item and running.wait(60.0), (0, 1, 2, 3), interrupted)
+    assert time.monotonic() - began < 10.0
+    running.set()

@@ -18,7 +18,7 @@ def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
     stubs = {"identify_axis": SimpleNamespace(drive=real_axes.emps.reference_drive()), "force_error": 5.0}
     stubs |= {"_scaled": None, "_diagnosed": nothing, "registered": None, "augmented_drive": None}
     for name, value in stubs.items():
-        monkeypatch.setattr(real_axes, name, lambda *_, value=value: value)
+        monkeypatch.setattr(real_axes, name, lambda *_, value=value, **__: value)
     monkeypatch.setattr(real_axes.emps, "find_folder", lambda: "here")
     monkeypatch.setattr(real_axes.emps, "read_all", lambda _: {"estimation": record, "pulses": record})
     monkeypatch.setattr(real_axes.emps, "controller", lambda _: None)

@@ -88,7 +88,7 @@ def drawn(monkeypatch):
         return made_up(number, row("mass"))
 
     monkeypatch.setattr(recovery, "draw", draw)
-    monkeypatch.setattr(recovery, "ProcessPoolExecutor", lambda workers, _: ThreadPoolExecutor(workers))
+    monkeypatch.setattr(recovery, "processes", ThreadPoolExecutor)
     return computed
 
 

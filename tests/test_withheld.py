@@ -166,7 +166,7 @@ def test_whoever_asks_no_more_leaves_no_process_behind(tmp_path):
 SPY = """
 import json, pathlib, sys
 from experiments.withheld.answer import question
-cases, answers, workers, without = sys.argv[1:]
+cases, answers, workers, without, _ = sys.argv[1:]
 left_out = json.loads(pathlib.Path(without).read_text())
 here = pathlib.Path.cwd()
 seen = sorted(str(one.relative_to(here)) for one in here.rglob("*") if one.is_file())
@@ -203,7 +203,7 @@ def test_the_answering_process_is_given_machines_and_no_key(spied):
     assert (card["cases"], card["false_alarms"]) == (2, 0.0)
     told = json.loads((out / "answers" / "1" / "diagnosis.json").read_text())
     assert told["seen"] == ["cases/1/drive.toml", "cases/1/log-a.parquet", "without.json"]
-    assert told["argv"] == ["cases", "answers", "1", "without.json"]
+    assert told["argv"] == ["cases", "answers", "1", "without.json", "attended"]
     assert (told["links"], told["without"]) == ([], None)
     above = [Path(told["cwd"]), *Path(told["cwd"]).parents]
     assert not {out, bench, spied} & set(above)

@@ -21,6 +21,7 @@ from diffdrive.resources import counted, require_memory
 from tuning.adequacy import Adequacy, adequacy
 from tuning.estimates import Estimate, estimates
 from tuning.fit import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampling_of
+from tuning.kept import Store, digest
 from tuning.least_squares import Progress, Search, many_starts, silent
 from tuning.question import ask
 from tuning.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
@@ -74,27 +75,29 @@ def identify(
     bounded: Mapping[str, tuple[float, float]] | None = None,
     starts: int = 6,
     seed: int = 0,
+    store: Store | None = None,
     progress: Progress = silent,
 ) -> Identified:
     """Identify `drive` from `logs` of one machine (all at one rate), starting from what it says.
 
     `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
-    in the logs where they differ. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
+    in the logs where they differ. Finished searches are kept in the `store`, and taken from there when the
+    identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
     """
     require_double_precision()
     check_drive(drive)
     question = ask(logs, drive, fixed, bounded or {})
     problem, free, rate = question.problem, question.free, question.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
-    y, costs, stopped = _many_starts(coarse, problem, starts, seed, progress)
+    y, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
     progress = _stop if stopped else progress
-    wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress)
+    wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress, store)
     lost = _undetermined(wide)
     fit = wide
     if lost and not interrupted(wide.search):
-        fit = refined(*narrowed(wide, lost), question.noise, progress)
+        fit = refined(*narrowed(wide, lost), question.noise, progress, store)
     if not interrupted(fit.search):
-        fit = sharpened(fit, question.noise, progress)
+        fit = sharpened(fit, question.noise, progress, store)
     found, remark = _drive(fit)
     missing = missing_force(fit)
     table, scatter = estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked)
@@ -128,16 +131,23 @@ def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray,
 
 
 def _many_starts(
-    coarse: Innovations, problem: Problem, starts: int, seed: int, progress: Progress
+    coarse: Innovations, problem: Problem, starts: int, seed: int, progress: Progress, store: Store | None
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
     """The best of several coarse searches, their costs, and whether they were interrupted.
 
     The first starts where the problem says, the others around it.
     """
     points = scattered(coarse.free, starts, seed)
+    key = "" if store is None else digest("starts", coarse, problem, points)
+    kept = None if store is None else store.read(key)
+    if kept is not None:
+        return kept["y"], kept["costs"], False
     points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
     found, costs, stopped = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
-    return found[int(np.argmin(costs))], costs, stopped
+    best = found[int(np.argmin(costs))]
+    if store is not None and not stopped:
+        store.write(key, {"y": best, "costs": costs})
+    return best, costs, stopped
 
 
 def _stop(*_: object) -> None:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from diffdrive.parameters import Drive, as_arrays
 from tuning.filtering import PROCESSES, Likeliest, likeliest, track
 from tuning.fit import FINEST_SUBSTEP, Innovations, Problem, sampling_of
+from tuning.kept import Store, digest
 from tuning.least_squares import Progress, Search, levenberg_marquardt
 from tuning.prediction import Predicted
 from tuning.uncertainty import Covariance, sandwich
@@ -43,21 +44,24 @@ class Fit(NamedTuple):
     steps: int = 0
 
 
-def refined(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float, progress: Progress) -> Fit:
+def refined(
+    fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float, progress: Progress,
+    store: Store | None = None,
+) -> Fit:  # fmt: skip
     """Search and filter in turn, until neither changes the other.
 
     The first search goes by the constant gains that the problem comes with, which forgive a rough start. Far from the
     truth the filter blames the model and forgives it too much, which makes the next search timid. So each search trusts
     the model `BOLDNESS` times more than the filter would, as long as that makes the log likelier.
     """
-    rough = searched(fine, y, problem, progress, ROUGHLY, ROUGH_STEPS)
+    rough = searched(fine, y, problem, progress, ROUGHLY, ROUGH_STEPS, store)
     if interrupted(rough.search):
         return rough._replace(process=float(PROCESSES[-1]), steps=rough.search.steps)
-    fit = _alternated(fine, rough.search.y, problem, noise, progress, ROUGHLY)
+    fit = _alternated(fine, rough.search.y, problem, noise, progress, ROUGHLY, store)
     return fit._replace(steps=rough.search.steps + fit.steps)
 
 
-def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
+def sharpened(fit: Fit, noise: float, progress: Progress, store: Store | None = None) -> Fit:
     """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
 
     The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
@@ -66,7 +70,7 @@ def sharpened(fit: Fit, noise: float, progress: Progress) -> Fit:
     if fit.process > INTEGRATOR_ERROR:
         return fit
     finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
-    sharp = _alternated(finest, fit.search.y, fit.problem, noise, progress, EXACTLY)
+    sharp = _alternated(finest, fit.search.y, fit.problem, noise, progress, EXACTLY, store)
     left = (sharp.search.y - fit.search.y) / 15.0
     covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
     return sharp._replace(covariance=covariance, steps=fit.steps + sharp.steps)
@@ -79,6 +83,7 @@ def _alternated(
     noise: float,
     progress: Progress,
     enough: float,
+    store: Store | None,
 ) -> Fit:
     """Searches under the filter's gains and gains at the search's end, as long as the log becomes likelier."""
     best, kept, steps, boldness = _filtered(fine, y, problem, noise), None, 0, BOLDNESS
@@ -88,7 +93,7 @@ def _alternated(
         if process != best.process:
             gains = track(*_machine(fine, y, problem), process, noise, problem.lanes, fine.sampling).gains
         given = problem._replace(gains=jax.tree.map(np.asarray, gains))
-        fit = searched(fine, y, given, progress, enough)
+        fit = searched(fine, y, given, progress, enough, store=store)
         then, steps = _filtered(fine, fit.search.y, problem, noise), steps + fit.search.steps
         likelier = then.deviance < best.deviance - LIKELIER
         if likelier:
@@ -134,10 +139,25 @@ def searched(
     progress: Progress,
     enough: float,
     most: int = MOST_STEPS,
+    store: Store | None = None,
 ) -> Fit:
-    """One search under given gains."""
+    """One search under given gains; a finished one is kept in the `store`, or taken from there."""
     given = as_arrays(problem)
-    search = levenberg_marquardt(fine, y, given, max_steps=most, tolerance=TOLERANCE, enough=enough, progress=progress)
+    key = "" if store is None else digest("searched", fine, y, problem, enough, most)
+    kept = None if store is None else store.read(key)
+    if kept is None:
+        search = levenberg_marquardt(
+            fine, y, given, max_steps=most, tolerance=TOLERANCE, enough=enough, progress=progress
+        )
+        if store is not None and not interrupted(search):
+            store.write(key, {name: np.asarray(one) for name, one in dataclasses.asdict(search).items()})
+    else:
+        values = {name: one if name == "y" else one.tolist() for name, one in kept.items()}
+        search = Search(**values)
+        try:
+            progress(search.steps, most, search.cost)
+        except KeyboardInterrupt:  # as in the search itself
+            search = dataclasses.replace(search, status=f"interrupted after {search.steps} steps")
     predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))

@@ -3,20 +3,15 @@
 They talk with the one that started them by pipes that nobody else has: no port is opened, and no secret is needed.
 """
 
-import contextlib
 import functools
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
 from diffdrive.resources import require_memory
+from experiments.processes import processes
 from experiments.runtime import configure, cores, keep_compiled, with_accelerator
 from experiments.sweeps.asked import Asked, from_text, to_text
 from experiments.sweeps.parts import Computed, Engine, Say
@@ -79,7 +74,7 @@ def on_workers(asked: Asked, workers: int) -> Engine:
 
 def _computed(run: "functools.partial[pa.Table]", wanted: list[int], workers: int) -> Computed:
     """The parts as they are done, in processes that end with this."""
-    with _pool(min(workers, len(wanted))) as pool:
+    with processes(min(workers, len(wanted))) as pool:
         left, running = iter(list(wanted)), dict[Future[pa.Table], int]()
         while True:
             for part in left:
@@ -90,32 +85,3 @@ def _computed(run: "functools.partial[pa.Table]", wanted: list[int], workers: in
                 return
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(done), done.result()
-
-
-@contextlib.contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that are spawned, since a forked JAX hangs, and that are ended at once: a part may take minutes."""
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), initializer=_begin)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        ours = set(multiprocessing.active_children()) - others
-        for process in ours:
-            process.terminate()
-        for process in ours:
-            process.join()
-
-
-def _begin() -> None:
-    """In a worker: an interrupt is for the process that started it, and without that one it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)

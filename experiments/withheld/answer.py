@@ -1,19 +1,20 @@
 """The diagnosis of every case in a folder, in processes of their own that know neither key nor seed.
 
-    python -m experiments.withheld.answer FOLDER OUT WORKERS [WITHOUT.json]
+    python -m experiments.withheld.answer FOLDER OUT WORKERS [WITHOUT.json [attended]]
 
 Cases that have an answer to just this question are left alone, so that an interrupted run goes on. The optional file
-names the cases that are wanted, and for each the effects that are not to be considered.
+names the cases that are wanted, and for each the effects that are not to be considered. An attended process ends when
+its standard input does.
 """
 
 import hashlib
 import json
-import multiprocessing
+import os
 import signal
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,14 @@ from experiments.checked_logs import looked_over
 from experiments.diagnose import diagnosed, read
 from experiments.diagnosis_json import as_json
 from experiments.edition import edition
+from experiments.processes import ends_with, processes
 from experiments.report import Report
 from experiments.runtime import configure, keep_compiled
 from tuning.diagnosis.diagnose import rounded
 from tuning.diagnosis.next_experiment import Experiment
 
 UNASKED = Experiment("", [], 0.0, "not asked")
+ATTENDED = "attended"
 TOGETHER = 10  # cases that a process is given at once, at most
 
 Question = tuple[Path, Path, tuple[str, ...]]  # the case, where its answer goes, the effects left out
@@ -153,21 +156,17 @@ def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]
 
 
 def _ask(questions: Sequence[Question], workers: int) -> None:
-    """Ask each; the processes are spawned, since a forked JAX hangs."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_begin) as pool:
-        try:
-            for one in as_completed([pool.submit(_answer, some) for some in _alike(questions)]):
-                one.result()
-        except BaseException:  # whoever asked is gone, or wants no more: leave no process behind
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
+    """Ask each."""
+    with processes(workers, _begin) as pool:
+        for one in as_completed([pool.submit(_answer, some) for some in _alike(questions)]):
+            one.result()
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    for one in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(one, lambda number, _: sys.exit(128 + number))
     folder, out, workers, *more = sys.argv[1:]
+    if more[1:] == [ATTENDED]:
+        ends_with(lambda: os.read(0, 1))  # of what the process that asks holds open
     named = json.loads(Path(more[0]).read_text(encoding="utf-8")) if more else None
     main(Path(folder), Path(out), int(workers), named)

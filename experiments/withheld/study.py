@@ -15,7 +15,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.resources import counted, require_disk, require_memory
 from experiments.report import Report
 from experiments.withheld import again
-from experiments.withheld.answer import machines, unanswered
+from experiments.withheld.answer import ATTENDED, machines, unanswered
 from experiments.withheld.axes import axes_named
 from experiments.withheld.generate import generate, write_key
 from experiments.withheld.score import read_answers, read_key, score
@@ -95,10 +95,11 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
             for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
                 shutil.copyfile(path, room / "cases" / place.name / path.name)
         (room / "without.json").write_text(json.dumps(without), encoding="utf-8")
-        command = [sys.executable, *ANSWERING, "cases", "answers", str(workers), "without.json"]
+        command = [sys.executable, *ANSWERING, "cases", "answers", str(workers), "without.json", ATTENDED]
         paths = os.pathsep.join([str(CODE), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = os.environ | {"PYTHONPATH": paths}
-        with subprocess.Popen(command, cwd=room, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen(command, cwd=room, env=environment, text=True, **pipes) as process:
             assert process.stdout is not None
             try:
                 for line in process.stdout:

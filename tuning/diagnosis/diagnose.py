@@ -40,6 +40,7 @@ from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.fit import SHORTEST, lanes_of, noise_floor, sampling_of
+from tuning.kept import Store
 from tuning.prediction import Lanes
 from tuning.replay import long_pieces
 
@@ -129,21 +130,23 @@ def diagnose(
     without: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     most_effects: int = MOST_EFFECTS,
+    store: Store | None = None,
     progress: Progress = lambda what, done, most: None,
 ) -> Diagnosis:
     """Find what a drive lacks to move as its logs do.
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
     nominal parameter; `most_effects` is how many are looked for, one after the other. Effects that the drive has stay
-    as they are. Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no
-    filter can run and for effects that the catalogue has not.
+    as they are. Finished searches are kept in the `store`, and taken from there when the diagnosis is begun again.
+    Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no filter can run and
+    for effects that the catalogue has not.
     """
     logged = logged_of(drive, logs)
     unknown = [name for name in without if name not in EFFECTS]
     if unknown:
         raise ParameterError(f"no effect {', '.join(unknown)} in the catalogue: {', '.join(EFFECTS)}")
     effects = [counted_in(one, logged.thinning) for one in drive.effects]
-    fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning))
+    fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning), store)
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     lacks = shortcomings(logged, at)
     progress("recalibrating", 0, 1)

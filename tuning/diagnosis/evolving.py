@@ -25,6 +25,7 @@ from tuning.diagnosis.following import Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
 from tuning.evolution import Budget, evolve
+from tuning.kept import Store, digest
 from tuning.prediction import Lanes, begin_velocity
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
@@ -33,6 +34,7 @@ SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 6  # at first, in all; members per 
 AT_ONCE = 12  # members that are filtered at once: more would not stay in cache
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
+PROCESSES = " processes"  # beside the names of parameters
 WHITE = 3.0  # times that in a period: a blow that is a little early or late is forgiven
 
 
@@ -95,6 +97,22 @@ def _deviances(
         return deviance_of(innovation, scatter, stretches.lanes.counts)[0]
 
     return lax.map(lambda each: one(*each), (coupled, push, process), batch_size=AT_ONCE)
+
+
+def evolved_once(
+    store: Store | None, fitted: Fitted, model: Model, index: int, u: Vector, seed: int | None = None
+) -> tuple[dict[str, Vector], np.ndarray]:
+    """`evolved`, kept in the store or taken from there."""
+    if store is None:
+        return evolved(fitted, model, index, u, seed)
+    key = digest("evolved", fitted.model, fitted.u, fitted.drive, fitted.track, model, index, u, seed)
+    kept = store.read(key)
+    if kept is None:
+        values, processes = evolved(fitted, model, index, u, seed)
+        store.write(key, values | {PROCESSES: processes})
+        return values, processes
+    processes = kept.pop(PROCESSES)
+    return kept, processes
 
 
 def evolved(

@@ -31,6 +31,7 @@ from tuning.diagnosis.model import (
     machine_slopes,
 )
 from tuning.diagnosis.second_encoder import Twist, foreseen, unlikelihood
+from tuning.kept import Store, digest
 
 LEAST, MOST = 1e-3, 1e3  # N, of process force
 USUAL = 5.8e-6  # kg m, mass times noise, down to which that least hides in the noise: 100 kg behind a scale of 0.1 um
@@ -122,8 +123,9 @@ class Point(NamedTuple):
 class Fitter:
     """Fits hypotheses about the same logs."""
 
-    def __init__(self, logged: Logged, twist: Twist | None = None) -> None:
-        self.logged, self.twist = logged, twist
+    def __init__(self, logged: Logged, twist: Twist | None = None, store: Store | None = None) -> None:
+        """With a `store`, finished searches are kept there, and those that it has are not searched again."""
+        self.logged, self.twist, self.store = logged, twist, store
         self.counts = np.asarray(logged.lanes.counts)
         self.given = (logged.noise, logged.lanes, logged.sampling)
         fine = float(logged.drive.plant.mass) * float(logged.noise) / USUAL
@@ -250,6 +252,21 @@ class Fitter:
     ) -> tuple[Point, int]:
         """Where `fit` ends, and after how many steps: at the least, and on from there if quite another noise gains."""
         free = np.ones(model.size) if free is None else free
+        if self.store is None:
+            return self._searched(model, u, process, course, most, free)
+        key = digest("sought", self.logged, model, u, process, course, most, free)
+        kept = self.store.read(key)
+        if kept is not None:
+            along = Course(*(jnp.asarray(kept[name]) for name in Course._fields))
+            return self.at(model, kept["u"], kept["process"], along), int(kept["steps"])
+        point, steps = self._searched(model, u, process, course, most, free)
+        ended = {"u": point.u, "process": point.process, "steps": np.array(steps)}
+        self.store.write(key, ended | {name: np.asarray(one) for name, one in point.course._asdict().items()})
+        return point, steps
+
+    def _searched(
+        self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector
+    ) -> tuple[Point, int]:
         point = self.at(model, u, BEGIN if process is None else process, course)
         if process is None:
             point = self.with_process(point, model, self.first)

@@ -55,7 +55,7 @@ def known_floor(rungs: list[Rung], rung: Rung) -> float | None:
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
     lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))
     twist = fitter.twist and fitter.twist._replace(counts=fitter.twist.counts * (np.asarray(counts) > 0))
-    return Fitter(fitter.logged._replace(lanes=lanes), twist)
+    return Fitter(fitter.logged._replace(lanes=lanes), twist, fitter.store)
 
 
 def _at_control(fitter: Fitter, counts: Float[np.ndarray, "lanes n"], log: int) -> Float[np.ndarray, "pieces n"]:

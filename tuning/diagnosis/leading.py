@@ -6,7 +6,7 @@ import numpy as np
 
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
-from tuning.diagnosis.evolving import evolved
+from tuning.diagnosis.evolving import evolved_once
 from tuning.diagnosis.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
 from tuning.diagnosis.harmonics import at_its_root
 from tuning.diagnosis.leftover import SLIGHT, WORTH, disbelieved
@@ -148,7 +148,7 @@ def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
     its = one.model.of_member(index)
     for seed in range(1, 1 + SEARCHES):
         u = one.u.copy()
-        values, processes = evolved(before, one.model, index, u, seed)
+        values, processes = evolved_once(fitter.store, before, one.model, index, u, seed)
         u[its] = begin(one.model, values, index)
         there = fitter.with_process(
             fitter.at(one.model, u, one.process, one.track.course),

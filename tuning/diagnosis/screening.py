@@ -19,7 +19,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_acts
-from tuning.diagnosis.evolving import evolved
+from tuning.diagnosis.evolving import evolved_once
 from tuning.diagnosis.fitting import Fitted, Fitter, Point, answered
 from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import (
@@ -34,12 +34,15 @@ from tuning.diagnosis.model import (
     stacked,
 )
 from tuning.diagnosis.priors import Parameter
+from tuning.kept import Arrays
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, whose way is made, and that are tried under other process forces too
 LIKELY, BETWEEN = 2, 8  # points of a grid about which it is refined, and how many are tried there
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
+SCREENED = ("gain", "evidence", "rest", "aside", "processes")  # in the order of `Screened`
+VALUE = "value "  # before the name of a parameter
 DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
 
 
@@ -56,6 +59,19 @@ class Screened(NamedTuple):
     rest: Vector  # u of all that was free before, moved along
     aside: Vector  # and moved no further than to make way
     processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
+
+
+def written_screened(found: Screened) -> Arrays:
+    """As a `Store` keeps it."""
+    fields = {name: np.asarray(getattr(found, name)) for name in SCREENED}
+    return fields | {f"{VALUE}{name}": np.asarray(value) for name, value in found.values.items()}
+
+
+def read_screened(candidate: Candidate, piece: Arrays) -> Screened:
+    """What `written_screened` was given."""
+    values = {name.removeprefix(VALUE): value for name, value in piece.items() if name.startswith(VALUE)}
+    gain, evidence, *others = (piece[name] for name in SCREENED)
+    return Screened(candidate, float(gain), float(evidence), values, *others)
 
 
 def _directions(
@@ -154,7 +170,7 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     points, processes = looked_for(fitted, candidate), fitted.process * TRIED
     if candidate.searched:
         last = len(model.members) - 1
-        best, process = evolved(fitted, model, last, np.r_[before, begin(model, {})])
+        best, process = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
         points, processes = [best], np.vstack([processes, process])
 
     def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:

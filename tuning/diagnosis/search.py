@@ -19,8 +19,9 @@ from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
 from tuning.diagnosis.leading import allowance, at_nominal, led_on, on, possible, renamed, searched_again, simpler
 from tuning.diagnosis.leftover import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH, meant, relieves, strain
 from tuning.diagnosis.model import Logged, Member, Model, Vector
-from tuning.diagnosis.screening import Screened, begin, joined, screen, tried
+from tuning.diagnosis.screening import Screened, begin, joined, read_screened, screen, tried, written_screened
 from tuning.diagnosis.threads import in_parallel
+from tuning.kept import digest
 
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect
@@ -79,9 +80,21 @@ def recalibrated(fitter: Fitter, tolerance: float, members: tuple[Member, ...] =
 
 
 def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
-    if any(one.amplitude for one in candidate.parameters):
-        return screen(before, candidate)
-    return tried(fitter, before, candidate)
+    def found() -> Screened:
+        if any(one.amplitude for one in candidate.parameters):
+            return screen(before, candidate)
+        return tried(fitter, before, candidate)
+
+    if fitter.store is None:
+        return found()
+    at = (before.model, before.u, before.process, before.track, before.acting)
+    key = digest("screened", fitter.logged, at, candidate)
+    kept = fitter.store.read(key)
+    if kept is not None:
+        return read_screened(candidate, kept)
+    screened = found()
+    fitter.store.write(key, written_screened(screened))
+    return screened
 
 
 def fit_from(

@@ -15,12 +15,16 @@ def in_parallel(
 ) -> list[B]:
     """The function of each item, in their order; `say` is told how many are done, none at first.
 
-    Give what takes longest first.
+    Give what takes longest first. Where one fails, or on Ctrl-C, those that have not begun are left out, and those that
+    run are not waited for: that may take minutes.
     """
     found: list[B] = []
     say(0)
-    with ThreadPoolExecutor(THREADS) as pool:
+    pool = ThreadPoolExecutor(THREADS)
+    try:
         for one in pool.map(function, items):
             found.append(one)
             say(len(found))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # all are done where nothing was raised
     return found

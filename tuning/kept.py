@@ -1,0 +1,62 @@
+"""Finished pieces of a long computation, found again by a digest of all that they follow from.
+
+The computation repeats itself to the last bit. So one that was stopped and is begun again, and finds its dear pieces
+finished, ends with the same numbers as one that was not stopped, and no piece is ever mistaken for another's.
+"""
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+Arrays = dict[str, np.ndarray]
+
+
+class Store(Protocol):
+    """Where pieces are kept, each under its key; threads use it side by side."""
+
+    def read(self, key: str) -> Arrays | None:
+        """The piece of that key, to the last bit; None where there is none."""
+
+    def write(self, key: str, piece: Arrays) -> None:
+        """Keep a piece."""
+
+
+def digest(*inputs: Any) -> str:
+    """A digest of every number, name and setting in `inputs`. Raises `TypeError` for what it cannot tell apart."""
+    found = hashlib.blake2b(digest_size=20)
+    _feed(found.update, inputs)
+    return found.hexdigest()
+
+
+def _feed(update: Callable[[bytes], None], value: Any) -> None:
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        array = np.asarray(value)
+        update(f"{array.dtype.str}{array.shape}".encode())
+        update(np.ascontiguousarray(array).data if array.size else b"")
+    elif value is None or isinstance(value, bool | int | float | str):
+        update(f"{type(value).__name__} {value!r};".encode())
+    elif isinstance(value, type):
+        update(f"type {value.__module__}.{value.__qualname__};".encode())
+    elif isinstance(value, tuple | list):
+        update(f"{type(value).__qualname__} {len(value)};".encode())
+        for one in value:
+            _feed(update, one)
+    elif isinstance(value, dict):
+        update(f"dict {len(value)};".encode())
+        for item in value.items():
+            _feed(update, item)
+    elif dataclasses.is_dataclass(value):
+        fields = tuple((one.name, getattr(value, one.name)) for one in dataclasses.fields(value))
+        _feed(update, (type(value), fields))
+    elif isinstance(value, np.ufunc):
+        update(f"ufunc {value.__name__};".encode())
+    elif callable(value) and hasattr(value, "__code__") and not value.__closure__:
+        code = value.__code__
+        update(f"function {value.__module__}.{value.__qualname__} {code.co_consts!r} {code.co_names!r};".encode())
+        update(code.co_code)
+    else:
+        raise TypeError(f"no digest of a {type(value).__qualname__}")
