@@ -154,15 +154,12 @@ def machine(found: Dynamics | None, description: DriveDescription, rivals: tuple
     """Mass and friction that the log asks for, where they are not those of the drive file."""
     if found is None or not found.changed:
         return
-    drive = description.drive
-    friction = drive.friction
-    screw, guide, pressed = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)
-    nominal = (
-        float(screw.positive) + float(guide.positive) * pressed,
-        float(screw.negative) + float(guide.negative) * pressed,
-    )
+    if found.one_sided:
+        yield _constant(found, description)
+        return
+    nominal = nominal_friction(description)
     asked = [
-        _value("a mass of", found.mass, float(drive.plant.mass), "kg"),
+        _value("a mass of", found.mass, float(description.drive.plant.mass), "kg"),
         _value("Coulomb friction of", found.positive, nominal[0], "N forwards"),
         _value("and", found.negative, nominal[1], "N backwards"),
     ]
@@ -175,6 +172,31 @@ def machine(found: Dynamics | None, description: DriveDescription, rivals: tuple
         "not its own; several logs of one machine, or its log of another day, decide",
         "other machine",
         rivals,
+    )
+
+
+def _constant(found: Dynamics, description: DriveDescription) -> Finding:
+    """Friction that is the drive file's in the mean, but not in either direction: a constant force, or an offset."""
+    forwards, backwards = nominal_friction(description)
+    newtons = ((found.positive.value - 1.0) * forwards - (found.negative.value - 1.0) * backwards) / 2
+    return Finding(
+        "warning" if found.beyond_tolerance else "note",
+        "command",
+        f"mass and mean friction are the drive file's, but beside them the command carries a constant {newtons:.4g} N",
+        "an offset of the amplifier or of the logger, or a tilt or weight that plant.constant_force does not state; "
+        "friction that differs between the directions would look alike; a log of the axis turned round decides",
+        "offset",
+        ("other machine",),
+    )
+
+
+def nominal_friction(description: DriveDescription) -> tuple[float, float]:
+    """Coulomb friction (N) of the drive file without an applied load, forwards and backwards."""
+    friction = description.drive.friction
+    screw, guide, pressed = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)
+    return (
+        float(screw.positive) + float(guide.positive) * pressed,
+        float(screw.negative) + float(guide.negative) * pressed,
     )
 
 

@@ -92,6 +92,11 @@ def stamps(log: Log) -> Iterator[Finding]:
         )
 
 
+def is_decimated(periods: float) -> bool:
+    """Whether a log's samples are a whole number of control periods apart."""
+    return 2 <= round(periods) <= 100 and abs(periods / round(periods) - 1) < 1e-3
+
+
 def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
     """The log's rate against that of the drive file."""
     steps, step = np.diff(log.time), mean_step(log)
@@ -99,8 +104,8 @@ def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
     off = 1.0 / (step * stated) - 1.0
     regular = steps[steps < 1.5 * step]
     doubt = 2 * float(np.max(np.abs(regular - step))) / max(log.duration, step)
-    skipped = round(step * stated)
-    if 2 <= skipped <= 100 and abs(step * stated / skipped - 1) < 1e-3:
+    if is_decimated(step * stated):
+        skipped = round(step * stated)
         yield Finding(
             "warning",
             "time",

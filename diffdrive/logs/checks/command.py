@@ -8,13 +8,14 @@ import numpy as np
 from diffdrive.controllers import UnknownController
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks import balance, consistency, words
+from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, Outcome
 from diffdrive.logs.checks.explanation import WRONG_UNIT
 from diffdrive.logs.checks.finding import CAUSES, Finding
 from diffdrive.logs.checks.relation import relation_of
 from diffdrive.logs.checks.repair import Repair, shifted
 from diffdrive.logs.checks.replay import remembers_nothing
-from diffdrive.logs.checks.statistics import percent
+from diffdrive.logs.checks.statistics import mean_step, percent
 from diffdrive.logs.log import Log, Signal
 
 # A structure that leaves more than this of the command explains nothing.
@@ -30,6 +31,9 @@ class Judgement(NamedTuple):
 
 def judged(log: Log, description: DriveDescription) -> Judgement:
     """The command against the controller, or where that does not answer, against the balance of forces."""
+    periods = mean_step(log) * description.sampling.rate
+    if abs(periods - 1.0) > WRONG_RATE:  # the clock says so; at another rate no controller is replayed
+        return Judgement([*balance.command(log, description)] if is_decimated(periods) else [])
     unknown = isinstance(description.controller, UnknownController)
     relation = None if unknown else relation_of(log, description)
     outcome = None if relation is None else consistency.examined(relation)
@@ -39,11 +43,12 @@ def judged(log: Log, description: DriveDescription) -> Judgement:
     assert fit is not None
     if fit.error > EXPLAINS and outcome.plain.error > RELATED:
         return Judgement([*explained(outcome, description), *balance.command(log, description)])
+    counted_twice = [*disturbance(log, outcome)]
     findings = [
         *faults(log, outcome, description),
-        *disturbance(log, outcome),
+        *counted_twice,
         *explained(outcome, description),
-        *balance.machine(outcome.best.dynamics, description),
+        *([] if counted_twice else balance.machine(outcome.best.dynamics, description)),
         *timing(outcome, description),
     ]
     return Judgement(findings, _given(log, outcome))
@@ -52,21 +57,21 @@ def judged(log: Log, description: DriveDescription) -> Judgement:
 def _given(log: Log, outcome: Outcome) -> Signal | None:
     """The controller's command as the log would hold it, where it explains a log in one piece."""
     whole = len(outcome.output) == len(log.time) and outcome.relation.disturbance is None
-    if not whole or outcome.plain.error > EXPLAINED:
+    if not whole or outcome.plain.error > EXPLAINS:
         return None
     return float(outcome.plain.coefficients[0]) * outcome.output + float(outcome.plain.coefficients[-1])
 
 
 def timing(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
-    """That no channel is shifted, where that was in doubt: the drive file states a delay, or the past is unknown."""
+    """That no channel is shifted, where the drive file states a delay, which may stand in the recording."""
     delay = description.drive.actuator.delay_samples
-    if not delay and not outcome.relation.late:
+    if not delay:
         return
     if any(one.cause not in ("gain", "reversed", "offset") for one in outcome.best.faults):
         return
     early, now, late = _around(outcome)
     if outcome.plain.error < 0.1 and min(early, late) > 2 * now:
-        also = f", so actuator.delay_samples = {delay} must lie between the command and the force" if delay else ""
+        also = f", so actuator.delay_samples = {delay} must lie between the command and the force"
         over = " over the later half of the log, its past being unknown" if outcome.relation.late else ""
         yield Finding(
             "note",

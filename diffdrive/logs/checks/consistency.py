@@ -9,7 +9,7 @@ from diffdrive.logs.checks import hypotheses
 from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, ranked, readings, rivals_of
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
 from diffdrive.logs.checks.relation import LONGEST, Relation
-from diffdrive.logs.checks.replay import remembers_nothing
+from diffdrive.logs.checks.replay import is_linear, remembers_nothing
 from diffdrive.logs.checks.statistics import Fit, robust_fit
 from diffdrive.logs.checks.switching import switching
 from diffdrive.logs.log import Signal
@@ -50,7 +50,7 @@ def examined(relation: Relation) -> Outcome | None:
             relation, (output, fit) = later, late
     found = readings(relation, hypotheses.as_logged(relation), fit)
     if fit.error >= (PLAINLY_LATE if relation.late else PLAINLY) or any(one.faults for one in found):
-        found += _others(relation)
+        found = _rivals(relation) or found
     ranking = ranked([*found, *_with_pulses(relation, found)])
     return Outcome(relation, ranking[0], tuple(rivals_of(ranking)), output, fit)
 
@@ -62,16 +62,16 @@ def _is_the_past(whole: Fit, late: Fit) -> bool:
     return closer and 0.5 * abs(scales[1]) < abs(scales[0]) < 2.0 * abs(scales[1])
 
 
-def _others(relation: Relation) -> list[Explanation]:
-    """The readings of every hypothesis that explains the command clearly better than the log as it is."""
+def _rivals(relation: Relation) -> list[Explanation]:
+    """The readings of the log as it is, first, and of every hypothesis that explains the command clearly better."""
     piece = relation.piece
     relation = replace(relation, piece=slice(piece.start, min(piece.stop, piece.start + LONGEST)))
     short = relation.plain()
     if short is None:
         return []
     output, now = short
-    clear = CLEAR if remembers_nothing(relation.description.controller) else CLEAR_OF_THE_PAST
-    found = []
+    clear = CLEAR if is_linear(relation.description.controller) else CLEAR_OF_THE_PAST
+    found = readings(relation, hypotheses.as_logged(relation), now)
     for hypothesis, fit in _fitted(relation, output, now):
         if fit.error < max(clear * now.error, PLAINLY):
             found += readings(relation, hypothesis, fit)
@@ -143,7 +143,7 @@ def _shifts(relation: Relation) -> Iterator[tuple[Hypothesis, Fit]]:
     for pair in sorted(fits, key=fits.__getitem__)[: 2 * FINALISTS]:
         if pair != (0, 0):
             yield shift(relation, *pair), relation.fit(now.signals.command, at[pair])
-    if relation.late or remembers_nothing(relation.description.controller):
+    if relation.late or is_linear(relation.description.controller):
         for axis in ((1, 1), (1, 0), (0, 1)):
             yield from _parts(relation, at, axis, fits)
 
@@ -172,7 +172,9 @@ def _with_pulses(relation: Relation, found: list[Explanation]) -> list[Explanati
     if best.fit is None or best.fit.error < EXPLAINED or relation.disturbance is not None:
         return []
     more = []
-    for signals, steps in {id(one.signals): (one.signals, one.faults) for one in (best, found[0])}.values():
+    for signals, steps in ((best.signals, best.faults), (found[0].signals, ())):
+        if any(one.cause == "other controller" for one in steps):
+            continue  # its command is not that of the drive file's controller
         whole = replace(relation, piece=slice(relation.piece.start, relation.piece.start + len(signals.command)))
         command, output = whole.judged(signals.command), whole.judged(whole.outputs([signals])[0])
         switched = switching(command, output)

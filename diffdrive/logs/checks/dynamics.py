@@ -11,8 +11,9 @@ file, they are the values themselves. Signals and columns go through the same sm
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from diffdrive.logs.checks.statistics import Signal, derivative, smoothed
+from diffdrive.logs.checks.statistics import SMOOTHING, Signal, derivative, smoothed, window
 from diffdrive.parameters import Directional, Drive
 
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.
@@ -44,6 +45,11 @@ class Estimate(NamedTuple):
         """Standard deviations by which the ratio is off 1, the accuracy of the balance included."""
         relative = np.hypot(ACCURACY, self.std / max(abs(self.value), 1e-300))
         return float(abs(np.log(self.value)) / relative) if self.value > 0 else np.inf
+
+    @property
+    def off(self) -> bool:
+        """Whether the ratio is determined, and not 1."""
+        return self.std < 0.5 * abs(self.value) and self.away > 3.0
 
     @property
     def positive(self) -> bool:
@@ -82,7 +88,12 @@ class Dynamics(NamedTuple):
     @property
     def changed(self) -> bool:
         """Whether a ratio to the drive file's value is beyond what the balance of forces can be off."""
-        return any(one.std < 0.5 * abs(one.value) and one.away > 3.0 for one in self[:4])
+        return any(one.off for one in self[:4])
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether only the difference between the directions is off: a constant force is part of it."""
+        return not self.mass.off and not self.friction.off and self.positive.off and self.negative.off
 
     @property
     def beyond_tolerance(self) -> bool:
@@ -97,17 +108,24 @@ def _squared(one: Estimate, std: float) -> float:
 
 
 def inverse_dynamics(
-    position: Signal, force: Signal, step: float, drive: Drive | None = None, load: Signal | float = 0.0
+    position: Signal,
+    force: Signal,
+    step: float,
+    drive: Drive | None = None,
+    load: Signal | float = 0.0,
+    without: np.ndarray | None = None,
 ) -> Dynamics | None:
     """Mass and friction that a motion asks for; None where the table does not slide both ways.
 
-    `position` (m) and `force` (N) at samples `step` (s) apart; `load` (N) lies on the guides. With a drive, ratios to
-    its nominal values; without, kg, N and N s/m.
+    `position` (m) and `force` (N) at samples `step` (s) apart; `load` (N) lies on the guides. Samples near those of
+    the mask `without` do not count. With a drive, ratios to its nominal values; without, kg, N and N s/m.
     """
     weight = 0.0 if drive is None else float(drive.plant.constant_force)
     motion, given = smoothed(position, step), derivative(force + weight, step, 0)
     speed = motion.rate
     sliding = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
+    if without is not None and without.any():
+        sliding &= ~binary_dilation(without, iterations=window(1.0 / step, SMOOTHING) // 2)
     ahead = speed > 0
     if min(np.sum(sliding & ahead), np.sum(sliding & ~ahead)) < FEWEST or np.std(given[sliding]) == 0:
         return None

@@ -27,8 +27,8 @@ FAULT = float(np.log(100.0))
 CERTAIN = float(np.log(100.0))
 # Some hundred samples are one correlation time of what a controller leaves: that many count as one.
 SAMPLES_PER_INDEPENDENT = 100.0
-# What is left below these shares is explained: the rounding of a log, and a loop that lags by 6 degrees.
-EXPLAINED_COMMAND, EXPLAINED_POSITION = 1e-3, 0.1
+# What is left below these shares is explained: a log of six digits, and a loop that lags by 6 degrees.
+EXPLAINED_COMMAND, EXPLAINED_POSITION = 1e-5, 0.1
 MOST_SURPRISE = 100.0  # nats: no machine is less likely than that it is not as we think
 # A force constant is known to some per cent; an error above a tenth is a unit or a wrong gain.
 WRONG_UNIT, OFF = 0.1, 0.005
@@ -115,6 +115,12 @@ def _multipliers(fit: Fit) -> dict[str, float]:
 
 
 def _zero(relation: Relation, metres: float) -> Fault:
+    """The reference is to be moved by so much; or the position against it, where the second encoder says so."""
+    log, piece = relation.log, relation.piece
+    if log.motor_position is not None:
+        apart = float(np.median((log.motor_position - log.position)[piece]))
+        if abs(apart + metres) < 0.5 * abs(metres):
+            return Fault("offset", "position", {"metres": metres}, (Add("position", -metres),))
     return Fault("offset", "reference", {"metres": metres}, (Add("reference", metres),))
 
 
@@ -201,7 +207,9 @@ def dynamics_of(relation: Relation, signals: Signals) -> Dynamics | None:
     log, piece = relation.log, relation.piece
     load = 0.0 if log.load is None else log.load[piece]
     force = signals.command if log.disturbance is None else signals.command + log.disturbance[piece]
-    return inverse_dynamics(signals.position, force, signals.period, relation.description.drive, load)
+    return inverse_dynamics(
+        signals.position, force, signals.period, relation.description.drive, load, relation.not_the_controllers
+    )
 
 
 def _unlikely(fault: Fault, signals: Signals) -> float:

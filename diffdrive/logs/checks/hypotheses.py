@@ -26,6 +26,7 @@ LONGEST_AVERAGE = 48  # samples
 SLOWEST_LAG = 48.0  # samples
 SKIPPED = range(2, 11)  # rows of which one was kept
 SMOOTHED = (0.02, 0.04, 0.08)  # s: as long as an acceleration of a feed axis takes, and longer
+ALTERNATING = -0.375  # half of what rounding has: a smooth motion has more than 0
 FEWEST = 50  # samples that show whether there is a grid
 ROUNDED = 0.05  # of a step: what digits and the estimate of the step leave of a rounded value
 TAPS = 9  # samples over which a controller may form its velocity
@@ -195,12 +196,14 @@ def rounded_command(relation: Relation, fit: Fit) -> Iterator[tuple[Hypothesis, 
 def on_grid(signal: Signal, step: float) -> bool:
     """Whether the values lie on the grid, as after rounding.
 
-    Only samples with a third difference count: a set-point of constant speed or acceleration has a grid as well, since
-    it advances by whole multiples of one increment.
+    A set-point of constant speed, acceleration or jerk has a grid as well, since it advances by whole multiples of one
+    increment. Rounding is noise: its third differences alternate, with a correlation of -0.75 from one to the next.
     """
     counts = (signal - signal[0]) / step
-    uneven = np.abs(np.diff(counts, 3)) > 1e-3
-    if np.sum(uneven) < FEWEST:
+    third = np.diff(counts, 3)
+    uneven = np.abs(third) > 1e-3
+    power = float(third @ third)
+    if np.sum(uneven) < FEWEST or float(third[1:] @ third[:-1]) > ALTERNATING * power:
         return False
     inner = counts[2:-1][uneven]
     return float(np.quantile(np.abs(inner - np.round(inner)), 0.9)) < ROUNDED

@@ -15,6 +15,7 @@ SAME_MOTION = 0.99
 UNIT_ERROR = 1.5
 # A weight on a loop without an integral leaves a constant error, but one of the size that friction makes as well.
 BEYOND_FOLLOWING = 3.0
+FEWEST = 50  # samples in either direction
 # Kinematics (pitch error, growth of the screw) stay within 1e-3; a ratio off by this is a wrong lead or gear.
 SCALE_ERROR = 0.03
 
@@ -73,7 +74,12 @@ def zeros(log: Log) -> Iterator[Finding]:
     """A constant between reference and position that is beyond all that the loop makes of its motion."""
     if log.reference is None:
         return
-    error = log.reference - log.position
+    piece, step = longest_piece(log), mean_step(log)
+    speed = derivative(log.position[piece], step, 1)
+    error = (log.reference - log.position)[piece]
+    fast = np.abs(speed) > 0.1 * float(np.quantile(np.abs(speed), 0.999))
+    if min(int(np.sum(fast & (speed > 0))), int(np.sum(fast & (speed < 0)))) < FEWEST:
+        return  # what friction makes of the error has one sign then, too
     middle = float(np.median(error))
     if abs(middle) > BEYOND_FOLLOWING * float(np.quantile(np.abs(error - middle), 0.99)):
         yield Finding(

@@ -80,10 +80,10 @@ class Relation:
     def judged(self, signal: Signal) -> Signal:
         """A signal without its ends, what the controller's past reaches, and what no controller gave."""
         within = slice(len(signal) // 2 if self.late else SETTLE, -SETTLE)
-        return signal[within][~self._not_the_controllers[within]]
+        return signal[within][~self.not_the_controllers[within]]
 
     @cached_property
-    def _not_the_controllers(self) -> np.ndarray:
+    def not_the_controllers(self) -> np.ndarray:
         """Samples at which the command is not the controller's: at a limit, or in a burst."""
         command = self.log.command[self.piece]
         found = clipped(self.log.command)[self.piece]

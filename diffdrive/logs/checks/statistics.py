@@ -8,6 +8,7 @@ from scipy.signal import savgol_filter
 from diffdrive.logs.log import Log, Signal
 
 SIGMA_PER_MAD = 1.4826  # of a normal distribution
+SMOOTHING = 0.02  # s: resolves the motion of a feed axis, and averages out its scale's counts
 _ROUNDS = 15  # of Huber's weights, at most
 _ENOUGH = 200_000  # samples: a standard error of 0.2 % of what scatters
 
@@ -109,12 +110,12 @@ class Smooth(NamedTuple):
     curvature: Signal  # per s^2
 
 
-def smoothed(signal: Signal, step: float, seconds: float = 0.02) -> Smooth:
-    """Local cubics over `seconds`: 20 ms resolve the motion of a feed axis and average out its scale's counts."""
+def smoothed(signal: Signal, step: float, seconds: float = SMOOTHING) -> Smooth:
+    """The signal and its derivatives by local cubics over `seconds`."""
     return Smooth(*(derivative(signal, step, order, seconds) for order in range(3)))
 
 
-def derivative(signal: Signal, step: float, order: int, seconds: float = 0.02) -> Signal:
+def derivative(signal: Signal, step: float, order: int, seconds: float = SMOOTHING) -> Signal:
     """One derivative of the smoothed signal; order 0 is the signal without its noise."""
     length = window(1.0 / step, seconds)
     if len(signal) <= length:

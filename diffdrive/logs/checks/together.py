@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
+from diffdrive.logs.checks.balance import nominal_friction
 from diffdrive.logs.checks.dynamics import ACCURACY, Dynamics, Estimate, inverse_dynamics
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import longest_piece, mean_step
@@ -64,13 +65,4 @@ def _nominal(quantity: str, description: DriveDescription | None) -> float:
         return 1.0
     if quantity == "mass":
         return float(description.drive.plant.mass)
-    friction = description.drive.friction
-    pressed = float(friction.initial_load)
-    sides = [
-        float(screw) + float(guide) * pressed
-        for screw, guide in (
-            (friction.coulomb_screw.positive, friction.load_coefficient.positive),
-            (friction.coulomb_screw.negative, friction.load_coefficient.negative),
-        )
-    ]
-    return sum(sides) / 2
+    return sum(nominal_friction(description)) / 2

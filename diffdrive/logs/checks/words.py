@@ -188,9 +188,10 @@ def _offset(fault: Fault, log: Log, outcome: Outcome, description: DriveDescript
     metres = fault.numbers["metres"]
     return Words(
         "warning",
-        "reference",
+        fault.channel,
         f"the zero of the reference lies {1e3 * -metres:.6g} mm from that of the position",
-        f"add {1e3 * metres:.6g} mm to the reference, or take it off the position",
+        f"add {1e3 * metres:.6g} mm to the reference, or take it off the position"
+        + (", which lies off the motor's encoder by as much" if fault.channel == "position" else ""),
     )
 
 
