@@ -228,7 +228,7 @@ def log_study(
     """The log checks on logs whose fault is known (docs/log-study.md): is it named, and is a stated mend right?
 
     Simulates axes of ten kinds, does something to their logs, and asks the checks; then the same with sound logs, and
-    with pairs of logs of one machine or of two. Takes about five minutes.
+    with pairs of logs of one machine or of two. Takes two minutes of one core.
     """
     from diffdrive.logs.plausibility import examine, examine_together
     from experiments.log_study.study import log_study as study

@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diffdrive.controllers import Reference
 from diffdrive.logs.checks.finding import CAUSES
 from diffdrive.logs.plausibility import Finding
-from experiments.log_study.controllers import WEIGHTS
+from diffdrive.parameters import as_arrays
+from experiments.log_study.controllers import WEIGHTS, commanded
 from experiments.log_study.drives import study_drives
 from experiments.log_study.fault import Fault
 from experiments.log_study.machines import lost_motion, side
@@ -25,7 +27,7 @@ from experiments.runtime import configure
 configure()
 
 TABLE = study_drives()[0]
-CASE = sound(TABLE, np.random.default_rng(5))
+CASE = sound(TABLE, np.random.default_rng([9, 0]))
 ON_THE_TABLE = [draw for draw in FAULTS if draw.applies(TABLE)]
 
 
@@ -167,6 +169,13 @@ def test_the_fitted_velocity_is_the_slope_of_a_line():
     at = np.array([0.0, -1.0, -2.0, -3.0])
     samples = np.random.default_rng(0).normal(size=4)
     assert np.dot(WEIGHTS, samples) == pytest.approx(np.polyfit(at, samples, 1)[0])
+
+
+def test_what_a_controller_would_have_commanded_is_what_it_did():
+    made, log = CASE.motion, CASE.log
+    reference = Reference(made.position, made.velocity, made.acceleration)
+    arrays = as_arrays((TABLE.description.controller, reference, log.position, log.command))
+    np.testing.assert_allclose(commanded(*arrays, 1.0 / TABLE.rate), log.command, atol=1e-6 * np.std(log.command))
 
 
 def test_trailing_means_hold_the_past_and_centred_ones_both_sides():

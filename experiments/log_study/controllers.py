@@ -1,9 +1,10 @@
-"""A controller that no drive file can state: its velocity is the slope of a line through the last four samples."""
+"""Controllers by themselves: one that no drive file can state, and what any would have commanded in a log."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 
 from diffdrive.controllers import PD, Cascade, Command, Controller, Feedforward, Reference
 from diffdrive.parameters import Scalar
@@ -20,7 +21,10 @@ class Past(NamedTuple):
 
 
 class FittedVelocity(Controller):
-    """PD: kp e + kd slope(e) + feed-forward. Cascade: kv (kp e + ff v_ref - slope(y)) + its integral + feed-forward."""
+    """A controller whose velocity is the slope of a line through the last four samples.
+
+    PD: kp e + kd slope(e) + feed-forward. Cascade: kv (kp e + ff v_ref - slope(y)) + its integral + feed-forward.
+    """
 
     gains: dict[str, Scalar]
     feedforward: Feedforward
@@ -55,3 +59,17 @@ class FittedVelocity(Controller):
             force = own["kp"] * error + own["kd"] * slope
         state = Past((now, *past[:2]), jnp.ones_like(position), integral)
         return state, Command(force + self.feedforward.force(reference))
+
+
+@eqx.filter_jit
+def commanded(controller: Controller, reference: Reference, position: Any, command: Any, period: float) -> Any:
+    """What this controller would have commanded (N), from rest, in a log ([n] each) that holds another's command."""
+
+    def body(carry: Any, at: Any) -> Any:
+        state, applied = carry
+        now, measured, given = at
+        state, own = controller.step(state, now, measured, applied, period)
+        return (state, given), own.force
+
+    begin = controller.init(position[0]), jnp.zeros_like(position[0])
+    return lax.scan(body, begin, (reference, position, command))[1]

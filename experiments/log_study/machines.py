@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffdrive.controllers import PD, Cascade, Controller
+from diffdrive.controllers import PD, Cascade, Controller, Reference
 from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
 from diffdrive.motion import Motion
-from diffdrive.parameters import Drive
-from experiments.log_study.controllers import FittedVelocity
+from diffdrive.parameters import Drive, as_arrays
+from experiments.log_study.controllers import FittedVelocity, commanded
 from experiments.log_study.drives import StudyDrive
-from experiments.log_study.fault import Draw, Fault, log_uniform
+from experiments.log_study.fault import COMMAND_SHARE, Draw, Fault, log_uniform
 from experiments.log_study.sound import Case, changed, logged
 from experiments.log_study.values import known
 
@@ -45,11 +45,16 @@ def worn(case: Case, rng: np.random.Generator) -> Fault | None:
 
 
 def _under(case: Case, controller: Controller, amount: str) -> Fault | None:
+    """A log of another controller's loop; None where the drive file's would have commanded the same in it."""
     try:
         log = logged(case.drive, case.machine, case.motion, case.seed, controller)
     except DivergenceError:
         return None
-    return Fault(log, log, amount, ("other controller",))
+    made = Reference(case.motion.position, case.motion.velocity, case.motion.acceleration)
+    arrays = as_arrays((case.description.controller, made, log.position, log.command))
+    off = log.command - np.asarray(commanded(*arrays, 1.0 / case.drive.rate))
+    off -= np.mean(off)  # what an integral had gathered before the log began
+    return Fault(log, log, amount, ("other controller",)) if np.std(off) > COMMAND_SHARE * np.std(log.command) else None
 
 
 def other_gains(case: Case, rng: np.random.Generator) -> Fault | None:
