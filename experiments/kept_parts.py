@@ -48,7 +48,7 @@ class KeptParts:
     def write(self, key: str, piece: Arrays) -> None:
         """Keep a part."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as temporary, temporary.open("wb") as file:
+        with atomic_write(self._path(key)) as file:
             np.savez(file, **piece)
 
     def remove(self) -> None:
