@@ -61,9 +61,10 @@ def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
     for finding in overflows:
         assert finding.repair is not None
         log = finding.repair.apply(log)
+    clocks = [*clock.rate(log, description)] if description is not None else []
     related, given = _command(log, description)
     single = [*_position_unit(log, description), *_signals(log, description, given)]
-    return [*overflows, *related, *(one for one in single if not _is_said(one, related))]
+    return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
 
 
 def _is_said(finding: Finding, related: list[Finding]) -> bool:
@@ -127,10 +128,9 @@ def _signals(log: Log, description: DriveDescription | None, given: Signal | Non
     checks: list[Iterable[Finding]] = [
         clock.gaps(log),
         clock.stamps(log),
-        clock.rate(log, description) if description is not None else [],
         outliers.spikes(log, given),
         outliers.lost_rows(log),
-        bursts.without_reaction(log, description, given),
+        bursts.unexplained(log, description, given),
         encoders.lost_motion(log, description),
         ranges.load(log, description),
         ranges.temperature(log),

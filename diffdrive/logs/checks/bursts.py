@@ -18,6 +18,7 @@ UNUSUAL = 12.0  # standard deviations of the samples around; a reversal's jerk r
 LARGE = 0.1  # of the command's range
 EDGE = 1  # samples within which a burst begins and ends
 SHORTEST = 3  # samples: fewer are outliers
+IGNORED = 0.25  # share of the motion that the burst alone makes, below which it did not act
 MOVED = 5.0  # noises of the position that a burst must have moved the table by, had it acted
 
 
@@ -56,39 +57,45 @@ def _usual(signal: Signal, length: int) -> Signal:
     return np.interp(np.arange(len(signal)), np.arange(len(signal))[::thin], coarse)
 
 
-def without_reaction(log: Log, description: DriveDescription | None, given: Signal | None = None) -> Iterator[Finding]:
-    """Bursts that would have moved a table of this mass, and did not; `given` is the controller's own command."""
+def unexplained(log: Log, description: DriveDescription | None, given: Signal | None = None) -> Iterator[Finding]:
+    """Bursts that the controller did not give, where that is known (`given`), else those that the table ignores."""
     piece, step = longest_piece(log), mean_step(log)
     position, command = log.position[piece], log.command[piece]
     found = bursts(command if given is None else command - given[piece], step)
+    if given is not None:
+        found = [one for one in found if abs(one.force) > LARGE * float(np.ptp(command))]
     mass = _mass(position, command, step, description)
-    if not found or mass is None:
+    silent = [] if mass is None else [one for one in found if _is_ignored(one, position, step, mass)]
+    found = silent or ([] if given is None else found)
+    if not found:
         return
-    noise = noise_of(position)
-    silent = []
-    for one in found:
-        long = one.stop - one.start
-        # what the impulse alone would have done within its own length and as long after, and what the table did
-        expected = one.force / mass * (long * step) ** 2 * 1.5
-        after = min(one.stop + long, len(position) - 1)
-        before = max(one.start - 2 * long, 0)
-        line = np.polynomial.Polynomial.fit(np.arange(before, one.start + 1), position[before : one.start + 1], 1)
-        moved = float(position[after] - line(after))
-        if abs(expected) > MOVED * noise and abs(moved / expected) < 0.25:
-            silent.append(one)
-    if not silent:
-        return
-    largest = max(silent, key=lambda one: abs(one.force))
+    largest = max(found, key=lambda one: abs(one.force))
     start = log.time[piece.start + largest.start]
+    what = (
+        "to which the table does not react: this force never acted"
+        if silent
+        else "which the controller did not give: test pulses, or the logger's"
+    )
     yield Finding(
         "warning",
         "command",
-        f"{len(silent)} bursts of up to {largest.force:.4g} N, the largest at t = {start:.6g} s for "
-        f"{1e3 * (largest.stop - largest.start) * step:.3g} ms, to which the table does not react: this force "
-        "never acted",
+        f"{len(found)} bursts of up to {largest.force:.4g} N, the largest at t = {start:.6g} s for "
+        f"{1e3 * (largest.stop - largest.start) * step:.3g} ms, {what}",
         "cut these stretches out and list the gaps, or log the command that reached the amplifier",
         "burst",
     )
+
+
+def _is_ignored(burst: Burst, position: Signal, step: float, mass: float) -> bool:
+    """Whether a table of this mass (kg) would have moved visibly under the burst, and did not."""
+    long = burst.stop - burst.start
+    # what the impulse alone does within its own length and as long after
+    expected = 1.5 * burst.force / mass * (long * step) ** 2
+    after, before = min(burst.stop + long, len(position) - 1), max(burst.start - 2 * long, 0)
+    at = np.arange(before, burst.start + 1)
+    line = np.polynomial.Polynomial.fit(at, position[before : burst.start + 1], 1)
+    moved = float(position[after] - line(after))
+    return abs(expected) > MOVED * noise_of(position) and abs(moved / expected) < IGNORED
 
 
 def _mass(position: Signal, command: Signal, step: float, description: DriveDescription | None) -> float | None:

@@ -89,10 +89,10 @@ def _fitted(relation: Relation, output: Signal, now: Fit) -> Iterator[tuple[Hypo
         yield one, relation.fit(one.signals.command, relation.outputs([one.signals])[0])
     yield from hypotheses.rounded_command(relation, now)
     yield from _shifts(relation)
-    families: dict[str, list[Hypothesis]] = {}
+    families: dict[str, list[Hypothesis]] = {"lengths": list(hypotheses.lengths(relation))}
     for one in hypotheses.filtered(relation):
         families.setdefault(one.channel, []).append(one)
-    for family in families.values():
+    for family in filter(None, families.values()):
         yield from _finalists(relation, family)
     for one in (*hypotheses.rectified(relation, output),):
         yield one, relation.fit(np.abs(one.signals.command), np.abs(output))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diffdrive.logs.checks.dynamics import Dynamics, inverse_dynamics
+from diffdrive.logs.checks.dynamics import CHANGED_STD, Dynamics, inverse_dynamics
 from diffdrive.logs.checks.hypotheses import Hypothesis
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Add, Scale, Step
@@ -221,7 +221,11 @@ def dynamics_of(relation: Relation, signals: Signals) -> Dynamics | None:
 
 
 def _unlikely(fault: Fault, signals: Signals) -> float:
-    """What the size of a fault costs: an amplifier's offset is small beside the forces that it gives."""
+    """What the size of a fault costs: gains are near the drive file's, and an amplifier's offset is small."""
+    if fault.cause == "other controller":
+        factors = [value for name, value in fault.numbers.items() if name == "ratio" or name.startswith("part")]
+        known = [] if "taps" in fault.numbers else [value for value in factors if value > 0]
+        return float(sum(np.log(value) ** 2 for value in known)) / (2 * CHANGED_STD**2)
     if fault.cause != "offset":
         return 0.0
     if fault.channel != "command":

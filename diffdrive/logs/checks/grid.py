@@ -23,6 +23,7 @@ COARSER = 1.5
 UNIT_OF_STEPS = 100.0
 # Distinct values below which a command is a staircase: its steps are above 2 % of its range.
 COARSE_LEVELS = 50
+FEW = 20  # samples for each value, where a signal is a staircase
 
 
 class Grid(NamedTuple):
@@ -142,6 +143,15 @@ def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Fi
             "log the raw counts; until then do not trust this position at high frequency, nor its delay",
             "filtered",
         )
+
+
+def coarse_step(signal: Signal) -> float | None:
+    """The step of a signal that takes few values, all of them multiples of one step; None of any other."""
+    values = np.unique(signal)
+    if not 2 < len(values) < len(signal) / FEW:
+        return None
+    counts = (values - values[0]) / float(np.min(np.diff(values)))
+    return float(np.min(np.diff(values))) if np.max(np.abs(counts - np.round(counts))) < ON_GRID else None
 
 
 def command_grid(log: Log) -> Iterator[Finding]:

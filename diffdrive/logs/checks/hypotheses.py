@@ -13,7 +13,8 @@ import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
 from diffdrive.controllers import Cascade, UnknownController
-from diffdrive.logs.checks.grid import COARSER, grid_of
+from diffdrive.logs.checks.factors import FACTORS
+from diffdrive.logs.checks.grid import COARSER, coarse_step, grid_of
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Scale, Shift, Step, Swap, shifted
 from diffdrive.logs.checks.replay import is_linear, remembers_nothing
@@ -180,15 +181,15 @@ def rounded(relation: Relation) -> Iterator[Hypothesis]:
 def rounded_command(relation: Relation, fit: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
     """The command has coarse steps: what is left is then the error of rounding, and the rest of it the misfit."""
     command = relation.logged.command
-    grid = grid_of(command)
-    if grid is None or not on_grid(command, grid.step):
+    step = coarse_step(command)
+    if step is None:
         return
-    explained = grid.step / np.sqrt(12.0) / float(np.std(command))
+    explained = step / np.sqrt(12.0) / float(np.std(command))
     left = float(np.sqrt(max(fit.error**2 - explained**2, 0.0)))
     # a residual of many steps is not that of rounding, however little of it remains
     if explained > 0.5 * fit.error:
         yield (
-            Hypothesis("rounded", "command", relation.logged, (), {"step": grid.step}),
+            Hypothesis("rounded", "command", relation.logged, (), {"step": step}),
             fit._replace(error=left),
         )
 
@@ -207,6 +208,18 @@ def on_grid(signal: Signal, step: float) -> bool:
         return False
     inner = counts[2:-1][uneven]
     return float(np.quantile(np.abs(inner - np.round(inner)), 0.9)) < ROUNDED
+
+
+def lengths(relation: Relation) -> Iterator[Hypothesis]:
+    """Position and reference have one wrong unit, where the controller is not linear: then no factor says so."""
+    if is_linear(relation.description.controller):
+        return
+    now = relation.logged
+    for size in FACTORS:
+        for factor in (size, 1 / size):
+            mended = now._replace(reference=factor * now.reference, position=factor * now.position)
+            steps = (Scale("position", factor), Scale("reference", factor))
+            yield Hypothesis("gain", "position", mended, steps, {"ratio": 1 / factor, "both": 1.0})
 
 
 def offset(relation: Relation, output: Signal) -> Iterator[Hypothesis]:

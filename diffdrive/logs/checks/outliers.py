@@ -7,6 +7,7 @@ import numpy as np
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import grid_of, noise_of
 from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, robust_fit
+from diffdrive.logs.checks.stuck import clipped
 from diffdrive.logs.log import CHANNELS, Log, Signal
 
 # Robust standard deviations: heavy tails of real noise reach 8, a reversal's jerk 10.
@@ -93,7 +94,7 @@ def spikes(log: Log, given: Signal | None = None) -> Iterator[Finding]:
         bend = _bend(signal)
         floor = _floor(signal, 1e-6)
         if name == "command":
-            bend = _unexplained(log, bend) if given is None else _bend(signal - given)
+            bend = _unexplained(log, bend) if given is None else _bend(np.where(clipped(signal), 0.0, signal - given))
             floor = _floor(signal, 1e-3)
         k = spike_indices(bend, floor)
         if len(k):
