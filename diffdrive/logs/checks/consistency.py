@@ -43,16 +43,26 @@ def examined(relation: Relation) -> Outcome | None:
     if whole is None:
         return None
     output, fit = whole
+    later = late = None
     if fit.error >= PLAINLY and not remembers_nothing(relation.description.controller):
         later = replace(relation, late=True)
         late = later.plain()
         if late is not None and _is_the_past(fit, late[1]):
-            relation, (output, fit) = later, late
+            relation, (output, fit), late = later, late, None
     found = readings(relation, hypotheses.as_logged(relation), fit)
     if fit.error >= (PLAINLY_LATE if relation.late else PLAINLY) or any(one.faults for one in found):
         found = _rivals(relation) or found
+        if later is not None and late is not None:  # a past and another fault may come together
+            others = _rivals(later)
+            if others and _is_the_past(_closest(found), _closest(others)):
+                relation, (output, fit), found = later, late, others
     ranking = ranked([*found, *_with_pulses(relation, found)])
     return Outcome(relation, ranking[0], tuple(rivals_of(ranking)), output, fit)
+
+
+def _closest(found: list[Explanation]) -> Fit:
+    """The fit that leaves least."""
+    return min((one.fit for one in found if one.fit is not None), key=lambda fit: fit.error)
 
 
 def _is_the_past(whole: Fit, late: Fit) -> bool:
@@ -116,7 +126,13 @@ def _finalists(relation: Relation, family: list[Hypothesis]) -> Iterator[tuple[H
     commands = relation.outputs([one.signals for one in family])
     quick = [_quick(relation, one, command) for one, command in zip(family, commands, strict=True)]
     for k in np.argsort(quick)[:FINALISTS]:
-        yield family[k], relation.fit(family[k].signals.command, commands[k])
+        fit = relation.fit(family[k].signals.command, commands[k])
+        control = family[k].control
+        if control is not None:
+            smooth = relation.fit(control.command, relation.outputs([control])[0])
+            if fit.error > CLEAR * smooth.error:
+                continue
+        yield family[k], fit
 
 
 def _quick(relation: Relation, one: Hypothesis, output: Signal) -> float:

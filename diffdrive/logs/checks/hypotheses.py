@@ -48,6 +48,7 @@ class Hypothesis:
     numbers: dict[str, float] = field(default_factory=dict)
     columns: tuple[Signal, ...] = ()
     gains: int = 0  # how many of the columns are parts of the controller's command
+    control: Signals | None = None  # what must explain less: all channels through the filter that one is said to have
 
 
 def _filtered(signals: Signals, channel: str, through: "Filter") -> Signals:
@@ -152,7 +153,10 @@ def filtered(relation: Relation) -> Iterator[Hypothesis]:
     for one in filters():
         for channel in ("position", "command", "reference"):
             numbers = {"length": float(one.length), "lag": one.lag, "delay": one.delay, "centred": float(one.centred)}
-            yield Hypothesis("filtered", channel, _filtered(relation.logged, channel, one), (), numbers)
+            mended = _filtered(relation.logged, channel, one)
+            # the filter alone makes all channels smoother, and so more alike
+            control = mended._replace(**{channel: one.apply(getattr(relation.logged, channel))})
+            yield Hypothesis("filtered", channel, mended, (), numbers, control=control)
 
 
 def decimated(relation: Relation) -> Iterator[Hypothesis]:
