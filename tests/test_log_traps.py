@@ -164,8 +164,8 @@ CORRUPTED = {
     "resampled, in time": (
         but(position=np.interp(SOUND.time + 1.7e-4, SOUND.time, SOUND.position)),
         "warning",
-        "position",
-        r"0\.3\d of a sample early \(shift -0\.3\d\)",
+        "reference",
+        r"position is 0\.3\d of a sample early \(shift -0\.3\d\)",
     ),
     "filtered": (
         but(position=np.convolve(np.pad(SOUND.position, 2, "edge"), np.ones(5) / 5, "valid")),
@@ -184,7 +184,7 @@ CORRUPTED = {
         but(command=rounded(SOUND.command, 20.0)),
         "warning",
         "command",
-        r"takes only \d+ values, 20 apart",
+        r"has steps of 20, and is the drive file's controller's",
     ),
     # clipped, frozen, constant, spikes
     "command clipped": (

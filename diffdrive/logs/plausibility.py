@@ -62,7 +62,8 @@ def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
         assert finding.repair is not None
         log = finding.repair.apply(log)
     clocks = [*clock.rate(log, description)] if description is not None else []
-    related, given = _command(log, description)
+    # a channel that stands still where it should move spoils every comparison with the others
+    related, given = ([], None) if [*stuck.frozen_position(log)] else _command(log, description)
     single = [*_position_unit(log, description), *_signals(log, description, given)]
     return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
 
@@ -101,7 +102,9 @@ def _confirmed(finding: Finding, findings: list[Finding], log: Log, description:
     mild = [
         one for one in left if SEVERITIES.index(one.severity) > worst.get((one.cause, one.channel), len(SEVERITIES))
     ]
-    same = [one for one in left if (one.cause, one.channel) in worst and one.cause != finding.cause]
+    # what is known already, and is not fatal, may stay
+    same = [one for one in left if (one.cause, one.channel) in worst and one.severity != "fatal"]
+    same = [one for one in same if one.cause != finding.cause]
     new = [one for one in left if one not in mild and one not in same]
     if not new:
         return finding

@@ -94,7 +94,9 @@ def spikes(log: Log, given: Signal | None = None) -> Iterator[Finding]:
         bend = _bend(signal)
         floor = _floor(signal, 1e-6)
         if name == "command":
-            bend = _unexplained(log, bend) if given is None else _bend(np.where(clipped(signal), 0.0, signal - given))
+            bend = _unexplained(log, bend) if given is None else _bend(signal - given)
+            at_limit = clipped(signal)
+            bend[at_limit[:-2] | at_limit[1:-1] | at_limit[2:]] = 0.0  # no spikes, but where it leaves its limit
             floor = _floor(signal, 1e-3)
         k = spike_indices(bend, floor)
         if len(k):

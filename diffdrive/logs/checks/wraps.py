@@ -8,8 +8,8 @@ from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.repair import Add, Repair, Unwrap
 from diffdrive.logs.log import Log, Signal
 
-# A jump is one where it is this many times the largest step that the channel otherwise makes.
-JUMP = 20.0
+# A jump is one only where the channel otherwise moves less than half of it a sample: else it could be either way.
+JUMP = 2.0
 # All jumps are the span, but for the motion meanwhile.
 ALIKE = 0.02
 WIDTHS = (8, 10, 12, 14, 15, 16, 18, 20, 22, 24, 32)  # bits
