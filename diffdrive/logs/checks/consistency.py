@@ -23,7 +23,7 @@ PLAINLY, PLAINLY_LATE = 1e-3, 3e-3
 CLEAR, CLEAR_OF_THE_PAST = 0.5, 0.1
 # An observer fed by the log follows it even where its scale is wrong, so it must come as close as this to be believed.
 EXACT = 0.01
-FINALISTS = 4  # of a family, whose quick fits are made robust
+FINALISTS = 2  # of a family, whose quick fits are made robust
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,20 @@ def examined(relation: Relation) -> Outcome | None:
             others = _rivals(later)
             if others and _is_the_past(_closest(found), _closest(others)):
                 relation, (output, fit), found = later, late, others
-    ranking = ranked([*found, *_with_pulses(relation, found)])
+    likeliest = ranked(found)
+    ranking = ranked([*likeliest, *_with_pulses(relation, likeliest[0])])
     return Outcome(relation, ranking[0], tuple(rivals_of(ranking)), output, fit)
+
+
+def _moving(relation: Relation) -> slice:
+    """A stretch of at most `LONGEST` samples: the first, or where the table hardly moves in it, that of most travel."""
+    piece, position = relation.piece, relation.log.position
+    stretches = [
+        slice(start, min(start + LONGEST, piece.stop))
+        for start in range(piece.start, max(piece.stop - LONGEST, piece.start) + 1, LONGEST)
+    ]
+    travel = [float(np.ptp(position[stretch])) for stretch in stretches]
+    return stretches[0 if travel[0] > 0.5 * max(travel) else int(np.argmax(travel))]
 
 
 def _closest(found: list[Explanation]) -> Fit:
@@ -74,8 +86,7 @@ def _is_the_past(whole: Fit, late: Fit) -> bool:
 
 def _rivals(relation: Relation) -> list[Explanation]:
     """The readings of the log as it is, first, and of every hypothesis that explains the command clearly better."""
-    piece = relation.piece
-    relation = replace(relation, piece=slice(piece.start, min(piece.stop, piece.start + LONGEST)))
+    relation = replace(relation, piece=_moving(relation))
     short = relation.plain()
     if short is None:
         return []
@@ -156,7 +167,7 @@ def _shifts(relation: Relation) -> Iterator[tuple[Hypothesis, Fit]]:
         for one, command in zip(whole, commands[1:], strict=True)
     }
     fits = {pair: _quick(relation, now, command) for pair, command in at.items()}
-    for pair in sorted(fits, key=fits.__getitem__)[: 2 * FINALISTS]:
+    for pair in sorted(fits, key=fits.__getitem__)[: 4 * FINALISTS]:
         if pair != (0, 0):
             yield shift(relation, *pair), relation.fit(now.signals.command, at[pair])
     if relation.late or is_linear(relation.description.controller):
@@ -182,9 +193,8 @@ def _parts(
             yield shift(relation, *by), relation.fit(command, first + share * (second - first))
 
 
-def _with_pulses(relation: Relation, found: list[Explanation]) -> list[Explanation]:
+def _with_pulses(relation: Relation, best: Explanation) -> list[Explanation]:
     """The likeliest explanation, and the log as it is, with a force beside them that is switched on and off."""
-    best = ranked(found)[0]
     if best.fit is None or best.fit.error < EXPLAINED or relation.disturbance is not None:
         return []
     more = []

@@ -60,6 +60,7 @@ class Explanation:
     signals: Signals
     dynamics: Dynamics | None
     cost: float
+    relation: Relation | None = None  # that mass and friction are still to be asked of
     hypothesis: Hypothesis | None = None  # behind it
 
     @property
@@ -195,19 +196,22 @@ def _offsets(
     return found
 
 
-def judged(relation: Relation | None, faults: tuple[Fault, ...], signals: Signals, fit: Fit | None) -> Explanation:
-    """The explanation with its cost."""
+def judged(relation: Relation, faults: tuple[Fault, ...], signals: Signals, fit: Fit | None) -> Explanation:
+    """The explanation with its cost, but for what mass and friction cost, which `ranked` adds."""
     cost = FAULT * len(faults)
     cost += sum(_unlikely(fault, signals) for fault in faults)
     if fit is not None:
         cost += len(fit.residual) / SAMPLES_PER_INDEPENDENT * float(np.log(max(fit.error, EXPLAINED_COMMAND)))
-    cost += _tracking(signals)
-    dynamics = None
-    if relation is not None:
-        dynamics = dynamics_of(relation, signals)
-        if dynamics is not None:
-            cost += min(dynamics.surprise, MOST_SURPRISE)
-    return Explanation(faults, fit, signals, dynamics, cost)
+    return Explanation(faults, fit, signals, None, cost + _tracking(signals), relation)
+
+
+def _weighed(one: Explanation) -> Explanation:
+    """The explanation with the mass and friction that it asks for, and their cost."""
+    if one.relation is None:
+        return one
+    dynamics = dynamics_of(one.relation, one.signals)
+    surprise = 0.0 if dynamics is None else min(dynamics.surprise, MOST_SURPRISE)
+    return replace(one, dynamics=dynamics, cost=one.cost + surprise, relation=None)
 
 
 def dynamics_of(relation: Relation, signals: Signals) -> Dynamics | None:
@@ -244,8 +248,9 @@ def _tracking(signals: Signals) -> float:
 
 
 def ranked(explanations: Sequence[Explanation]) -> list[Explanation]:
-    """The likeliest first."""
-    return sorted(explanations, key=lambda one: one.cost)
+    """The likeliest first, with mass and friction weighed in all that may be among the likeliest."""
+    within = min(one.cost for one in explanations) + MOST_SURPRISE + CERTAIN
+    return sorted((_weighed(one) if one.cost < within else one for one in explanations), key=lambda one: one.cost)
 
 
 def rivals_of(ranking: Sequence[Explanation]) -> list[Explanation]:
