@@ -7,6 +7,7 @@ which the C handler writes at once, and ends the process where the main thread d
 
 import _thread
 import contextlib
+import itertools
 import math
 import multiprocessing
 import os
@@ -132,7 +133,7 @@ def watched(out: Path | None) -> Iterator[Watch]:
 
 def out_of(arguments: Sequence[str]) -> Path | None:
     """The folder that a command line names with --out."""
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
         name, equals, value = argument.partition("=")
         if name == "--out":
             return Path(value if equals else following)

@@ -216,7 +216,7 @@ def test_channels_on_another_clock_are_refused(clock, says, tmp_path):
     [
         (1e6, r"Write \[units\] time = \"ms\""),
         (1e9, r"time = \"us\""),
-        (1.0, r"time = \"s\""),
+        (1.0, r"has 1000 Hz, the drive file says 1 Hz; correct \[sampling\] rate"),
         (1003.0, r"has 1000 Hz, the drive file says 1003 Hz; correct \[sampling\] rate"),
         (1500.0, "has 1000 Hz, the drive file says 1500 Hz"),
         (70_000.0, "has 1000 Hz, the drive file says 70000 Hz"),

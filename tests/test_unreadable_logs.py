@@ -237,7 +237,7 @@ def test_a_csv_file_of_strange_size_is_refused_in_one_short_line(text, says, tmp
 def test_infinity_in_words_still_stands_for_no_value(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(spoilt(57, "0.055,0.1,inf,3"))
-    assert read_log(path).notes[0] == "1 samples without a value were left out, which leaves 1 gaps"
+    assert "1 samples without a value were left out, which leaves 1 gaps" in read_log(path).notes
 
 
 NO_SIGNALS = {

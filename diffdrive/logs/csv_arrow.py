@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 
 from diffdrive.logs.csv_dialect import Dialect
@@ -44,6 +45,8 @@ def columns_by_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
         return None
     if len(table) != count or table.num_columns != dialect.width:
         return None
+    if any(pa.types.is_floating(column.type) and pc.any(pc.is_inf(column)).as_py() for column in table.columns):
+        return None  # numbers of too many digits, or infinity in words
     texts = [field.name for field in table.schema if field.type not in (pa.int64(), pa.float64())]
     written = read(column_types=dict.fromkeys(texts, pa.string()), include_columns=texts) if texts else None
     return [
