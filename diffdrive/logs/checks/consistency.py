@@ -6,7 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive.logs.checks import hypotheses
-from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, own_faults, ranked, readings, rivals_of
+from diffdrive.logs.checks.explanation import (
+    FAULT,
+    WRONG_UNIT,
+    Explanation,
+    Fault,
+    own_faults,
+    ranked,
+    readings,
+    rivals_of,
+)
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
 from diffdrive.logs.checks.relation import LONGEST, Relation
 from diffdrive.logs.checks.replay import is_linear, remembers_nothing
@@ -113,8 +122,11 @@ def _fitted(relation: Relation, output: Signal, now: Fit) -> Iterator[tuple[Hypo
     families: dict[str, list[Hypothesis]] = {"lengths": list(hypotheses.lengths(relation))}
     for one in hypotheses.filtered(relation):
         families.setdefault(one.channel, []).append(one)
-    for family in filter(None, families.values()):
-        yield from _finalists(relation, family)
+    for name, family in families.items():
+        for one, fit in _finalists(relation, family) if family else ():
+            # wrong lengths leave the command as it is: a factor beside them would be another fault, to fit anything
+            if name != "lengths" or (fit.error < EXPLAINED and abs(float(fit.coefficients[0]) - 1) < WRONG_UNIT):
+                yield one, fit
     for one in (*hypotheses.rectified(relation, output),):
         yield one, relation.fit(np.abs(one.signals.command), np.abs(output))
     for one in (*hypotheses.offset(relation, output), *hypotheses.other_gains(relation, output)):

@@ -29,6 +29,7 @@ CERTAIN = float(np.log(100.0))
 SAMPLES_PER_INDEPENDENT = 100.0
 # What is left below these shares is explained: a log of six digits, and a loop that lags by 6 degrees.
 EXPLAINED_COMMAND, EXPLAINED_POSITION = 1e-5, 0.1
+IMPOSSIBLE = 1e6  # nats: no such machine exists
 MOST_SURPRISE = 100.0  # nats: no machine is less likely than that it is not as we think
 # A force constant is known to some per cent; an error above a tenth is a unit or a wrong gain.
 WRONG_UNIT, OFF = 0.1, 0.005
@@ -211,6 +212,8 @@ def _weighed(one: Explanation) -> Explanation:
         return one
     dynamics = dynamics_of(one.relation, one.signals)
     surprise = 0.0 if dynamics is None else min(dynamics.surprise, MOST_SURPRISE)
+    if dynamics is not None and not dynamics.physical:
+        surprise += IMPOSSIBLE
     return replace(one, dynamics=dynamics, cost=one.cost + surprise, relation=None)
 
 
@@ -249,8 +252,12 @@ def _tracking(signals: Signals) -> float:
 
 def ranked(explanations: Sequence[Explanation]) -> list[Explanation]:
     """The likeliest first, with mass and friction weighed in all that may be among the likeliest."""
-    within = min(one.cost for one in explanations) + MOST_SURPRISE + CERTAIN
-    return sorted((_weighed(one) if one.cost < within else one for one in explanations), key=lambda one: one.cost)
+    found, least = [], np.inf
+    for one in sorted(explanations, key=lambda one: one.cost):
+        weighed = _weighed(one) if one.cost < least + CERTAIN else one
+        least = min(least, weighed.cost)
+        found.append(weighed)
+    return sorted(found, key=lambda one: one.cost)
 
 
 def rivals_of(ranking: Sequence[Explanation]) -> list[Explanation]:

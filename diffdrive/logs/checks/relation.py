@@ -20,7 +20,7 @@ from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robu
 from diffdrive.logs.checks.stuck import clipped
 from diffdrive.logs.log import Log, Signal
 
-LONGEST = 20_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
+LONGEST = 40_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
 LANES = 16  # replays that run side by side: a fixed number, so that one compiled program serves all
 # s: a controller that remembers is not judged by less; in it the table may hardly leave its rest.
 SHORTEST = 0.5
