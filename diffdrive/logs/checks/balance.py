@@ -152,7 +152,7 @@ _SENTENCES = {
 
 def machine(found: Dynamics | None, description: DriveDescription, rivals: tuple[str, ...] = ()) -> Iterator[Finding]:
     """Mass and friction that the log asks for, where they are not those of the drive file."""
-    if found is None or not found.changed:
+    if found is None or not found.changed or not found.physical or found.misfit > EXPLAINS:
         return
     if found.one_sided:
         yield _constant(found, description)
