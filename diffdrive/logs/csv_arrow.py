@@ -58,7 +58,8 @@ def columns_by_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
 def _array(column: pa.ChunkedArray) -> np.ndarray:
     """A column of numbers, NaN where it has no value; `to_numpy` would import pandas, half a second for a small log."""
     if column.null_count:
-        column = column.cast(pa.float64()).fill_null(np.nan)
+        # unsafe: a counter beyond 2^53 is rounded, as it is row by row
+        column = column.cast(pa.float64(), safe=False).fill_null(np.nan)
     return np.concatenate([np.from_dlpack(chunk) for chunk in column.chunks])
 
 
