@@ -39,7 +39,7 @@ def examine(log: Log, description: DriveDescription | None = None) -> list[Findi
     findings = _readable(log)
     if not findings:
         findings = _found(log, description)
-        findings = [_confirmed(finding, findings, log, description) for finding in findings]
+        findings = _confirmed(findings, log, description)
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
@@ -91,21 +91,26 @@ def _is_said(finding: Finding, related: list[Finding]) -> bool:
     )
 
 
-def _confirmed(finding: Finding, findings: list[Finding], log: Log, description: DriveDescription | None) -> Finding:
-    """The finding, without its repair if the mended log shows anything that the log does not."""
-    if finding.repair is None:
-        return finding
+def _confirmed(findings: list[Finding], log: Log, description: DriveDescription | None) -> list[Finding]:
+    """The findings, each without its repair if the mended log shows anything that the log does not."""
     steps = tuple(step for one in findings if one.repair is not None for step in one.repair.steps)
-    mended = Repair(steps).apply(log)
+    if not steps:
+        return findings
+    left = [one for one in _found(Repair(steps).apply(log), description) if one.severity != "note"]
+    return [finding if finding.repair is None else _doubted(finding, findings, left) for finding in findings]
+
+
+def _doubted(finding: Finding, findings: list[Finding], left: list[Finding]) -> Finding:
+    """The finding, without its repair if what is `left` in the mended log speaks against it."""
     worst = {(one.cause, one.channel): SEVERITIES.index(one.severity) for one in reversed(findings)}
-    left = [one for one in _found(mended, description) if one.severity != "note"]
-    mild = [
-        one for one in left if SEVERITIES.index(one.severity) > worst.get((one.cause, one.channel), len(SEVERITIES))
+    # what is known already, and is milder now or of another cause and not fatal, may stay
+    known = [
+        one
+        for one in left
+        if SEVERITIES.index(one.severity) > worst.get((one.cause, one.channel), len(SEVERITIES))
+        or ((one.cause, one.channel) in worst and one.severity != "fatal" and one.cause != finding.cause)
     ]
-    # what is known already, and is not fatal, may stay
-    same = [one for one in left if (one.cause, one.channel) in worst and one.severity != "fatal"]
-    same = [one for one in same if one.cause != finding.cause]
-    new = [one for one in left if one not in mild and one not in same]
+    new = [one for one in left if one not in known]
     if not new:
         return finding
     doubts = "; ".join(f"{one.channel}: {one.found}" for one in new[:2])

@@ -15,7 +15,7 @@ import numpy as np
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.bursts import bursts
 from diffdrive.logs.checks.motion import speed_at
-from diffdrive.logs.checks.replay import SETTLE, is_linear, outputs, remembers_nothing
+from diffdrive.logs.checks.replay import SETTLE, Software, is_linear, outputs, remembers_nothing, software_of
 from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
 from diffdrive.logs.checks.stuck import clipped
 from diffdrive.logs.log import Log, Signal
@@ -51,6 +51,11 @@ class Relation:
         reference = log.position if log.reference is None else log.reference
         return Signals(reference[piece], log.position[piece], log.command[piece], mean_step(log))
 
+    @cached_property
+    def software(self) -> Software:
+        """What is put to the log."""
+        return software_of(self.description)
+
     @property
     def disturbance(self) -> Signal | None:
         """The known disturbance of the stretch, where there is one."""
@@ -67,12 +72,12 @@ class Relation:
             count = len(some)
             some += [some[-1]] * (0 if count == 1 else LANES - count)
             command = outputs(
-                self.description,
+                self.software,
                 np.stack([one.reference for one in some]),
                 np.stack([one.position for one in some]),
+                some[0].period,
                 speed,
                 some[0].command if fed else None,
-                period=some[0].period,
             )
             given += list(command[:count])
         return given

@@ -46,22 +46,29 @@ def _begun(controller: Controller, position: Any, speed: Any) -> Any:
     return state._replace(observer=observed._replace(x=(position, speed, sliding)))
 
 
+Software = tuple[Controller, Drive]
+
+
+def software_of(description: DriveDescription) -> Software:
+    """The controller and the drive whose actuator it knows, as arrays."""
+    require_double_precision()
+    return as_arrays((description.controller, description.drive))
+
+
 def outputs(
-    description: DriveDescription,
+    software: Software,
     references: np.ndarray,
     positions: np.ndarray,
+    period: float,
     speed: float = 0.0,
     given: np.ndarray | None = None,
-    period: float | None = None,
 ) -> np.ndarray:
-    """Commands (N) [m, n] of the controller for m pairs of reference and position (m) [m, n].
+    """Commands (N) [m, n] of the controller for m pairs of reference and position (m) [m, n], `period` (s) apart.
 
     It begins at `speed` (m/s). Its observer is fed what it asks for itself, or the command `given` (N) [n], as on the
     machine: then it forgets how it began. The reference's velocity and acceleration, which the log does not hold, are
-    its central differences. Its samples are `period` (s) apart, by default the drive file's.
+    its central differences.
     """
-    require_double_precision()
-    period = 1.0 / description.sampling.rate if period is None else period
     count = references.shape[1]
     # the length is rounded up, at rest at the end, so that logs of similar length share one compiled program
     width = 4096 * -(-count // 4096)
@@ -74,9 +81,8 @@ def outputs(
     )
     positions = np.pad(positions, pad, mode="edge")
     given = None if given is None else np.pad(given, (0, width - count), mode="edge")
-    controller, drive = as_arrays((description.controller, description.drive))
     signals = as_arrays((reference, positions, np.asarray(speed), given, np.asarray(period)))
-    return np.asarray(_outputs(controller, drive, *signals))[:, :count]
+    return np.asarray(_outputs(*software, *signals))[:, :count]
 
 
 def remembers_nothing(controller: Controller) -> bool:
