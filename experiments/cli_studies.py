@@ -220,10 +220,12 @@ def recovery(
 @studies.command("log-study", rich_help_panel=PANEL)
 def log_study(
     out: Out = None,
-    cases: Annotated[int, typer.Option(min=1, help="How many logs with a fault.")] = 60,
-    sound: Annotated[int, typer.Option(min=0, help="How many sound logs.")] = 40,
-    pairs: Annotated[int, typer.Option(min=0, help="How many pairs of logs, two thirds of them of two machines.")] = 30,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of axes, motions and faults.")] = 1,
+    cases: Annotated[int, typer.Option(min=1, callback=count_of, help="How many logs with a fault.")] = 60,
+    sound: Annotated[int, typer.Option(min=0, callback=count_of, help="How many sound logs.")] = 40,
+    pairs: Annotated[
+        int, typer.Option(min=0, callback=count_of, help="How many pairs of logs, two thirds of them of two machines.")
+    ] = 30,
+    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of axes, motions and faults.")] = 1,
 ) -> None:
     """The log checks on logs whose fault is known (docs/log-study.md): is it named, and is a stated mend right?
 

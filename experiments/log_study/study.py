@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.drive_file import DriveDescription
-from diffdrive.errors import DivergenceError
+from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs.log import Log
 from diffdrive.logs.plausibility import Finding
+from diffdrive.resources import counted, require_memory
 from experiments.log_study.drives import StudyDrive, study_drives
 from experiments.log_study.fault import Draw, Fault
 from experiments.log_study.machines import MACHINES, other_log_of
@@ -22,6 +23,7 @@ from experiments.report import Report
 FAULTS: tuple[Draw, ...] = (*VALUES, *TIMES, *MACHINES)
 MOTIONS, AMOUNTS = 3, 10  # that are tried for a fault that shows
 CASES, SOUND, PAIRS = 0, 1, 2  # streams of random numbers
+LOG, ROW = 2e6, 2e3  # bytes at most of a log with a fault, which its answer keeps, and of a row of a table
 
 Together = Callable[[Sequence[Log], DriveDescription], Sequence[Finding]]
 
@@ -73,6 +75,8 @@ def log_study(
     axes: Sequence[StudyDrive] | None = None,
 ) -> None:  # fmt: skip
     """All three parts into a report: so many faulty logs, sound ones, and pairs of two logs; of all axes by default."""
+    for option, count, each in (("--cases", cases, LOG), ("--sound", healthy, ROW), ("--pairs", pairs, ROW)):
+        require_memory(ParameterError, f"{option} {counted(count)}: what is kept of them", each * count, "give fewer")
     axes = study_drives() if axes is None else axes
     with report.working("logs with a fault"):
         tell_faulty(report, faulty_logs(report, cases, seed, axes, examine))
