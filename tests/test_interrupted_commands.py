@@ -28,6 +28,7 @@ from test_tune_command import QUICK
 
 from diffdrive.drive_file import write_drive
 from diffdrive.logs import write_log
+from experiments import emps
 
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="POSIX signals"), pytest.mark.slow]
 
@@ -87,8 +88,13 @@ def recovered(folder):
 
 
 @pytest.fixture(scope="module")
-def commands(tmp_path_factory):
-    here = tmp_path_factory.mktemp("given")
+def given(tmp_path_factory):
+    return tmp_path_factory.mktemp("given")
+
+
+@pytest.fixture(scope="module")
+def commands(given):
+    here = given
     (here / "tuned.toml").write_text(TUNED)
     true = described()
     write_log(here / "lap.csv", logged(true, MOTION, seed=1))
@@ -165,10 +171,44 @@ def promised(said, out):
     return [name for name in names if not (out / name).exists()]
 
 
-@pytest.mark.parametrize("name", ["tune", "identify", "diagnose", "sweep", "sweep --workers", "withheld", "recovery"])
+def stopped(command, out, cache, kind, after, where):
+    """A command that is stopped after so many seconds: its exit code, what it said, and how long it took to end.
+
+    However it was stopped: no process is left, no file is cut, and what it says that it kept is there.
+    """
+    with begun(command, out, cache) as process:
+        time.sleep(after)
+        for again, one in enumerate(KINDS[kind]):
+            time.sleep(APART * bool(again))
+            process.send_signal(one)
+            sent = time.monotonic()
+        said = process.communicate()[0]
+        seconds = time.monotonic() - sent
+    assert nobody_left(process.pid), f"{where}: processes left"
+    assert cut(out) == [], where
+    assert promised(said, out) == [], where
+    assert process.returncode in (0, 3, 130, *(-one for one in KINDS[kind])), f"{where}: {said}"
+    if process.returncode != 0:
+        assert seconds < (WITHIN_SECOND if len(KINDS[kind]) > 1 else WITHIN_FIRST), f"{where}: {seconds:.1f} s"
+    return process.returncode, seconds
+
+
+def moments(draw):
+    """The kinds of interruption, each so often, in a random order."""
+    kinds = [kind for kind in KINDS for _ in range(MOMENTS)]
+    draw.shuffle(kinds)
+    return kinds
+
+
+def longest(rows):
+    return ", ".join(f"{kind} {max(some):.1f} s of {len(some)}" for kind, some in rows.items())
+
+
+CONTINUED = ("tune", "identify", "diagnose", "sweep", "sweep --workers", "withheld", "recovery")
+
+
+@pytest.mark.parametrize("name", CONTINUED)
 def test_killed_again_and_again_it_ends_in_time_and_with_the_same_numbers(commands, name, tmp_path, capsys):
-    if name.endswith("--workers"):
-        pytest.importorskip("distributed")
     command, cache = commands[name], tmp_path / "cache"
     alone = tmp_path / "alone"
     for _ in range(2):  # the second time compiled
@@ -179,39 +219,56 @@ def test_killed_again_and_again_it_ends_in_time_and_with_the_same_numbers(comman
         assert process.returncode == 0, said
         lasts = time.monotonic() - began
     expected, seed = command.numbers(alone), random.randrange(10**6)
-    draw, out, resumed, rows = random.Random(seed), tmp_path / "out", 0, {}
-    moments = [kind for kind in KINDS for _ in range(MOMENTS)]
-    draw.shuffle(moments)
-    for number, kind in enumerate(moments):
-        cold = draw.random() < 0.25
+    draw, out, ends, rows = random.Random(seed), tmp_path / "out", 0, {}
+    for number, kind in enumerate(moments(draw)):
+        cold = tmp_path / f"cold-{number}" if draw.random() < 0.25 else cache
         where = f"{name}, seed {seed}, moment {number}: {kind}"
-        with begun(command, out, tmp_path / f"cold-{number}" if cold else cache) as process:
-            time.sleep(draw.uniform(2.0, lasts))
-            for again, one in enumerate(KINDS[kind]):
-                time.sleep(APART * bool(again))
-                process.send_signal(one)
-                sent = time.monotonic()
-            said = process.communicate()[0]
-            seconds = time.monotonic() - sent
-        shutil.rmtree(tmp_path / f"cold-{number}", ignore_errors=True)
-        assert nobody_left(process.pid), f"{where}: processes left"
-        assert cut(out) == [], where
-        assert promised(said, out) == [], where
-        assert process.returncode in (0, 3, 130, *(-one for one in KINDS[kind])), f"{where}: {said}"
-        ended = process.returncode == 0
-        with (tmp_path / "moments.csv").open("a") as file:
-            file.write(f"{name},{kind},{cold},{seconds:.2f},{process.returncode}\n")
-        if not ended:
+        code, seconds = stopped(command, out, cold, kind, draw.uniform(2.0, lasts), where)
+        if code != 0:
             rows.setdefault(kind, []).append(seconds)
-            assert seconds < (WITHIN_SECOND if len(KINDS[kind]) > 1 else WITHIN_FIRST), where
         else:
             assert command.numbers(out) == expected, where
             shutil.rmtree(out)
-            resumed += 1
+            ends += 1
     with begun(command, out, cache) as process:
         said = process.communicate()[0]
     assert process.returncode == 0, said
     assert command.numbers(out) == expected, f"seed {seed}"
     with capsys.disabled():
-        longest = ", ".join(f"{kind} {max(some):.1f} s of {len(some)}" for kind, some in rows.items())
-        print(f"\n{name} ({lasts:.0f} s alone): longest time to the end {longest}; {resumed + 1} ended, all equal")
+        print(f"\n{name} ({lasts:.0f} s alone): longest time to the end {longest(rows)}; {ends + 1} ended, all equal")
+
+
+# commands that begin anew, and until when they are stopped
+ANEW = {
+    "simulate": ("simulate", "sines.toml", "--motion", "sine:amplitude=1mm,frequency=10Hz,duration=30s"),
+    "check": ("check", "lap.csv", "--drive", "drive.toml"),
+    "convergence": ("convergence", "tuned.toml"),
+    "demo": ("demo", "--quick"),
+    "reproduce": ("reproduce",),
+    "log-study": ("log-study", "--cases", "8", "--sound", "4", "--pairs", "3"),
+    "bench": ("bench",),
+    "tuning-study": ("tuning-study", "--evaluations", "50", "--runs", "1", "--starts", "1"),
+    "evolution": ("evolution", "--seconds", "5", "--runs", "1"),
+    "emps": ("emps",),
+    "real-axes": ("real-axes",),
+}
+MEASURED = ("evolution", "emps", "real-axes")  # which need the benchmark's files
+AT_MOST = 40.0  # s
+
+
+@pytest.mark.parametrize("name", ANEW)
+def test_stopped_at_any_moment_it_ends_in_time_and_cuts_nothing(commands, given, name, tmp_path, capsys):
+    if name in MEASURED and emps.find_folder() is None:
+        pytest.skip("the EMPS files are not here")
+    words = tuple(str(given / word) if word.endswith((".toml", ".csv")) else word for word in ANEW[name])
+    command, seed, rows = Command(words, result), random.randrange(10**6), {}
+    draw, out = random.Random(seed), tmp_path / "out"
+    for number, kind in enumerate(moments(draw)):
+        where = f"{name}, seed {seed}, moment {number}: {kind}"
+        code, seconds = stopped(command, out, tmp_path / "cache", kind, draw.uniform(1.0, AT_MOST), where)
+        if code == 0:
+            shutil.rmtree(out)
+        else:
+            rows.setdefault(kind, []).append(seconds)
+    with capsys.disabled():
+        print(f"\n{name}: longest time to the end {longest(rows)}")

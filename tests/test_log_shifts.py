@@ -84,18 +84,26 @@ def test_no_value_crosses_a_gap():
     assert gaps == (4,)
 
 
-@pytest.mark.parametrize("key", ["{}", "late:{}", "a folder/late:{}"])
-@pytest.mark.parametrize("already", [0, 1, -2])
 @pytest.mark.parametrize(
-    "late", [{"command": -2}, {"command": 1}, {"position": 1}, {"position": -1}, {"reference": 2}, {"reference": -1}]
+    ("channel", "late", "already", "key"),
+    [  # every channel, every move before and every key come together in pairs
+        ("command", -2, 0, "{}"),
+        ("command", 1, 1, "late:{}"),
+        ("command", 1, -2, "a folder/late:{}"),
+        ("position", 1, 0, "late:{}"),
+        ("position", -1, 1, "a folder/late:{}"),
+        ("position", -1, -2, "{}"),
+        ("reference", 2, 0, "a folder/late:{}"),
+        ("reference", -1, 1, "{}"),
+        ("reference", 2, -2, "late:{}"),
+    ],
 )
-def test_the_options_that_a_finding_names_mend_it(late, already, key, tmp_path):
+def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, tmp_path):
     """Whatever [shifts] moved before, of all logs or of this one, that it is out of time by so much more."""
-    (channel,) = late
     drive = dataclasses.replace(DRIVE, mapping=Mapping(shifts={key.format(channel): already}))
     path = tmp_path / "a folder" / "late.csv"
     path.parent.mkdir()
-    write_log(path, but(**{name: moved(SOUND.channels[name], by - already) for name, by in late.items()}))
+    write_log(path, but(**{channel: moved(SOUND.channels[channel], late - already)}))
 
     def shifts_of(description):
         found = examine(read_log(path, description.mapping, RATE), description)
