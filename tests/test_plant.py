@@ -16,11 +16,12 @@ from scipy.integrate import solve_ivp
 from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.effects.friction import PositionFriction
+from diffdrive.errors import ParameterError
 from diffdrive.friction import steady_friction
 from diffdrive.parameters import Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.plant import PlantState, advance
 from diffdrive.presets import PAPER_KD, PAPER_KP
-from diffdrive.simulate import simulate
+from diffdrive.simulate import inputs_of, rollout, simulate
 
 PERIOD = 1e-4
 LOAD = 5_000.0
@@ -254,7 +255,16 @@ def test_a_friction_level_below_zero_is_no_friction(drive, velocity):
     assert np.isnan(float(advance(replace(drive, friction=friction), state, 10.0, 0.0, PERIOD, 5).velocity))
 
 
-def test_a_run_with_such_a_friction_is_not_ok(drive):
+def test_a_motion_into_such_a_friction_is_refused_or_no_number(drive):
+    """`simulate` says so before it begins; the pure function, which cannot look at what it is given, has no number."""
     along = replace(drive, effects=(PositionFriction(slope=-20.0),))
+    pd = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
     reference = motion.triangular(speed=0.2, stroke=0.1, rounding=0.1, duration=1.0, rate=10_000.0)
-    assert not simulate(along, PD(Tracking(Gains(PAPER_KP, PAPER_KD))), reference).status.ok
+    with pytest.raises(ParameterError, match="it takes 180 % of the Coulomb friction off at some place"):
+        simulate(along, pd, reference)
+    inputs = inputs_of(reference, np.zeros(len(reference.time)))
+    position = np.asarray(rollout(*as_arrays((along, pd)), inputs, Sampling()).position)
+    reached = np.isfinite(position)
+    assert reached[0]
+    assert not reached[-1]
+    assert np.max(position[reached]) < 0.051  # where the slope has taken all of it
