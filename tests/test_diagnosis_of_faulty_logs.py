@@ -89,7 +89,8 @@ def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_
 )
 def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps(tilted, resembles, amount, verdict):
     """In kind and in size: what the log's fault would not look like is another matter."""
-    fatal = [("lap", Finding("fatal", "command", "one sample late", "shift it", resembles, amount))]
+    finding = Finding("fatal", "command", "one sample late", "shift it", "shifted", resembles=resembles, amount=amount)
+    fatal = [("lap", finding)]
     late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
     belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
     found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))

@@ -7,7 +7,7 @@ import numpy as np
 
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.dynamics import Dynamics, Estimate, inverse_dynamics
-from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, dynamics_of, judged, ranked, rivals_of
+from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, judged, ranked, rivals_of
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import CAUSES, Finding
 from diffdrive.logs.checks.hypotheses import SKIPPED, on_grid
@@ -25,7 +25,7 @@ COUNTS = 3 * FAULT
 def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
     """The command against mass and friction of the drive file, where no controller is known that gives it."""
     relation = Relation(description, log, longest_piece(log))
-    dynamics = dynamics_of(relation, relation.logged)
+    dynamics = relation.dynamics(relation.logged)
     if dynamics is None or dynamics.misfit > EXPLAINS:
         yield Finding(
             "note",

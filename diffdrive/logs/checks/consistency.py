@@ -30,6 +30,7 @@ EXPLAINED, RELATED = 0.03, 0.5
 PLAINLY, PLAINLY_LATE = 1e-3, 3e-3
 # A hypothesis must leave less than these shares of the misfit; a past can look a little like a shift.
 CLEAR, CLEAR_OF_THE_PAST = 0.5, 0.1
+UNLIKE_A_PAST = ("decimated", "swapped")  # another time, other columns
 # An observer fed by the log follows it even where its scale is wrong, so it must come as close as this to be believed.
 EXACT = 0.01
 FINALISTS = 2  # of a family, whose quick fits are made robust
@@ -100,9 +101,10 @@ def _rivals(relation: Relation) -> list[Explanation]:
     if short is None:
         return []
     output, now = short
-    clear = CLEAR if is_linear(relation.description.controller) else CLEAR_OF_THE_PAST
+    remembers = not is_linear(relation.description.controller)
     found = readings(relation, hypotheses.as_logged(relation), now)
     for hypothesis, fit in _fitted(relation, output, now):
+        clear = CLEAR_OF_THE_PAST if remembers and hypothesis.cause not in UNLIKE_A_PAST else CLEAR
         if fit.error < max(clear * now.error, PLAINLY):
             found += readings(relation, hypothesis, fit)
     return found

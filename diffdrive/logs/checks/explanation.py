@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diffdrive.logs.checks.dynamics import CHANGED_STD, Dynamics, inverse_dynamics
+from diffdrive.logs.checks.dynamics import CHANGED_STD, Dynamics
 from diffdrive.logs.checks.hypotheses import Hypothesis
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Add, Scale, Step
@@ -210,21 +210,11 @@ def _weighed(one: Explanation) -> Explanation:
     """The explanation with the mass and friction that it asks for, and their cost."""
     if one.relation is None:
         return one
-    dynamics = dynamics_of(one.relation, one.signals)
+    dynamics = one.relation.dynamics(one.signals)
     surprise = 0.0 if dynamics is None else min(dynamics.surprise, MOST_SURPRISE)
     if dynamics is not None and not dynamics.physical:
         surprise += IMPOSSIBLE
     return replace(one, dynamics=dynamics, cost=one.cost + surprise, relation=None)
-
-
-def dynamics_of(relation: Relation, signals: Signals) -> Dynamics | None:
-    """The inverse dynamics of mended signals."""
-    log, piece = relation.log, relation.piece
-    load = 0.0 if log.load is None else log.load[piece]
-    force = signals.command if log.disturbance is None else signals.command + log.disturbance[piece]
-    return inverse_dynamics(
-        signals.position, force, signals.period, relation.description.drive, load, relation.not_the_controllers
-    )
 
 
 def _unlikely(fault: Fault, signals: Signals) -> float:

@@ -11,9 +11,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks.bursts import bursts
+from diffdrive.logs.checks.dynamics import Dynamics, inverse_dynamics
 from diffdrive.logs.checks.motion import speed_at
 from diffdrive.logs.checks.replay import SETTLE, Software, is_linear, outputs, remembers_nothing, software_of
 from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
@@ -63,9 +65,13 @@ class Relation:
         return None if whole is None or np.std(whole[self.piece]) == 0 else whole[self.piece]
 
     def outputs(self, cases: Sequence[Signals]) -> list[Signal]:
-        """The controller's command (N) for each, all of one length and period."""
+        """The controller's command (N) for each, all of one length and period.
+
+        The controller runs at its own rate: signals at a slower one are interpolated between their samples.
+        """
         fed = self.late and not is_linear(self.description.controller)
-        speed = speed_at(self.log, self.piece.start)
+        slower = max(1, round(cases[0].period / self.logged.period))
+        speed = speed_at(self.log, self.piece.start) / slower
         given: list[Signal] = []
         for first in range(0, len(cases), LANES):
             some = list(cases[first : first + LANES])
@@ -73,13 +79,13 @@ class Relation:
             some += [some[-1]] * (0 if count == 1 else LANES - count)
             command = outputs(
                 self.software,
-                np.stack([one.reference for one in some]),
-                np.stack([one.position for one in some]),
-                some[0].period,
+                _between(np.stack([one.reference for one in some]), slower),
+                _between(np.stack([one.position for one in some]), slower),
+                some[0].period / slower,
                 speed,
-                some[0].command if fed else None,
+                _between(some[0].command, slower) if fed else None,
             )
-            given += list(command[:count])
+            given += list(command[:count, ::slower])
         return given
 
     def judged(self, signal: Signal) -> Signal:
@@ -101,12 +107,29 @@ class Relation:
         known = [] if self.disturbance is None else [self.judged(self.disturbance)]
         return robust_fit([*(self.judged(column) for column in columns), *known], self.judged(command))
 
+    def dynamics(self, signals: Signals) -> Dynamics | None:
+        """The inverse dynamics of mended signals."""
+        log, piece = self.log, self.piece
+        load = 0.0 if log.load is None else log.load[piece]
+        force = signals.command if log.disturbance is None else signals.command + log.disturbance[piece]
+        return inverse_dynamics(
+            signals.position, force, signals.period, self.description.drive, load, self.not_the_controllers
+        )
+
     def plain(self) -> tuple[Signal, Fit] | None:
         """The controller's command for the log as it is, and the logged one by it; None where it gives nothing."""
         output = self.outputs([self.logged])[0]
         if not np.all(np.isfinite(output)) or np.std(output) == 0 or np.std(self.logged.command) == 0:
             return None
         return output, self.fit(self.logged.command, output)
+
+
+def _between(signals: np.ndarray, parts: int) -> np.ndarray:
+    """Signals [..., n] with so many samples for each of theirs, by a cubic spline through theirs."""
+    if parts == 1:
+        return signals
+    at = np.arange(signals.shape[-1])
+    return CubicSpline(at, signals, axis=-1)(np.arange((len(at) - 1) * parts + 1) / parts)
 
 
 def relation_of(log: Log, description: DriveDescription) -> Relation | None:

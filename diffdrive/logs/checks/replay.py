@@ -14,6 +14,7 @@ from diffdrive.drive_file import DriveDescription
 from diffdrive.friction import bristle_at
 from diffdrive.parameters import Drive, as_arrays, require_double_precision
 
+WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
 SETTLE = 10  # samples until differences over the controller's past are those of the log
 
 
@@ -71,7 +72,8 @@ def outputs(
     """
     count = references.shape[1]
     # the length is rounded up, at rest at the end, so that logs of similar length share one compiled program
-    width = 4096 * -(-count // 4096)
+    block = next((size for size in WIDTHS if count <= 10 * size), WIDTHS[-1])
+    width = block * -(-count // block)
     pad = ((0, 0), (0, width - count))
     rates = np.gradient(references, period, axis=1)
     reference = Reference(
