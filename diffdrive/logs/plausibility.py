@@ -64,8 +64,17 @@ def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
     clocks = [*clock.rate(log, description)] if description is not None else []
     # a channel that stands still where it should move spoils every comparison with the others
     related, given = ([], None) if [*stuck.frozen_position(log)] else _command(log, description)
-    single = [*_position_unit(log, description), *_signals(log, description, given)]
+    steps = tuple(step for one in related if one.repair is not None for step in one.repair.steps)
+    single = _by_themselves(log, description, None if steps else given)
+    if steps:  # what goes with the fault that all channels show together is part of it
+        left = {(one.cause, one.channel) for one in _by_themselves(Repair(steps).apply(log), description, given)}
+        single = [one for one in single if (one.cause, one.channel) in left]
     return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
+
+
+def _by_themselves(log: Log, description: DriveDescription | None, given: Signal | None) -> list[Finding]:
+    """What single channels show, or two by their ratio; `given` is the controller's own command, where it is known."""
+    return [*_position_unit(log, description), *_signals(log, description, given)]
 
 
 def _is_said(finding: Finding, related: list[Finding]) -> bool:

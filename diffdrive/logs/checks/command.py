@@ -12,7 +12,7 @@ from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, Outcome
 from diffdrive.logs.checks.explanation import WRONG_UNIT
 from diffdrive.logs.checks.finding import CAUSES, Finding
-from diffdrive.logs.checks.relation import relation_of
+from diffdrive.logs.checks.relation import Relation, relation_of
 from diffdrive.logs.checks.repair import Repair, shifted
 from diffdrive.logs.checks.replay import remembers_nothing
 from diffdrive.logs.checks.statistics import mean_step, percent
@@ -23,7 +23,7 @@ EXPLAINS = 0.2
 
 
 class Judgement(NamedTuple):
-    """What the command shows, and the controller's own command [n], in the log's unit, where it explains that."""
+    """What the command shows, and the controller's own command [n] for the mended log, where it explains that."""
 
     findings: list[Finding]
     given: Signal | None = None
@@ -44,22 +44,34 @@ def judged(log: Log, description: DriveDescription) -> Judgement:
     if fit.error > EXPLAINS and outcome.plain.error > RELATED:
         return Judgement([*explained(outcome, description), *balance.command(log, description)])
     counted_twice = [*disturbance(log, outcome)]
+    mended = _mended(log, outcome, description)
+    dynamics = outcome.best.dynamics
+    if mended is not None and len(outcome.best.signals.command) != len(outcome.output):  # judged on a stretch
+        dynamics = mended.dynamics(mended.logged)
     findings = [
         *faults(log, outcome, description),
         *counted_twice,
         *explained(outcome, description),
-        *([] if counted_twice else balance.machine(outcome.best.dynamics, description)),
+        *([] if counted_twice else balance.machine(dynamics, description)),
         *timing(outcome, description),
     ]
-    return Judgement(findings, _given(log, outcome))
+    return Judgement(findings, None if mended is None else _given(log, outcome, mended))
 
 
-def _given(log: Log, outcome: Outcome) -> Signal | None:
-    """The controller's command as the log would hold it, where it explains a log in one piece."""
+def _mended(log: Log, outcome: Outcome, description: DriveDescription) -> Relation | None:
+    """The relation over the whole log as it would be if the best explanation is right."""
+    steps = tuple(step for one in outcome.best.faults for step in one.steps)
+    return relation_of(Repair(steps).apply(log), description) if steps else outcome.relation
+
+
+def _given(log: Log, outcome: Outcome, relation: Relation) -> Signal | None:
+    """The controller's command as the mended log would hold it, where it explains a log in one piece."""
     whole = len(outcome.output) == len(log.time) and outcome.relation.disturbance is None
-    if not whole or outcome.plain.error > EXPLAINS:
+    explained = (outcome.output, outcome.plain) if relation is outcome.relation else relation.plain()
+    if not whole or explained is None or explained[1].error > EXPLAINS:
         return None
-    return float(outcome.plain.coefficients[0]) * outcome.output + float(outcome.plain.coefficients[-1])
+    output, fit = explained
+    return float(fit.coefficients[0]) * output + float(fit.coefficients[-1])
 
 
 def timing(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
@@ -137,7 +149,8 @@ def explained(outcome: Outcome, description: DriveDescription) -> Iterator[Findi
     """A controller that is not, or not quite, the one that made this command."""
     fit = outcome.best.fit
     assert fit is not None
-    if fit.error > EXPLAINED and not any(one.cause == "rounded" for one in outcome.best.faults):
+    # digits and rows that are missing leave more than that
+    if fit.error > EXPLAINED and not any(one.cause in ("rounded", "decimated") for one in outcome.best.faults):
         yield Finding(
             "warning",
             "command",

@@ -70,7 +70,7 @@ class Relation:
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
         """
         fed = self.late and not is_linear(self.description.controller)
-        slower = max(1, round(cases[0].period / self.logged.period))
+        slower = max(1, round(cases[0].period * self.description.sampling.rate))
         speed = speed_at(self.log, self.piece.start) / slower
         given: list[Signal] = []
         for first in range(0, len(cases), LANES):
