@@ -57,7 +57,8 @@ def _readable(log: Log) -> list[Finding]:
 
 def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
     """All findings of a readable log; what is said of the command comes first, since it has looked at all channels."""
-    overflows = [*wraps.wrapped(log, None if description is None else description.drive.sensor.resolution)]
+    resolution = None if description is None else description.drive.sensor.resolution
+    overflows = [*wraps.wrapped(log, resolution), *wraps.wrapped_command(log)]
     for finding in overflows:
         assert finding.repair is not None
         log = finding.repair.apply(log)

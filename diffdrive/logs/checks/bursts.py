@@ -14,6 +14,7 @@ from diffdrive.logs.checks.statistics import longest_piece, mean_step, scale
 from diffdrive.logs.log import Log, Signal
 
 WINDOW = 0.2  # s: what is usual is that of the samples around
+WINDOW_OF_REST = 2.0  # s: what a controller leaves of the command changes as slowly as what it remembers
 UNUSUAL = 12.0  # standard deviations of the samples around; a reversal's jerk reaches 10
 LARGE = 0.1  # of the command's range
 EDGE = 1  # samples within which a burst begins and ends
@@ -30,9 +31,9 @@ class Burst(NamedTuple):
     force: float
 
 
-def bursts(command: Signal, step: float) -> list[Burst]:
-    """Stretches of the command far from what the samples before and after make likely."""
-    length = max(5, 2 * int(WINDOW / step / 2) + 1)
+def bursts(command: Signal, step: float, window: float = WINDOW) -> list[Burst]:
+    """Stretches of the command far from what the samples before and after, over `window` (s), make likely."""
+    length = max(5, 2 * int(window / step / 2) + 1)
     if len(command) < 3 * length:
         return []
     rest = command - _usual(command, length)
@@ -61,21 +62,25 @@ def unexplained(log: Log, description: DriveDescription | None, given: Signal | 
     """Bursts that the controller did not give, where that is known (`given`), else those that the table ignores."""
     piece, step = longest_piece(log), mean_step(log)
     position, command = log.position[piece], log.command[piece]
-    found = bursts(command if given is None else command - given[piece], step)
-    if given is not None:
+    if given is None:
+        found = bursts(command, step)
+    else:
+        found = bursts(command - given[piece], step, min(WINDOW_OF_REST, len(command) * step / 4))
         found = [one for one in found if abs(one.force) > LARGE * float(np.ptp(command))]
     mass = _mass(position, command, step, description)
     silent = [] if mass is None else [one for one in found if _is_ignored(one, position, step, mass)]
-    found = silent or ([] if given is None else found)
+    if given is None:
+        found, what = silent, "to which the table does not react: this force never acted"
+    else:
+        what = "which the controller did not give: test pulses, or the logger's"
+        if silent:
+            what = (
+                f"which the controller did not give; to {len(silent)} of them the table does not react: it never acted"
+            )
     if not found:
         return
     largest = max(found, key=lambda one: abs(one.force))
     start = log.time[piece.start + largest.start]
-    what = (
-        "to which the table does not react: this force never acted"
-        if silent
-        else "which the controller did not give: test pulses, or the logger's"
-    )
     yield Finding(
         "warning",
         "command",

@@ -7,7 +7,9 @@ import numpy as np
 
 from diffdrive.logs.checks import hypotheses
 from diffdrive.logs.checks.explanation import (
+    CERTAIN,
     FAULT,
+    SAMPLES_PER_INDEPENDENT,
     WRONG_UNIT,
     Explanation,
     Fault,
@@ -17,7 +19,7 @@ from diffdrive.logs.checks.explanation import (
     rivals_of,
 )
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
-from diffdrive.logs.checks.relation import LONGEST, Relation
+from diffdrive.logs.checks.relation import LONGEST, Relation, Signals
 from diffdrive.logs.checks.replay import is_linear, remembers_nothing
 from diffdrive.logs.checks.statistics import Fit, robust_fit
 from diffdrive.logs.checks.switching import switching
@@ -133,7 +135,7 @@ def _fitted(relation: Relation, output: Signal, now: Fit) -> Iterator[tuple[Hypo
         yield one, relation.fit(np.abs(one.signals.command), np.abs(output))
     for one in (*hypotheses.offset(relation, output), *hypotheses.other_gains(relation, output)):
         yield one, relation.fit(one.signals.command, *one.columns)
-    for one in hypotheses.filtered_velocity(relation, output):
+    for one in (*hypotheses.filtered_velocity(relation, output), *hypotheses.slower_velocity(relation, output)):
         yield one, relation.fit(one.signals.command, *one.columns)
 
 
@@ -208,7 +210,10 @@ def _parts(
 
 
 def _with_pulses(relation: Relation, best: Explanation) -> list[Explanation]:
-    """The likeliest explanation, and the log as it is, with a force beside them that is switched on and off."""
+    """The likeliest explanation, and the log as it is, with a force beside them that is switched on and off.
+
+    Either it acts on the table, or it stands in the recording alone: mass and friction tell.
+    """
     if best.fit is None or best.fit.error < EXPLAINED or relation.disturbance is not None:
         return []
     more = []
@@ -218,19 +223,32 @@ def _with_pulses(relation: Relation, best: Explanation) -> list[Explanation]:
             continue  # its command is not that of the drive file's controller
         signals, steps = beside.signals, own_faults(beside)
         whole = replace(relation, piece=slice(relation.piece.start, relation.piece.start + len(signals.command)))
-        command, output = whole.judged(signals.command), whole.judged(whole.outputs([signals])[0])
-        switched = switching(command, output)
+        given = whole.outputs([signals])[0]
+        switched = switching(whole.judged(signals.command), whole.judged(given))
         if switched is None or switched.fit.error > CLEAR * best.fit.error:
             continue
         if switched.changes == 1 and not remembers_nothing(relation.description.controller):
             continue  # the friction that held the table as the log began, until it moved
         ratio = float(switched.fit.coefficients[0])
         numbers = {"newtons": switched.height / ratio, "changes": switched.changes, "share": switched.share}
-        fault = Fault("burst", "command", {name: float(value) for name, value in numbers.items()})
         fit = switched.fit._replace(coefficients=np.array([ratio, switched.fit.coefficients[-1]]))
-        hypothesis = Hypothesis("", "command", signals)
+        rest = signals.command - ratio * given - switched.fit.coefficients[-1]
+        pulses = np.where(rest / switched.height > 0.5, switched.height, 0.0)
+        numbers["acted"] = _acted(whole, signals, pulses)
+        fault = Fault("burst", "command", {name: float(value) for name, value in numbers.items()})
+        mended = signals if numbers["acted"] else signals._replace(command=signals.command - pulses)
         more += [
             replace(one, faults=(*steps, fault, *one.faults), cost=one.cost + FAULT * (1 + len(steps)))
-            for one in readings(whole, hypothesis, fit)
+            for one in readings(whole, Hypothesis("", "command", mended), fit)
         ]
     return more
+
+
+def _acted(relation: Relation, signals: Signals, pulses: Signal) -> float:
+    """Whether the table answers to pulses in its command: 1 or 0, or 0.5 where the balance of forces does not tell."""
+    acted = relation.dynamics(signals)
+    recorded = relation.dynamics(signals._replace(command=signals.command - pulses))
+    if acted is None or recorded is None:
+        return 0.5
+    nats = len(pulses) / SAMPLES_PER_INDEPENDENT * float(np.log(recorded.misfit / acted.misfit))
+    return 0.5 if abs(nats) < CERTAIN else float(nats > 0)

@@ -31,6 +31,7 @@ SMOOTHED = (0.02, 0.04, 0.08)  # s: as long as an acceleration of a feed axis ta
 ALTERNATING = -0.375  # half of what rounding has: a smooth motion has more than 0
 FEWEST = 50  # samples that show whether there is a grid
 ROUNDED = 0.05  # of a step: what digits and the estimate of the step leave of a rounded value
+SLOWEST_VELOCITY = 16  # samples
 TAPS = 9  # samples over which a controller may form its velocity
 
 
@@ -279,6 +280,24 @@ def _without(relation: Relation, gains: tuple[str, ...]) -> Signal:
     changed = eqx.tree_at(of, description.controller, [0.0] * len(gains))
     without = replace(relation, description=replace(description, controller=changed))
     return without.outputs([relation.logged])[0]
+
+
+def slower_velocity(relation: Relation, output: Signal) -> Iterator[Hypothesis]:
+    """A cascade with an integral forms its velocity over more samples, which is that of an averaged position."""
+    description = relation.description
+    cascade = description.controller
+    if not isinstance(cascade, Cascade) or remembers_nothing(cascade):
+        return
+    now = relation.logged
+    base = replace(description, controller=replace(cascade, velocity_samples=1))
+    inner = replace(relation, description=replace(base, controller=replace(base.controller, kp=0.0)))
+    numbers = [n for n in range(1, SLOWEST_VELOCITY + 1) if n != cascade.velocity_samples]
+    cases = [now._replace(position=Filter(n).apply(now.position)) for n in (cascade.velocity_samples, *numbers)]
+    stated, *others = inner.outputs(cases)
+    for n, other in zip(numbers, others, strict=True):
+        yield Hypothesis(
+            "other controller", "command", now, (), {"samples": float(n)}, (output + other - stated,), gains=1
+        )
 
 
 def filtered_velocity(relation: Relation, output: Signal) -> Iterator[Hypothesis]:

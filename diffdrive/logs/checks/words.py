@@ -199,6 +199,8 @@ def _controller(fault: Fault, log: Log, outcome: Outcome, description: DriveDesc
     taps = fault.numbers.get("taps")
     if "ratio" in fault.numbers:
         what = f"with all gains {fault.numbers['ratio']:.4g} times the drive file's"
+    elif "samples" in fault.numbers:
+        what = f"that forms its velocity over {fault.numbers['samples']:.0f} samples"
     elif taps:
         what = f"that forms its velocity over up to {taps:.0f} samples, as a filter or a fit does"
     else:
@@ -216,12 +218,19 @@ def _controller(fault: Fault, log: Log, outcome: Outcome, description: DriveDesc
 
 def _burst(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
     numbers = fault.numbers
+    disturbance = "give it to the log as its disturbance, and subtract it from the command"
+    recording = "subtract it from the command, or log the command that reached the amplifier"
+    either = f"if it acted on the table, {disturbance}; if it stands in the log alone, {recording}"
+    what, mend = {
+        1.0: (": test pulses?", disturbance),
+        0.0: (", to which the table does not react: this force never acted", recording),
+    }.get(numbers["acted"], ("", either))
     return Words(
         "warning",
         "command",
         f"a force of {numbers['newtons']:.4g} N is added to what the drive file's controller gives, "
-        f"{numbers['changes']:.0f} times switched, in {100 * numbers['share']:.0f} % of the samples: test pulses?",
-        "give it to the log as its disturbance, and subtract it from the command",
+        f"{numbers['changes']:.0f} times switched, in {100 * numbers['share']:.0f} % of the samples{what}",
+        mend,
     )
 
 

@@ -5,12 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.grid import grid_of
 from diffdrive.logs.checks.repair import Add, Repair, Unwrap
 from diffdrive.logs.log import Log, Signal
 
 # A jump is one only where the channel otherwise moves less than half of it a sample: else it could be either way.
 JUMP = 2.0
-# All jumps are the span, but for the motion meanwhile.
+# All jumps are the span, but for the motion or the noise meanwhile.
 ALIKE = 0.02
 WIDTHS = (8, 10, 12, 14, 15, 16, 18, 20, 22, 24, 32)  # bits
 
@@ -29,11 +30,12 @@ def span_of(signal: Signal) -> float | None:
     span = float(np.median(spans))
     # it jumps where it reaches its end, and only there
     full = np.ptp(signal) < span * (1 + ALIKE) and np.ptp(signal) > span * (1 - ALIKE)
-    return span if full and np.all(np.abs(spans / span - 1) < ALIKE) else None
+    meanwhile = max(ALIKE * span, 2 * float(others.max()))
+    return span if full and np.all(np.abs(spans - span) < meanwhile) else None
 
 
 def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
-    """Position, reference or motor position whose counter overflows."""
+    """Position, reference, motor position or command whose counter overflows; `resolution` (m) is that of the scale."""
     for name in ("reference", "position", "motor_position"):
         signal = log.channels.get(name)
         span = None if signal is None else span_of(signal)
@@ -51,6 +53,23 @@ def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
             "wrapped",
             repair=Repair(steps),
         )
+
+
+def wrapped_command(log: Log) -> Iterator[Finding]:
+    """A command that overflows: by a power of two of its own steps, since a force that is switched jumps as well."""
+    span, steps = span_of(log.command), grid_of(log.command)
+    bits = None if span is None or steps is None else _width(span / steps.step)
+    if steps is None or bits is None:
+        return
+    span = 2.0**bits * steps.step
+    yield Finding(
+        "fatal",
+        "command",
+        f"the command jumps by {span:.6g} N and back, 2^{bits} of its steps: its integer overflows",
+        f"add {span:.9g} N at each jump, or log a wider integer",
+        "wrapped",
+        repair=Repair((Unwrap("command", span),)),
+    )
 
 
 def _turns(log: Log, name: str, span: float) -> int:
