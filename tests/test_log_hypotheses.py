@@ -118,6 +118,19 @@ HAPPENED = {
 }
 
 
+OTHERS = {
+    "cascade": described("cascade", 60.0, 2e4, ki=2e6, noise=0.0),
+    "pd+fc": described("pd+fc", 4e6, 1.2e4, noise=0.0),
+}
+
+
+@pytest.fixture(scope="module", params=OTHERS)
+def remembering(request):
+    """A controller that remembers, and a sound log of it."""
+    drive = OTHERS[request.param]
+    return drive, logged(drive, triangle())
+
+
 def complaints(findings):
     return [one for one in findings if one.severity != "note"]
 
@@ -137,6 +150,55 @@ def test_what_happened_is_named_first_and_a_mend_leads_back_to_the_sound_log(nam
     for channel, signal in SOUND.channels.items():
         size = np.ptp(signal)
         assert np.max(np.abs(log.channels[channel] - log.channels[channel][0] - signal + signal[0])) < 1e-5 * size
+
+
+@pytest.mark.parametrize("skip", [2, 3])
+def test_rows_that_are_left_out_are_no_other_gains_and_no_pulses(remembering, skip):
+    drive, log = remembering
+    kept = {name: signal[::skip] for name, signal in log.channels.items() if name != "time"}
+    first = complaints(examine(dataclasses.replace(log, **kept, time=log.time[: len(kept["position"])]), drive))[0]
+    assert first.cause == "decimated", first
+    assert first.repair.steps[0].factor == skip
+
+
+def test_what_single_channels_show_of_exchanged_columns_is_not_said_beside(remembering):
+    drive, log = remembering
+    exchanged = dataclasses.replace(log, reference=log.position, position=log.reference)
+    assert [one.cause for one in complaints(examine(exchanged, drive))] == ["swapped"]
+
+
+def test_a_cascade_with_a_velocity_over_four_samples_is_another_controller():
+    drive = OTHERS["cascade"]
+    other = dataclasses.replace(drive, controller=dataclasses.replace(drive.controller, velocity_samples=4))
+    [finding] = complaints(examine(logged(other, triangle()), drive))
+    assert finding.cause == "other controller"
+    assert "its velocity over 4 samples" in finding.found
+    assert "no channel is to be moved" in finding.mend
+
+
+def test_a_command_that_overflows_is_no_outlier():
+    """An integer of 14 bits, each 0.02 N."""
+    counts = np.round((SOUND.command * 164.0 / np.abs(SOUND.command).max() * 1.2) / 0.02)
+    scaled = but(command=0.02 * counts)
+    overflowed = dataclasses.replace(scaled, command=0.02 * ((counts + 2**13) % 2**14 - 2**13))
+    [finding, *_] = complaints(examine(overflowed))
+    assert (finding.cause, finding.channel) == ("wrapped", "command")
+    np.testing.assert_allclose(finding.repair.apply(overflowed).command, scaled.command, atol=1e-9)
+
+
+def test_a_force_that_is_switched_is_no_overflow():
+    relay = but(command=np.where(SOUND.command > 0, 163.84, -163.84))
+    assert not [one for one in examine(relay, DRIVE) if one.cause == "wrapped"]
+
+
+def test_long_pulses_that_the_table_ignores_stand_in_the_log_alone():
+    """Half a second of 60 N would have moved the table by centimetres."""
+    command = SOUND.command.copy()
+    command[2000:3000] += 60.0
+    [finding] = complaints(examine(but(command=command), DRIVE))
+    assert finding.cause == "burst"
+    assert "never acted" in finding.found
+    assert "disturbance" not in finding.mend
 
 
 @pytest.mark.parametrize(
