@@ -152,6 +152,7 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
     """Sound logs of all axes in turn: what is found in them is a false alarm, but for notes."""
     rows: list[list[object]] = []
     worst: list[str] = []
+    alone = 0  # logs of which no more is said than how their motion limits what can be learnt
     with report.stages() as advance:
         for number in range(count):
             case = sound(axes[number % len(axes)], np.random.default_rng([seed, SOUND, number]))
@@ -159,6 +160,7 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
             worst.append(
                 next((one for one in ("fatal", "warning", "note") if any(f.severity == one for f in findings)), "none")
             )
+            alone += all(one.cause == "motion" for one in findings)
             rows += [
                 [number, case.drive.name, case.log.name, one.severity, one.cause, one.channel, one.found]
                 for one in findings
@@ -171,7 +173,8 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
     report.values(
         "sound_logs", logs=count, fatal=worst.count("fatal"), fatal_share=share(worst.count("fatal"), count),
         warning_at_worst=worst.count("warning"), note_at_worst=worst.count("note"), nothing=worst.count("none"),
-        nothing_share=share(worst.count("none"), count), neither_fatal_nor_warning=clean,
+        nothing_share=share(worst.count("none"), count), nothing_but_of_the_motion=alone,
+        nothing_but_of_the_motion_share=share(alone, count), neither_fatal_nor_warning=clean,
         neither_share=share(clean, count),
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ ROUGH = 0.1
 # to 18 times what it leaves unexplained.
 REMEMBERED = 20.0
 # An amplifier's offset is some per cent of its rated current; a zero is off by anything from 1 um to 0.1 m, 12 e-folds.
-AMPLIFIER_OFFSET, ZERO_OFFSET = 0.05, float(np.log(12.0))
+AMPLIFIER_OFFSET, ZERO_OFFSET, SMALLEST_ZERO = 0.05, float(np.log(12.0)), 1e-6
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _unlikely(fault: Fault, signals: Signals) -> float:
     if fault.cause != "offset":
         return 0.0
     if fault.channel != "command":
-        return ZERO_OFFSET
+        return ZERO_OFFSET if abs(fault.numbers["metres"]) >= SMALLEST_ZERO else IMPOSSIBLE
     return 0.5 * min(fault.numbers["newtons"] / (AMPLIFIER_OFFSET * float(np.max(np.abs(signals.command)))), 20.0) ** 2
 
 
