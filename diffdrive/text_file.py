@@ -45,13 +45,11 @@ def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> dict[str,
     try:
         return tomllib.loads(raw.decode(encoding))
     except UnicodeDecodeError as problem:
-        raise error(_undecoded(raw, where, encoding, problem)) from None
+        raise error(_unmarked(raw, where) or _undecoded(raw, where, encoding, problem)) from None
     except RecursionError:
         raise error(f"{where}: not a TOML file: tables or lists are nested too deeply; a drive needs four") from None
     except ValueError as problem:  # beside syntax: a whole number of more digits than Python reads
-        if b"\x00" in raw[:4]:
-            raise error(f"{where}: is UTF-16 without a byte-order mark, or binary: save it as UTF-8") from None
-        raise error(f"{where}: not a TOML file: {problem}") from None
+        raise error(_unmarked(raw, where) or f"{where}: not a TOML file: {problem}") from None
 
 
 def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> dict[str, Any]:
@@ -65,6 +63,12 @@ def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> dict[str,
     except OSError as problem:
         raise error(f"{path}: cannot be read: {problem.strerror}") from None
     return parse_toml(raw, str(path), error)
+
+
+def _unmarked(raw: bytes, where: str) -> str | None:
+    """What is wrong with a text whose first letters hold zeros, but whose encoding no mark names."""
+    unmarked = b"\x00" in raw[:4] and encoding_of(raw) == "utf-8"
+    return f"{where}: is UTF-16 without a byte-order mark, or binary: save it as UTF-8" if unmarked else None
 
 
 def _undecoded(raw: bytes, where: str, encoding: str, problem: UnicodeDecodeError) -> str:

@@ -190,6 +190,10 @@ def test_a_bad_drive_file_is_refused(place, value, says):
             r"drive\.toml: is UTF-16 without a byte-order mark, or binary: save it as UTF-8$",
         ),
         (
+            "[plant]\n# a mass of 3 \u00b5g".encode("utf-16-be"),
+            r"drive\.toml: is UTF-16 without a byte-order mark, or binary: save it as UTF-8$",
+        ),
+        (
             "[plant]\n# Führung\nmass = 1".encode("latin-1"),
             r"drive\.toml: line 2 holds the byte 0xfc \('ü' in Latin-1\), which is no UTF-8: save the file as UTF-8$",
         ),
