@@ -253,7 +253,7 @@ ANEW = {
     "real-axes": ("real-axes",),
 }
 MEASURED = ("evolution", "emps", "real-axes")  # which need the benchmark's files
-AT_MOST = 40.0  # s
+AT_MOST = 20.0  # s
 
 
 @pytest.mark.parametrize("name", ANEW)
