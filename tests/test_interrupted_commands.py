@@ -29,6 +29,7 @@ from test_tune_command import QUICK
 from diffdrive.drive_file import write_drive
 from diffdrive.logs import write_log
 from experiments import emps
+from experiments.demo import PAPER_DRIVE
 
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="POSIX signals"), pytest.mark.slow]
 
@@ -242,7 +243,7 @@ def test_killed_again_and_again_it_ends_in_time_and_with_the_same_numbers(comman
 ANEW = {
     "simulate": ("simulate", "sines.toml", "--motion", "sine:amplitude=1mm,frequency=10Hz,duration=30s"),
     "check": ("check", "lap.csv", "--drive", "drive.toml"),
-    "convergence": ("convergence", "tuned.toml"),
+    "convergence": ("convergence", str(PAPER_DRIVE)),
     "demo": ("demo", "--quick"),
     "reproduce": ("reproduce",),
     "log-study": ("log-study", "--cases", "8", "--sound", "4", "--pairs", "3"),
