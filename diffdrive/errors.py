@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from diffdrive.messages import printable
+from diffdrive.support.messages import printable
 
 
 class DiffdriveError(Exception):

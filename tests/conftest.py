@@ -5,7 +5,7 @@ import tempfile
 import pytest
 from hypothesis import settings
 
-from experiments.runtime import configure
+from diffdrive.runtime import configure
 
 configure()
 
@@ -35,7 +35,7 @@ settings.load_profile("compiled")
 
 @pytest.fixture(scope="session")
 def drive():
-    from diffdrive.presets import paper_drive
+    from diffdrive.model.presets import paper_drive
 
     return paper_drive(quantised=False)
 
@@ -43,7 +43,7 @@ def drive():
 @pytest.fixture
 def tilted():
     """The diagnosis of `tilted_log`."""
-    import tilted_log
+    from tests.support import tilted_log
 
     return tilted_log.diagnosis()
 
@@ -51,6 +51,6 @@ def tilted():
 @pytest.fixture
 def told_of(tmp_path, monkeypatch):
     """The command on that log, as if it had found what it is given."""
-    import tilted_log
+    from tests.support import tilted_log
 
     return tilted_log.telling(tmp_path, monkeypatch)

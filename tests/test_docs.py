@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive.drive_file import read_drive, write_drive
-from experiments.demo import PAPER_DRIVE
-from experiments.motion_reference import markdown, reference
-from experiments.scenario import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
+from diffdrive.axis_file.drive_file import read_drive, write_drive
+from diffdrive.motion.reference import markdown, reference
+from diffdrive.motion.text import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
+from experiments.studies.demo import PAPER_DRIVE
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

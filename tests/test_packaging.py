@@ -121,8 +121,8 @@ def test_wheel_carries_nothing_else(wheel):
 
 def test_wheel_has_the_console_script(wheel):
     [text] = [content.decode() for name, content in wheel.items() if name.endswith("entry_points.txt")]
-    assert "diffdrive = experiments.cli:main" in text.splitlines()
-    assert "experiments/cli.py" in wheel
+    assert "diffdrive = experiments.cli.main:main" in text.splitlines()
+    assert "experiments/cli/main.py" in wheel
 
 
 def test_wheel_names_the_pythons_it_runs_on(wheel):

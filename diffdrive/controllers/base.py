@@ -7,8 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from diffdrive.observer import Estimate
-from diffdrive.parameters import Directional, Drive, Plant, Scalar, quantity
+from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
+from diffdrive.observers.friction_observer import Estimate
 
 
 class Reference(NamedTuple):

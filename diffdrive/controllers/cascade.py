@@ -8,9 +8,9 @@ import jax.numpy as jnp
 
 from diffdrive.controllers.base import Command, Controller, Feedforward, Reference
 from diffdrive.errors import ParameterError
-from diffdrive.messages import shown
-from diffdrive.parameters import Scalar, quantity
-from diffdrive.pipeline import Pipeline, filled, pushed
+from diffdrive.model.parameters import Scalar, quantity
+from diffdrive.numerics.pipeline import Pipeline, filled, pushed
+from diffdrive.support.messages import shown
 
 
 class CascadeState(NamedTuple):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from diffdrive.parameters import Directional, Plant, Scalar, quantity
+from diffdrive.model.parameters import Directional, Plant, Scalar, quantity
 
 
 class _Lag(NamedTuple):

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 
 from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
-from diffdrive.observer import Estimate
-from diffdrive.parameters import Scalar, quantity
+from diffdrive.model.parameters import Scalar, quantity
+from diffdrive.observers.friction_observer import Estimate
 
 
 class DOBVSCState(NamedTuple):

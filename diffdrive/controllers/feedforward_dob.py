@@ -6,9 +6,9 @@ import jax.numpy as jnp
 
 from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
-from diffdrive.friction import bristle_at, friction_force, slide
-from diffdrive.observer import Estimate
-from diffdrive.parameters import Friction, Scalar, quantity
+from diffdrive.model.friction import bristle_at, friction_force, slide
+from diffdrive.model.parameters import Friction, Scalar, quantity
+from diffdrive.observers.friction_observer import Estimate
 
 
 class FeedforwardState(NamedTuple):

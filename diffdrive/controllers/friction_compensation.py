@@ -3,8 +3,8 @@
 from typing import Any, NamedTuple
 
 from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
-from diffdrive.observer import FrictionObserver
-from diffdrive.parameters import Scalar
+from diffdrive.model.parameters import Scalar
+from diffdrive.observers.friction_observer import FrictionObserver
 
 
 class FrictionCompensationState(NamedTuple):

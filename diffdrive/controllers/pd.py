@@ -1,7 +1,7 @@
 """PD: feedback and motion feed-forward alone."""
 
 from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
-from diffdrive.parameters import Scalar
+from diffdrive.model.parameters import Scalar
 
 
 class PD(Controller):

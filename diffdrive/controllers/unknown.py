@@ -4,7 +4,7 @@ from typing import Any, NoReturn
 
 from diffdrive.controllers.base import Controller, Reference
 from diffdrive.errors import ParameterError
-from diffdrive.parameters import Scalar
+from diffdrive.model.parameters import Scalar
 
 
 class UnknownController(Controller):

@@ -18,8 +18,8 @@ from diffdrive.effects.base import (
     Seen,
     TableEffect,
 )
-from diffdrive.friction import bristle_at, friction_force
-from diffdrive.parameters import Directional, Drive, Sampling, Scalar
+from diffdrive.model.friction import bristle_at, friction_force
+from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar
 
 Effects = tuple[Effect, ...]
 

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 
 from diffdrive.effects.base import ActuatorEffect, Push, Stage
-from diffdrive.parameters import Scalar, quantity
+from diffdrive.model.parameters import Scalar, quantity
 
 LONGEST_DELAY = 8  # control periods
 

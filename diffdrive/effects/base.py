@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 
-from diffdrive.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive, Scalar
 
 
 class Seen(NamedTuple):

@@ -7,9 +7,9 @@ import numpy as np
 
 from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
 from diffdrive.effects.oscillator import Oscillator, swinging
-from diffdrive.friction import resisting_midway, under
-from diffdrive.parameters import Drive, Scalar, quantity
-from diffdrive.turning import MOST_TURNS, cosine_sine, doubled, tripled
+from diffdrive.model.friction import resisting_midway, under
+from diffdrive.model.parameters import Drive, Scalar, quantity
+from diffdrive.numerics.turning import MOST_TURNS, cosine_sine, doubled, tripled
 
 EDGE = 5e-3  # s, over which a process force sets in and ends
 

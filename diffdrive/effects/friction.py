@@ -9,12 +9,12 @@ from jax import lax
 
 from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
 from diffdrive.effects.forces import ending, middle, too_many_turns, window
-from diffdrive.friction import coulomb, relaxing, slide, under
-from diffdrive.once import once
-from diffdrive.parameters import Directional, Drive, Scalar, quantity
-from diffdrive.polynomial import inverse
-from diffdrive.relaxation import relaxation
-from diffdrive.turning import cosine_sine
+from diffdrive.model.friction import coulomb, relaxing, slide, under
+from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
+from diffdrive.numerics.once import once
+from diffdrive.numerics.polynomial import inverse
+from diffdrive.numerics.relaxation import relaxation
+from diffdrive.numerics.turning import cosine_sine
 
 GRID, FINE_ENOUGH = 4096, 32  # places along a stroke at which a level is looked at, and of them in each wave
 ELEMENTS = 6  # Maxwell elements of presliding hysteresis

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.effects.base import Acts, Envelope, MachineEffect, Seen, TableEffect
-from diffdrive.parameters import Directional, Drive, Scalar, quantity
+from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
 
 
 def _scaled(pair: Directional, logarithm: Scalar) -> Directional:

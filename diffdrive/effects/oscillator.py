@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.exponential import fading
-from diffdrive.parameters import Scalar
-from diffdrive.turning import cosine_sine
+from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.exponential import fading
+from diffdrive.numerics.turning import cosine_sine
 
 
 class Oscillator(NamedTuple):

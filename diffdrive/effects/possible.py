@@ -8,8 +8,8 @@ import numpy as np
 from diffdrive.effects import acting
 from diffdrive.effects.base import Envelope, MachineEffect
 from diffdrive.errors import ParameterError
-from diffdrive.motion import Limits
-from diffdrive.parameters import Drive, Sampling
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.motion.motion import Limits
 
 
 def envelope_of(position: np.ndarray, velocity: np.ndarray, load: np.ndarray, period: float) -> Envelope:

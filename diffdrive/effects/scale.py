@@ -7,8 +7,8 @@ import numpy as np
 
 from diffdrive.effects.base import Envelope, ScaleEffect
 from diffdrive.effects.forces import too_many_turns
-from diffdrive.parameters import Drive, Scalar, quantity
-from diffdrive.turning import cosine_sine, doubled
+from diffdrive.model.parameters import Drive, Scalar, quantity
+from diffdrive.numerics.turning import cosine_sine, doubled
 
 
 def _backwards(linear: Any, height: Any, period: Any, within: Envelope) -> str | None:

@@ -28,9 +28,9 @@ from jax import lax
 from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
 from diffdrive.effects.forces import too_many_turns
 from diffdrive.effects.oscillator import Oscillator, Swinging, swinging
-from diffdrive.friction import coulomb, resisting_midway, under
-from diffdrive.once import once
-from diffdrive.parameters import Drive, Scalar, quantity
+from diffdrive.model.friction import coulomb, resisting_midway, under
+from diffdrive.model.parameters import Drive, Scalar, quantity
+from diffdrive.numerics.once import once
 
 LONGEST_SUBSTEP = 50e-6  # s
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.logs.log import READABLE
-from diffdrive.units import to_si
+from diffdrive.support.units import to_si
 
 FORCE_PER = {"force_per_volt": "V", "force_per_ampere": "A"}
 FORCES = ("command", "disturbance", "injected")  # what a drive may log in volts or amperes

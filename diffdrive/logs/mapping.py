@@ -10,8 +10,8 @@ from typing import Any
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
-from diffdrive.messages import shown
-from diffdrive.units import to_si
+from diffdrive.support.messages import shown
+from diffdrive.support.units import to_si
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,29 +7,29 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.errors import LogError
+from diffdrive.logs.clocks.missing import without_missing
+from diffdrive.logs.clocks.shifts import shifted
+from diffdrive.logs.clocks.timing import in_order, on_uniform_clock
+from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS, Log
 from diffdrive.logs.mapping import Mapping
-from diffdrive.logs.missing import without_missing
 from diffdrive.logs.select import missing, select
-from diffdrive.logs.shifts import shifted
-from diffdrive.logs.table import Table
-from diffdrive.logs.timing import in_order, on_uniform_clock
 
 
 def _csv() -> Callable[[Path], Table]:
-    from diffdrive.logs.csv_file import read_csv
+    from diffdrive.logs.formats.csv_file import read_csv
 
     return read_csv
 
 
 def _mat() -> Callable[[Path], Table]:
-    from diffdrive.logs.mat_file import read_mat
+    from diffdrive.logs.formats.mat_file import read_mat
 
     return read_mat
 
 
 def _parquet() -> Callable[[Path], Table]:
-    from diffdrive.logs.parquet_file import read_parquet
+    from diffdrive.logs.formats.parquet_file import read_parquet
 
     return read_parquet
 

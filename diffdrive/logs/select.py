@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks import onto_time
+from diffdrive.logs.clocks.channel_clocks import onto_time
+from diffdrive.logs.clocks.stamps import integer_seconds, text_seconds
 from diffdrive.logs.column_unit import FORCES, Conversion, fits, split
+from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import Mapping
-from diffdrive.logs.stamps import integer_seconds, text_seconds
-from diffdrive.logs.table import Table
-from diffdrive.messages import listed
+from diffdrive.support.messages import listed
 
 _EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 

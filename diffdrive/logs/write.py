@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.atomic_write import atomic_write
 from diffdrive.errors import LogError
 from diffdrive.logs.log import CHANNELS, Log
+from diffdrive.support.atomic_write import atomic_write
 
 BLOCK = 65_536  # rows that are held as Python's numbers, of four times the size, at a time
 Write = Callable[[Path, dict[str, np.ndarray], dict[str, str]], None]
@@ -28,19 +28,19 @@ def write_csv(path: Path, columns: dict[str, np.ndarray], units: dict[str, str] 
 
 
 def _parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
-    from diffdrive.logs.parquet_file import write_parquet
+    from diffdrive.logs.formats.parquet_file import write_parquet
 
     write_parquet(path, columns, units)
 
 
 def _mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
-    from diffdrive.logs.mat_file import write_mat
+    from diffdrive.logs.formats.mat_file import write_mat
 
     write_mat(path, columns, units)
 
 
 def _mat73(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
-    from diffdrive.logs.mat73_file import write_mat73
+    from diffdrive.logs.formats.mat73_file import write_mat73
 
     write_mat73(path, columns, units)
 

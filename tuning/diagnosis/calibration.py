@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffdrive.parameters import Directional, Drive
+from diffdrive.model.parameters import Directional, Drive
 
 TOLERANCE = 0.02  # standard deviation of the logarithm of a nominal parameter
 NAMES = (

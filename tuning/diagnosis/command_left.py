@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffdrive.actuator import limited
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
+from diffdrive.model.actuator import limited
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.exposure import Exposure

@@ -18,7 +18,7 @@ from diffdrive.effects.catalogue import EFFECTS, PLACES
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
@@ -39,10 +39,10 @@ from tuning.diagnosis.setting import setting
 from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
-from tuning.fit import SHORTEST, lanes_of, noise_floor, sampling_of
-from tuning.kept import Store
-from tuning.prediction import Lanes
-from tuning.replay import long_pieces
+from tuning.identification.prediction import Lanes
+from tuning.identification.problem import SHORTEST, lanes_of, noise_floor, sampling_of
+from tuning.identification.replay import long_pieces
+from tuning.store.store import Store
 
 SUBSTEP = 50e-6  # s
 ENOUGH = 2000.0  # Hz: faster logs are thinned, to no less than this

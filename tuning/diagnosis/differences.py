@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from diffdrive.effects.acting import Effects
-from diffdrive.parameters import Drive
+from diffdrive.model.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.exposure import Course, Exposure
 from tuning.diagnosis.following import Process, Track, followed, numbers, with_numbers

@@ -16,17 +16,17 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.effects.acting import Effects
-from diffdrive.friction import coulomb
-from diffdrive.parameters import Drive
+from diffdrive.model.friction import coulomb
+from diffdrive.model.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
-from tuning.evolution import Budget, evolve
-from tuning.kept import Store, digest
-from tuning.prediction import Lanes, begin_velocity
+from tuning.identification.prediction import Lanes, begin_velocity
+from tuning.optimisation.evolution import Budget, evolve
+from tuning.store.store import Store, digest
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.actuator import limited
 from diffdrive.effects import acting
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.base import Effect, Seen
-from diffdrive.parameters import Drive, Sampling, Scalar
-from tuning.prediction import Lanes
+from diffdrive.model.actuator import limited
+from diffdrive.model.parameters import Drive, Sampling, Scalar
+from tuning.identification.prediction import Lanes
 
 
 class Exposure(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.effects.acting import Effects
-from diffdrive.parameters import Drive
+from diffdrive.model.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_numbers
@@ -31,7 +31,7 @@ from tuning.diagnosis.model import (
     machine_slopes,
 )
 from tuning.diagnosis.second_encoder import Twist, foreseen, unlikelihood
-from tuning.kept import Store, digest
+from tuning.store.store import Store, digest
 
 LEAST, MOST = 1e-3, 1e3  # N, of process force
 USUAL = 5.8e-6  # kg m, mass times noise, down to which that least hides in the noise: 100 kg behind a scale of 0.1 um

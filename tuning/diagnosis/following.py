@@ -19,17 +19,17 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from diffdrive import plant
 from diffdrive.effects import acting
 from diffdrive.effects.base import Effect, TableEffect
-from diffdrive.friction import coulomb
-from diffdrive.kalman import diagonal, gain, predict_covariance, update_covariance
-from diffdrive.once import once
-from diffdrive.parameters import Drive, Sampling, Scalar
+from diffdrive.model import plant
+from diffdrive.model.friction import coulomb
+from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.numerics.once import once
+from diffdrive.observers.kalman import diagonal, gain, predict_covariance, update_covariance
 from tuning.diagnosis import hidden
 from tuning.diagnosis.exposure import Course, Exposure
 from tuning.diagnosis.segments import segments
-from tuning.prediction import Lanes, begin_velocity, moving
+from tuning.identification.prediction import Lanes, begin_velocity, moving
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 LASTING = 0.02  # s, that a missing force lasts

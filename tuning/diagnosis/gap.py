@@ -19,15 +19,15 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller
 from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, Sampling, as_arrays
-from diffdrive.simulate import Inputs, rollout
+from diffdrive.loop.simulate import Inputs, rollout
+from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers, per_innovation
 from tuning.diagnosis.leftover import BLIND
 from tuning.diagnosis.model import Model, Vector, counted_in
 from tuning.diagnosis.trust import share_lost
-from tuning.replay import Given, begun, given
+from tuning.identification.replay import Given, begun, given
 
 TRUSTING = 0.1  # of the likeliest process force
 MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides

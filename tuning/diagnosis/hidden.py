@@ -8,13 +8,13 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from diffdrive import plant
 from diffdrive.effects import acting
 from diffdrive.effects.acting import Effects
 from diffdrive.effects.base import Acts, Seen
 from diffdrive.effects.transmission import Answer, Transmission
-from diffdrive.kalman import Matrix
-from diffdrive.parameters import Drive, Scalar
+from diffdrive.model import plant
+from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.observers.kalman import Matrix
 
 UNKNOWN_RATE = 1e-3  # m/s, standard deviation of the motor's against the table
 States = tuple[Any, ...]

@@ -21,7 +21,7 @@ from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.priors import Parameter
-from tuning.estimates import NORMAL
+from tuning.identification.estimates import NORMAL
 
 BLOCK = 0.25  # s, over which scores are summed: longer than what is left of structure lasts
 DETAILS = {  # of a number: standard deviation of what another machine of its kind would call the same

@@ -3,8 +3,8 @@
     M a + friction - constant_force - what the effects add = command + disturbance
 
 with velocity and acceleration from the filtered position, both sides decimated to the band of the dynamics
-(tuning/inverse_dynamics.py). The force is held over a period, so that the acceleration at a sample belongs to the mean
-of the forces before and after it.
+(tuning/identification/inverse_dynamics.py). The force is held over a period, so that the acceleration at a sample
+belongs to the mean of the forces before and after it.
 """
 
 import dataclasses
@@ -16,14 +16,14 @@ import numpy as np
 from diffdrive.effects import acting
 from diffdrive.effects.base import Acts
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive, as_arrays
 from tuning.diagnosis.exposure import Course, exposure
-from tuning.fit import sampling_of
-from tuning.friction_along import friction_along
-from tuning.inverse_dynamics import DYNAMICS
-from tuning.prediction import Lanes
-from tuning.stretches import Stretch, stretches
-from tuning.zero_phase import decimate, differentiate
+from tuning.identification.friction_along import friction_along
+from tuning.identification.inverse_dynamics import DYNAMICS
+from tuning.identification.prediction import Lanes
+from tuning.identification.problem import sampling_of
+from tuning.identification.stretches import Stretch, stretches
+from tuning.identification.zero_phase import decimate, differentiate
 
 
 def force_error(drive: Drive, log: Log, dynamics: float = DYNAMICS, of: Log | None = None) -> float:

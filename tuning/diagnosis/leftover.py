@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.effects.friction import PreslidingHysteresis
-from diffdrive.friction import coulomb
+from diffdrive.model.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.following import LASTING

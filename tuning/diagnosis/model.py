@@ -17,12 +17,12 @@ from jaxtyping import Array, Bool, Float
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect
 from diffdrive.effects.transmission import Transmission
-from diffdrive.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling, Scalar
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course, Exposure, altered, exposure
 from tuning.diagnosis.following import numbers
-from tuning.prediction import Lanes
+from tuning.identification.prediction import Lanes
 
 A = TypeVar("A")
 Vector = Float[np.ndarray, " k"]

@@ -15,21 +15,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive import motion as motions
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.controllers import UnknownController
-from diffdrive.drive_file import DriveDescription
 from diffdrive.errors import MotionError
-from diffdrive.motion import Motion, require_within
-from diffdrive.parameters import Sensor, as_arrays
-from diffdrive.simulate import Inputs, inputs_of, rollout
+from diffdrive.loop.simulate import Inputs, inputs_of, rollout
+from diffdrive.model.parameters import Sensor, as_arrays
+from diffdrive.motion import motion as motions
+from diffdrive.motion.motion import Motion, require_within
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import MOVING, drive_of
 from tuning.diagnosis.model import Logged, Member, Model, thinned
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT, Region
-from tuning.next_motion import ACCELERATION, candidates, room
-from tuning.prediction import Lanes
+from tuning.experiment_design.next_motion import ACCELERATION, candidates, room
+from tuning.identification.prediction import Lanes
 
 STEPS, MORE = 3, 12  # of the rival's fit: to choose a motion, and before it is believed
 ENOUGH = 12.0  # of cost between them

@@ -12,7 +12,7 @@ import numpy as np
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
-from diffdrive.parameters import Drive
+from diffdrive.model.parameters import Drive
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
@@ -23,7 +23,7 @@ from tuning.diagnosis.priors import Parameter
 from tuning.diagnosis.screening import begin
 from tuning.diagnosis.search import standing
 from tuning.diagnosis.setting import setting
-from tuning.fit import SHORTEST
+from tuning.identification.problem import SHORTEST
 
 LASTING = 5.0  # s
 AWAY = 10.0  # standard deviations of its prior: a time out there, such as that of a load that is never taken off, stays

@@ -34,7 +34,7 @@ from tuning.diagnosis.model import (
     stacked,
 )
 from tuning.diagnosis.priors import Parameter
-from tuning.kept import Arrays
+from tuning.store.store import Arrays
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, whose way is made, and that are tried under other process forces too

@@ -21,7 +21,7 @@ from tuning.diagnosis.leftover import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH,
 from tuning.diagnosis.model import Logged, Member, Model, Vector
 from tuning.diagnosis.screening import Screened, begin, joined, read_screened, screen, tried, written_screened
 from tuning.diagnosis.threads import in_parallel
-from tuning.kept import digest
+from tuning.store.store import digest
 
 FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
 ALONE = 4  # first steps of a coupled effect

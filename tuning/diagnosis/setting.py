@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive.parameters import Drive
-from tuning.fit import noise_floor
-from tuning.prediction import Lanes
+from diffdrive.model.parameters import Drive
+from tuning.identification.prediction import Lanes
+from tuning.identification.problem import noise_floor
 
 LEAST = 0.05  # of the largest command: the scale of a friction that the drive file does not know
 SLIPPERY = 1e-6  # a load coefficient that is none

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from tuning.diagnosis.following import LASTING
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import Standing, lines_in_position, lines_in_time, told_apart
-from tuning.prediction import Lanes
+from tuning.identification.prediction import Lanes
 
 LAID = 4000  # times that the energy is laid elsewhere: a single region must stand out from some forty
 PIECE, CELL = 0.25, 5e-3  # s: what is laid together, and what is told apart within it

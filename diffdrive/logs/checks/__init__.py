@@ -1,1 +1,1 @@
-"""Checks of a log, one kind of trap per file; `diffdrive.logs.plausibility` runs them all."""
+"""Checks of a log, one kind of trap per file; `diffdrive.logs.checks.examine` runs them all."""

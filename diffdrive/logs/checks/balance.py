@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.dynamics import Dynamics, Estimate, inverse_dynamics
 from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, judged, ranked, rivals_of
 from diffdrive.logs.checks.factors import name_in_brackets

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import median_filter
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.dynamics import inverse_dynamics
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import noise_of

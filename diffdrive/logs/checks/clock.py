@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import mean_step

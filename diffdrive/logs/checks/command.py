@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.controllers import UnknownController
-from diffdrive.drive_file import DriveDescription
 from diffdrive.logs.checks import balance, consistency, words
 from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, Outcome

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from diffdrive.logs.checks.statistics import SMOOTHING, Signal, derivative, smoothed, window
-from diffdrive.parameters import Directional, Drive
+from diffdrive.model.parameters import Directional, Drive
 
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.
 SLIDING = 0.1

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import noise_of
 from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step, robust_fit

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.ranges import LONGEST

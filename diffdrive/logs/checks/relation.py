@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.bursts import bursts
 from diffdrive.logs.checks.dynamics import Dynamics, inverse_dynamics
 from diffdrive.logs.checks.motion import speed_at

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from diffdrive import actuator
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
-from diffdrive.drive_file import DriveDescription
-from diffdrive.friction import bristle_at
-from diffdrive.parameters import Drive, as_arrays, require_double_precision
+from diffdrive.model import actuator
+from diffdrive.model.friction import bristle_at
+from diffdrive.model.parameters import Drive, as_arrays, require_double_precision
 
 WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
 SETTLE = 10  # samples until differences over the controller's past are those of the log

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import grid_of
 from diffdrive.logs.checks.statistics import Run, mean_step, runs_of_equal, top_speed

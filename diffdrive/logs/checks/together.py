@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.balance import nominal_friction
 from diffdrive.logs.checks.dynamics import ACCURACY, Dynamics, Estimate, inverse_dynamics
 from diffdrive.logs.checks.finding import Finding

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from diffdrive.drive_file import DriveDescription
+from diffdrive.axis_file.drive_file import DriveDescription
 from diffdrive.logs.checks.consistency import EXACT, Outcome
 from diffdrive.logs.checks.explanation import ROUGH, WRONG_UNIT, Fault
 from diffdrive.logs.checks.factors import name_in_brackets

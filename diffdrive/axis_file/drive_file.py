@@ -1,0 +1,281 @@
+"""Drive files: what the engineer believes about the axis, as TOML in SI units or with units spelled out.
+
+    [plant]       mass = 100.0              or  mass = "100 kg"
+                  damping = [380.0, 260.0]      one value per direction: [positive, negative]
+
+Tables and keys are those of the parameter classes; `diffdrive template` prints a complete file. Anything unknown is an
+error, because a misspelt key that is silently ignored is a wrong simulation.
+"""
+
+import dataclasses
+import difflib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tomli_w
+
+from diffdrive.axis_file.controller_file import build_controller, controller_table
+from diffdrive.controllers import Controller
+from diffdrive.effects.base import Effect
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.possible import envelope_within, require_possible
+from diffdrive.effects.transmission import Transmission
+from diffdrive.errors import DriveFileError, LogError, ParameterError
+from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
+from diffdrive.model.parameters import (
+    Actuator,
+    Directional,
+    Drive,
+    Friction,
+    Plant,
+    Quantity,
+    Sampling,
+    Sensor,
+    check,
+    check_drive,
+    quantity_table,
+)
+from diffdrive.motion.motion import Limits
+from diffdrive.support.atomic_write import write_text
+from diffdrive.support.messages import shortened, shown
+from diffdrive.support.text_file import read_toml
+from diffdrive.support.units import in_unit, to_si
+
+
+@dataclasses.dataclass(frozen=True)
+class DriveDescription:
+    """A drive file's content: the drive, its controller, sampling, the limits of the axis, and how its logs read."""
+
+    drive: Drive
+    controller: Controller
+    sampling: Sampling
+    limits: Limits
+    mapping: Mapping = dataclasses.field(default_factory=Mapping)
+
+
+# pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
+
+
+class Section:
+    """One table of a drive file; takes keys out one by one and complains about what is left."""
+
+    def __init__(self, source: str, name: str, table: Any) -> None:
+        if not isinstance(table, dict):
+            raise DriveFileError(f"{source}: [{name}] must be a table, got {shown(table)}")
+        self.source, self.name, self.table, self._left = source, name, table, dict(table)
+        self._known: list[str] = []
+        self.kind: str | None = None  # of the controller, where keys hang on it
+        self.kinds_with: Callable[[str], list[str]] = lambda key: []  # those that have a key that this one has not
+
+    def fail(self, key: str, problem: str) -> DriveFileError:
+        """The error for a bad `key`."""
+        return DriveFileError(f"{self.source}: [{self.name}] {shortened(key)}: {problem}")
+
+    def take(self, key: str, default: Any = dataclasses.MISSING) -> Any:
+        """The raw value of `key`, or the default."""
+        self._known.append(key)
+        if key not in self._left:
+            if default is dataclasses.MISSING:
+                raise self.fail(key, "is missing")
+            return default
+        return self._left.pop(key)
+
+    def subsection(self, key: str) -> "Section":
+        """The table below `key`, empty if it is absent."""
+        return Section(self.source, f"{self.name}.{key}", self.take(key, {}))
+
+    def number(self, key: str, unit: str, default: Any = dataclasses.MISSING) -> Any:
+        """A number in SI, converted from a string with a unit where one is given."""
+        return self._number(key, self.take(key, default), unit)
+
+    def _number(self, key: str, value: Any, unit: str) -> Any:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            worded = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
+            raise self.fail(key, f"must be a number{in_unit(unit)}{worded}, got {shown(value)}")
+        if not isinstance(value, str):
+            try:
+                return float(value)
+            except OverflowError:
+                raise self.fail(key, f"{shown(value)} is larger than any number that a computer reckons with") from None
+        try:
+            return to_si(value, unit)
+        except ValueError as problem:
+            raise self.fail(key, str(problem)) from None
+
+    def quantity(self, key: str, declared: Quantity, default: Any) -> Any:
+        """The value of one declared parameter: a number, or a pair where it may differ by direction."""
+        if default is dataclasses.MISSING and key not in self._left:
+            near = difflib.get_close_matches(key, self._left, n=1)
+            meant = f"; is it meant by '{near[0]}'?" if near else ""
+            raise self.fail(
+                key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{meant}"
+            )
+        value = self.take(key, default)
+        if value is default:
+            return value
+        if value == "none" and declared.optional:
+            return None
+        if isinstance(value, list):
+            if not declared.directional:
+                raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {shown(value)}")
+            if len(value) != 2:
+                raise self.fail(key, f"needs two values, [positive, negative], got {shown(value)}")
+            return Directional(*(self._number(key, one, declared.unit) for one in value))
+        return self._number(key, value, declared.unit)
+
+    def build(self, cls: Any, **given: Any) -> Any:
+        """An instance of a parameter class from the keys of this section, beside those `given`."""
+        for field in dataclasses.fields(cls):
+            if "quantity" in field.metadata and field.name not in given:
+                given[field.name] = self.quantity(field.name, field.metadata["quantity"], field.default)
+        try:
+            built = cls(**given)
+            check(built, self.name)
+        except ParameterError as error:
+            raise DriveFileError(f"{self.source}: {error}") from None
+        return built
+
+    def done(self) -> None:
+        """Raise if keys are left that nobody asked for."""
+        if not self._left:
+            return
+        key = next(iter(self._left))
+        if kinds := self.kinds_with(key):
+            foreign = [other for other in self._left if self.kinds_with(other)]
+            raise self.fail(
+                key, f"belongs to kind {', '.join(kinds)}; for kind {self.kind} remove {', '.join(foreign)}"
+            )
+        near = difflib.get_close_matches(key, self._known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(set(self._known)))}"
+        raise self.fail(key, f"unknown key; {hint}")
+
+
+def _limits(section: Section) -> Limits:
+    stroke = section.take("stroke", None)
+    if stroke is None:
+        ends = (-np.inf, np.inf)
+    else:
+        if not isinstance(stroke, list) or len(stroke) != 2:
+            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {shown(stroke)}")
+        bare = [end for end in stroke if not isinstance(end, str)]
+        if len(bare) == 1 and bare[0] != 0:  # 75 beside "-75 mm" would be 75 m
+            raise section.fail("stroke", f"give both ends a unit, or neither where they are in m, got {shown(stroke)}")
+        ends = tuple(section._number("stroke", value, "m") for value in stroke)
+        if not ends[0] < ends[1]:
+            raise section.fail("stroke", f"the lowest position must be below the highest, got {shown(stroke)}")
+    most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
+    for key, value in most.items():
+        if not value > 0:
+            raise section.fail(key, f"must be positive, got {shown(value)}")
+    return Limits(stroke=ends, **most)
+
+
+def _effects(section: Section) -> tuple[Effect, ...]:
+    """[effects.cogging] and its like, in the catalogue's order."""
+    found = []
+    for name, effect in EFFECTS.items():
+        if section.take(name, None) is not None:
+            own = Section(section.source, f"effects.{name}", section.table[name])
+            found.append(own.build(effect))
+            own.done()
+    section.done()
+    screws = [one.name for one in found if isinstance(one, Transmission)]
+    if len(screws) > 1:
+        raise section.fail(screws[0], f"a machine has one screw: [effects.{screws[1]}] is one, too; keep either")
+    return tuple(found)
+
+
+def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescription:
+    """A drive file's tables, already read from TOML; `source` names the file in errors."""
+    root = Section(source, "drive file", tables)
+    sections = {
+        name: Section(source, name, root.take(name, {}))
+        for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
+    }
+    try:
+        mapping = parse_mapping(root.take("columns", {}), root.take("units", {}), root.take("shifts", {}))
+    except LogError as error:
+        raise DriveFileError(f"{source}: {error}") from None
+    effects = root.take("effects", {})
+    root.done()
+    delay = sections["actuator"].take("delay_samples", 0)
+    if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
+        raise sections["actuator"].fail(
+            "delay_samples", f"must be a whole number of samples, 0 or more, got {shown(delay)}"
+        )
+    drive = Drive(
+        plant=sections["plant"].build(Plant),
+        friction=sections["friction"].build(Friction),
+        actuator=sections["actuator"].build(Actuator, delay_samples=delay),
+        sensor=sections["sensor"].build(Sensor),
+        effects=_effects(Section(source, "effects", effects)),
+    )
+    rate = sections["sampling"].number("rate", "Hz", 10_000.0)
+    substeps = sections["sampling"].take("substeps", None)
+    try:
+        check_drive(drive)
+        sampling = Sampling(rate, substeps)
+    except ParameterError as error:
+        raise DriveFileError(f"{source}: {error}") from None
+    limits = _limits(sections["limits"])
+    low, high = limits.stroke
+    try:
+        require_possible(drive, envelope_within(limits, sampling))
+    except ParameterError as error:
+        raise DriveFileError(f"{source}: {error}") from None
+    if drive.sensor.resolution is not None and float(drive.sensor.resolution) > 1e-2 * min(high - low, 1.0):
+        raise sections["sensor"].fail(
+            "resolution",
+            f"{drive.sensor.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
+        )
+    controller = build_controller(sections["controller"], drive)
+    for section in sections.values():
+        section.done()
+    return DriveDescription(drive, controller, sampling, limits, mapping)
+
+
+def read_drive(path: str | Path) -> DriveDescription:
+    """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
+    origin = "'diffdrive template > drive.toml' writes one to start from"
+    return parse_drive(read_toml(Path(path), DriveFileError, origin), str(path))
+
+
+def drive_tables(description: DriveDescription) -> dict[str, Any]:
+    """The tables of a drive file that `parse_drive` reads back to the same description."""
+    drive, limits = description.drive, description.limits
+    tables = {
+        "plant": quantity_table(drive.plant),
+        "friction": quantity_table(drive.friction),
+        "actuator": quantity_table(drive.actuator) | {"delay_samples": drive.actuator.delay_samples},
+        "sensor": quantity_table(drive.sensor),
+        "controller": controller_table(description.controller),
+        "sampling": {"rate": description.sampling.rate},
+        "limits": {},
+    }
+    if description.sampling.substeps is not None:
+        tables["sampling"]["substeps"] = description.sampling.substeps
+    if np.isfinite(limits.stroke).any():
+        tables["limits"]["stroke"] = list(limits.stroke)
+    for name in ("speed", "acceleration"):
+        if np.isfinite(getattr(limits, name)):
+            tables["limits"][name] = getattr(limits, name)
+    if drive.effects:
+        tables["effects"] = {effect.name: quantity_table(effect) for effect in drive.effects}
+    return tables | mapping_tables(description.mapping)
+
+
+def write_drive(path: str | Path, description: DriveDescription, comments: Sequence[str] = ()) -> None:
+    """Write a drive file in SI units, below lines of comments; raises if it could not say what the description says."""
+    tables = drive_tables(description)
+    read_back = parse_drive(tables, str(path))
+    for name in ("drive", "controller"):
+        ours, theirs = (jax.tree.flatten(getattr(one, name)) for one in (description, read_back))
+        if ours[1] != theirs[1] or [*map(float, ours[0])] != [*map(float, theirs[0])]:
+            raise DriveFileError(
+                f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
+                "their model from [plant] and [friction]"
+            )
+    write_text(path, "".join(f"# {line}\n" for line in comments) + tomli_w.dumps(tables))

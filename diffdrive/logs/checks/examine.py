@@ -1,0 +1,179 @@
+"""Find the traps that real logs hold, before anything is identified from them: docs/log-checks.md lists them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.logs.checks import (
+    balance,
+    bursts,
+    clock,
+    command,
+    derived,
+    encoders,
+    grid,
+    motion,
+    outliers,
+    ranges,
+    ratios,
+    stuck,
+    together,
+    wraps,
+)
+from diffdrive.logs.checks.finding import SEVERITIES, Finding
+from diffdrive.logs.checks.repair import Repair
+from diffdrive.logs.log import Log, Signal
+
+__all__ = ["Finding", "examine", "examine_together"]
+
+
+def examine(log: Log, description: DriveDescription | None = None) -> list[Finding]:
+    """What is wrong with a log, or could mislead who uses it, the worst first.
+
+    Without a drive description the command's unit, its timing, the count grid and the clock's rate remain unchecked.
+    An identification should refuse a log with a `fatal` finding. A finding has a `repair` only where its cause is
+    certain and the mended log shows nothing else.
+    """
+    findings = _readable(log)
+    if not findings:
+        findings = _found(log, description)
+        findings = _confirmed(findings, log, description)
+    return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def examine_together(logs: Sequence[Log], description: DriveDescription | None = None) -> list[Finding]:
+    """Where several logs of one machine contradict one another: none if each asks for the same mass and friction."""
+    readable = [log for log in logs if not _readable(log)]
+    return [*together.contradictions(readable, description)]
+
+
+def _readable(log: Log) -> list[Finding]:
+    """What forbids any further look."""
+    findings = [*outliers.lengths(log)] or [*outliers.finite(log)]
+    return findings or [*clock.order(log)]
+
+
+def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
+    """All findings of a readable log; what is said of the command comes first, since it has looked at all channels."""
+    resolution = None if description is None else description.drive.sensor.resolution
+    overflows = [*wraps.wrapped(log, resolution), *wraps.wrapped_command(log)]
+    for finding in overflows:
+        assert finding.repair is not None
+        log = finding.repair.apply(log)
+    clocks = [*clock.rate(log, description)] if description is not None else []
+    # a channel that stands still where it should move spoils every comparison with the others
+    related, given = ([], None) if [*stuck.frozen_position(log)] else _command(log, description)
+    steps = tuple(step for one in related if one.repair is not None for step in one.repair.steps)
+    single = _by_themselves(log, description, None if steps else given)
+    if steps:  # what goes with the fault that all channels show together is part of it
+        left = {(one.cause, one.channel) for one in _by_themselves(Repair(steps).apply(log), description, given)}
+        single = [one for one in single if (one.cause, one.channel) in left]
+    return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
+
+
+def _by_themselves(log: Log, description: DriveDescription | None, given: Signal | None) -> list[Finding]:
+    """What single channels show, or two by their ratio; `given` is the controller's own command, where it is known."""
+    return [*_position_unit(log, description), *_signals(log, description, given)]
+
+
+def _is_said(finding: Finding, related: list[Finding]) -> bool:
+    """Whether what one channel shows by itself is part of what all of them show together."""
+    explains = {
+        "rounded": ("rounded", "gain"),
+        "offset": ("offset", "swapped", "gain", "reversed"),
+        "filtered": ("filtered", "swapped"),
+        "gain": ("gain", "reversed"),
+        "reversed": ("gain", "reversed"),
+        "motion": ("swapped", "decimated"),
+    }
+    return any(
+        (
+            one.severity != "note"
+            and one.cause in explains.get(finding.cause, ())
+            and (
+                finding.channel in (one.channel, "time") or {finding.channel, one.channel} <= {"position", "reference"}
+            )
+        )
+        or (one.cause in ("swapped", "decimated") and finding.cause in ("filtered", "motion"))
+        for one in related
+    )
+
+
+def _confirmed(findings: list[Finding], log: Log, description: DriveDescription | None) -> list[Finding]:
+    """The findings, each without its repair if the mended log shows anything that the log does not."""
+    steps = tuple(step for one in findings if one.repair is not None for step in one.repair.steps)
+    if not steps:
+        return findings
+    left = [one for one in _found(Repair(steps).apply(log), description) if one.severity != "note"]
+    return [finding if finding.repair is None else _doubted(finding, findings, left) for finding in findings]
+
+
+def _doubted(finding: Finding, findings: list[Finding], left: list[Finding]) -> Finding:
+    """The finding, without its repair if what is `left` in the mended log speaks against it."""
+    worst = {(one.cause, one.channel): SEVERITIES.index(one.severity) for one in reversed(findings)}
+    # what is known already, and is milder now or of another cause and not fatal, may stay
+    known = [
+        one
+        for one in left
+        if SEVERITIES.index(one.severity) > worst.get((one.cause, one.channel), len(SEVERITIES))
+        or ((one.cause, one.channel) in worst and one.severity != "fatal" and one.cause != finding.cause)
+    ]
+    new = [one for one in left if one not in known]
+    if not new:
+        return finding
+    doubts = "; ".join(f"{one.channel}: {one.found}" for one in new[:2])
+    return replace(
+        finding,
+        mend=f"{finding.mend}; but the log so mended is not sound either ({doubts}), so the cause is not certain",
+        rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
+        repair=None,
+    )
+
+
+def _position_unit(log: Log, description: DriveDescription | None) -> list[Finding]:
+    """Unit and sign of reference and position, from their range, their ratio and their counts."""
+    return [
+        *ranges.travel(log, description),
+        *ratios.position_follows_reference(log),
+        *grid.position_grid(log, description),
+    ]
+
+
+def _signals(log: Log, description: DriveDescription | None, given: Signal | None) -> list[Finding]:
+    """What single channels show besides; `given` is the controller's own command, where it is known."""
+    checks: list[Iterable[Finding]] = [
+        clock.gaps(log),
+        clock.stamps(log),
+        outliers.spikes(log, given),
+        outliers.lost_rows(log),
+        bursts.unexplained(log, description, given),
+        encoders.lost_motion(log, description),
+        ranges.load(log, description),
+        ranges.temperature(log),
+        ratios.zeros(log),
+        ratios.motor_follows_position(log),
+        ratios.velocity_is_derivative(log),
+        grid.command_grid(log),
+        stuck.constant(log),
+        stuck.clipped_command(log, description),
+        stuck.frozen_position(log),
+        stuck.frozen_command(log),
+        derived.copies(log),
+        derived.velocity(log),
+        derived.load(log),
+        derived.feedforward(log),
+        motion.variety(log),
+        motion.begins_in_motion(log),
+    ]
+    return [finding for check in checks for finding in check]
+
+
+def _command(log: Log, description: DriveDescription | None) -> command.Judgement:
+    """The command against the controller, or where that does not answer, against the balance of forces."""
+    if np.ptp(log.command) == 0 or np.ptp(log.position) == 0:
+        return command.Judgement([])
+    if description is None:
+        return command.Judgement([*balance.command_sign(log)])
+    return command.judged(log, description)

@@ -1,0 +1,1 @@
+"""Time stamps to a uniform clock."""

@@ -1,0 +1,37 @@
+"""Channels that were recorded some samples early or late, brought into time with the others."""
+
+import itertools
+
+import numpy as np
+
+from diffdrive.errors import LogError
+from diffdrive.support.messages import shown
+
+
+def shifted(
+    source: str, signals: dict[str, np.ndarray], gaps: tuple[int, ...], shifts: dict[str, int]
+) -> tuple[dict[str, np.ndarray], tuple[int, ...], list[str]]:
+    """The signals with some of them moved by whole samples, positive to later times; the gaps, and what to say of it.
+
+    Each stretch between gaps loses at its ends what no longer has a partner. Raises `LogError` where a channel is not
+    in the log, or nothing is left.
+    """
+    moves = {channel: by for channel, by in shifts.items() if by}
+    if not moves:
+        return signals, gaps, []
+    absent = [channel for channel in moves if channel not in signals]
+    if absent:
+        raise LogError(
+            f"{source}: {absent[0]} is to be moved: the log has no such channel; it has {', '.join(signals)}"
+        )
+    latest, earliest = max(0, *moves.values()), min(0, *moves.values())
+    edges = [0, *gaps, len(next(iter(signals.values())))]
+    spans = [(start + latest, stop + earliest) for start, stop in itertools.pairwise(edges)]
+    stretches = [np.arange(start, stop) for start, stop in spans if start < stop]
+    if not stretches:
+        raise LogError(f"{source}: shifts by {shown(latest - earliest)} samples leave nothing of the log; correct them")
+    rows = np.concatenate(stretches)
+    brought = {channel: values[rows - moves.get(channel, 0)] for channel, values in signals.items()}
+    between = tuple(int(k) for k in np.cumsum([len(one) for one in stretches[:-1]]))
+    notes = [f"the {channel} was moved by {by:+d} samples" for channel, by in moves.items()]
+    return brought, between, notes

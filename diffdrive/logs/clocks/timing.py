@@ -1,0 +1,142 @@
+"""Brings a log onto a uniform clock: order of its stamps, their rounding or jitter, missing samples, its rate."""
+
+import itertools
+
+import numpy as np
+
+from diffdrive.errors import LogError
+from diffdrive.logs.clocks.grid import EXACT, ROUNDED, Grid, fit_grid
+from diffdrive.logs.clocks.interpolate import resampled
+from diffdrive.logs.clocks.rate import compared
+from diffdrive.logs.column_unit import Conversion
+from diffdrive.logs.formats.table import Table
+from diffdrive.logs.log import Signal
+
+FEWEST = 3  # samples
+REPEATED = 0.01  # share of repeated stamps beyond which the clock's resolution is coarser than the period
+IRREGULAR = 0.5  # periods, RMS: beyond, there is no common clock
+MOST_GAPS = 0.02  # of all samples: so many among jittered stamps are no gaps
+_WRAPS = (8, 15, 16, 24, 31, 32)  # bits
+
+
+def in_order(table: Table, stamps: Signal, clock: Conversion) -> tuple[Signal, np.ndarray, list[str]]:
+    """Times, which rows to keep, and notes: no stamp missing or repeated, none earlier than the one before it.
+
+    Stamps of a clock coarser than the period become uniform. Raises `LogError` naming the row.
+    """
+    keep, notes = np.isfinite(stamps), []
+    if not keep.all():
+        notes.append(f"{np.sum(~keep)} rows without a time stamp were left out")
+    rows = np.flatnonzero(keep)
+    times = stamps[rows]
+    if len(times) < FEWEST:
+        raise LogError(
+            f"{table.source}: has {len(times)} samples with a time stamp; a log needs at least {FEWEST}, of one motion"
+        )
+    steps = np.diff(times)
+    if (steps < 0).any():
+        k = int(np.argmax(steps < 0))
+        raise LogError(
+            f"{table.source}: {table.where(rows[k + 1])}: time goes back from {times[k]:.9g} to {times[k + 1]:.9g} s: "
+            f"{_why_back(times, k, clock)}"
+        )
+    repeated = np.concatenate(([False], steps == 0))
+    if not repeated.any():
+        return times, rows, notes
+    if not steps.any():
+        raise LogError(f"{table.source}: the clock stands still at {times[0]:.9g} s; name another column for the time")
+    if repeated.mean() > REPEATED:
+        return _uncoarsened(table, times, rows), rows, [*notes, _told_coarse(steps)]
+    first = table.where(rows[int(np.argmax(repeated))])
+    notes.append(f"{repeated.sum()} samples with a repeated time stamp were left out, the first at {first}")
+    return times[~repeated], rows[~repeated], notes
+
+
+def _why_back(times: Signal, k: int, clock: Conversion) -> str:
+    fall = times[k] - times[k + 1] + float(np.median(np.diff(times[: k + 2])))
+    if abs(fall - 86_400) < 1:
+        return "a time of day that passed midnight; add 24 h to the rows from there on"
+    for bits in _WRAPS:
+        if abs(fall / clock.factor / 2**bits - 1) < 1e-3:
+            return f"a counter of {bits} bits wrapped; add 2^{bits} counts to the rows from there on"
+    if times[k + 1] < times[0] + 0.01 * (times[k] - times[0]):
+        return "a second recording begins there; put it into a file of its own"
+    return "the rows are not in order; sort them, or cut the log there"
+
+
+def _told_coarse(steps: Signal) -> str:
+    return (
+        f"time stamps are coarser than the period (resolution {steps[steps > 0].min():.3g} s): replaced by uniform "
+        "ones, as no sample is missing"
+    )
+
+
+def _uncoarsened(table: Table, times: Signal, rows: np.ndarray) -> Signal:
+    """Uniform times where the stamps are those rounded to their resolution, else an error."""
+    steps = np.diff(times)
+    resolution = steps[steps > 0].min()
+    count = np.arange(len(times))
+    uniform = np.polynomial.Polynomial.fit(count, times, 1)(count)
+    if np.max(np.abs(times - uniform)) > 1.01 * resolution:
+        first = int(np.argmax(steps == 0))
+        raise LogError(
+            f"{table.source}: {table.where(rows[first + 1])}: {np.mean(steps == 0):.0%} of the time stamps repeat the "
+            "one before, and samples are missing; export the time with more digits"
+        )
+    return uniform
+
+
+def on_uniform_clock(
+    source: str, signals: dict[str, Signal], rate: float | None, unit: float = 1.0
+) -> tuple[dict[str, Signal], tuple[int, ...], list[str]]:
+    """The signals on the uniform clock behind their times, the gaps, and notes; `rate` (Hz) is that of the drive file.
+
+    The times were read in a `unit` of so many seconds.
+
+    Exact stamps stay as they are, rounded ones are replaced, and signals with jittered ones are interpolated. Nothing
+    is invented where samples are missing. Raises `LogError` for irregular stamps and for another rate.
+    """
+    times = signals["time"]
+    if len(times) < FEWEST:
+        raise LogError(f"{source}: has {len(times)} usable samples; a log needs at least {FEWEST}")
+    grid = fit_grid(times, None if rate is None else 1.0 / rate)
+    notes = [] if times[0] == 0 else [f"time starts at {times[0]:.9g} s"]
+    notes += compared(source, grid, rate, unit)
+    if grid.gaps:
+        notes.append(
+            f"samples are missing at {len(grid.gaps)} places, the first after t = {times[grid.gaps[0] - 1]:.9g} s"
+        )
+    smallest = max(EXACT, 4 * float(np.spacing(np.max(np.abs(times)))) / grid.period)
+    if grid.deviation <= smallest:
+        return signals, grid.gaps, notes
+    largest = 1e6 * grid.deviation * grid.period
+    if grid.deviation <= ROUNDED:
+        notes.append(f"time stamps are rounded by up to {largest:.3g} us: replaced by uniform ones")
+        return signals | {"time": grid.times}, grid.gaps, notes
+    if grid.rms > IRREGULAR or len(grid.gaps) > MOST_GAPS * len(times):
+        raise LogError(
+            f"{source}: the time stamps are irregular: {grid.rms:.2g} periods of {1e3 * grid.period:.4g} ms off a "
+            f"uniform clock (RMS), with {len(grid.gaps)} gaps; log at a fixed rate, or "
+            "leave the time out and give the rate"
+        )
+    notes.append(
+        f"time stamps jitter by {1e6 * grid.rms * grid.period:.3g} us RMS and {largest:.3g} us at most, "
+        f"{grid.deviation:.0%} of a period: the signals were interpolated onto {1 / grid.period:.6g} Hz"
+    )
+    pieces, gaps = _resampled(signals, grid)
+    return pieces, gaps, notes
+
+
+def _resampled(signals: dict[str, Signal], grid: Grid) -> tuple[dict[str, Signal], tuple[int, ...]]:
+    edges = [0, *grid.gaps, len(grid.times)]
+    parts: dict[str, list[Signal]] = {name: [] for name in signals}
+    for begin, end in itertools.pairwise(edges):
+        stamps = signals["time"][begin:end]
+        uniform = grid.times[begin:end]
+        # a tolerance far below the jitter: the ends belong to the piece
+        at = uniform[(uniform >= stamps[0] - EXACT * grid.period) & (uniform <= stamps[-1] + EXACT * grid.period)]
+        at = np.clip(at, stamps[0], stamps[-1]) if len(at) else stamps[:1]
+        for name, values in signals.items():
+            parts[name].append(at if name == "time" else resampled(name, stamps, values[begin:end], at))
+    lengths = np.cumsum([len(part) for part in parts["time"]])
+    return {name: np.concatenate(part) for name, part in parts.items()}, tuple(lengths[:-1].tolist())

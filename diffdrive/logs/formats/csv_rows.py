@@ -1,0 +1,66 @@
+"""The rows of a text table one by one: which of them are whole, and what each column's cells are."""
+
+import contextlib
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive.errors import LogError
+from diffdrive.logs.formats.csv_dialect import Dialect
+from diffdrive.logs.formats.table import MISSING
+
+
+def rows_of(
+    path: Path, kept: list[tuple[int, str]], dialect: Dialect, ended: bool
+) -> tuple[list[tuple[int, str]], list[str]]:
+    """The rows with as many cells as the table has columns; a last one that is or may be cut off is left out.
+
+    `ended` says whether the last line has its line end: of one without, nobody can say whether its last number is
+    complete.
+    """
+    rows, notes = [], []
+    for number, line in kept:
+        found, is_last = width_of(line, dialect), number == kept[-1][0]
+        if found == dialect.width and (ended or not is_last):
+            rows.append((number, line))
+        elif not is_last:
+            raise LogError(
+                f"{path}: line {number} has {found} columns, the other rows have {dialect.width}; correct this line"
+            )
+        elif found == dialect.width:
+            notes.append(f"line {number}, the last, has no line end: its last number may be cut off; left out")
+        elif line != "EOF":  # TwinCAT's end mark
+            notes.append(
+                f"line {number}, the last, has {found} columns, the other rows have {dialect.width}: the file is cut "
+                "off there, and this line is left out; if the log was longer, copy or export it again"
+            )
+    return rows, notes
+
+
+def width_of(line: str, dialect: Dialect) -> int:
+    """How many cells a line has."""
+    if dialect.delimiter == " ":
+        return len(line.split())
+    return len(dialect.split(line)) if '"' in line else line.count(dialect.delimiter) + 1
+
+
+def cells_of(lines: list[str], dialect: Dialect) -> Iterable[tuple[str, ...]]:
+    """The table column by column."""
+    if dialect.delimiter == " ":
+        return zip(*map(dialect.split, lines), strict=True)
+    return zip(*csv.reader(lines, delimiter=dialect.delimiter, skipinitialspace=True), strict=True)
+
+
+def column_of(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
+    """Whole numbers, numbers, or text for `Table.numbers` to judge, such as points beside decimal commas."""
+    mixed = dialect.decimal == "," and any("." in cell for cell in cells)
+    plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]
+    for kind in () if mixed else (np.int64, np.float64):
+        with contextlib.suppress(ValueError, OverflowError):
+            values = np.array(plain, dtype=kind)
+            # infinite is what says so, not what has 400 digits
+            if all(cells[k].strip().casefold() in MISSING for k in np.flatnonzero(np.isinf(values))):
+                return values
+    return np.array([cell.strip() for cell in cells], dtype=object)

@@ -1,0 +1,144 @@
+"""Reads MAT files, v4 to v7.3, and writes v5: variables, nested structures, dSPACE recordings, Simulink logs.
+
+A column is called by its path: 'qm', 'rig.axis.position', 'dspace.Y.pos', 'out.label', 'data(2)' for a matrix's second
+column, 'data(1,2)' for an element of matrices in time. Single values and texts are no columns.
+"""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+from pymatreader import read_mat as read_variables
+
+from diffdrive.errors import LogError
+from diffdrive.logs.formats.table import Table, in_words, left_out
+from diffdrive.support.atomic_write import atomic_write
+
+Column = tuple[str, np.ndarray | str, str | None]  # path, values or why it has none, unit
+ALONE, TEXT = "holds a single value", "holds text"  # what may stand beside signals
+
+
+def read_mat(path: Path) -> Table:
+    """The arrays of a MAT file as columns; raises `LogError` if it is none, is cut off, or holds no arrays."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # objects of classes, which are no signals
+            variables = read_variables(path)
+    except Exception as problem:  # the libraries raise a dozen kinds on a damaged file
+        text = (str(problem) or type(problem).__name__).splitlines()[0]
+        raise LogError(
+            f"{path}: cannot be read as a MAT file, it is another format or cut off ({text}); export or copy it again"
+        ) from None
+    held = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
+    found = list(_columns("", held))
+    columns = {name: values for name, values, _ in found if not isinstance(values, str)}
+    passed_over = {name: values for name, values, _ in found if isinstance(values, str)}
+    if not columns:
+        raise LogError(
+            f"{path}: holds no arrays of numbers ({in_words(passed_over) or 'it is empty'}); export signals as arrays "
+            "or as structure with time, not as timeseries or Dataset objects"
+        )
+    named = held.get("units")
+    units = {name: unit for name, _, unit in found if unit}
+    if isinstance(named, dict):
+        units |= {name: unit for name, unit in named.items() if name in columns and isinstance(unit, str)}
+    odd = left_out({name: why for name, why in passed_over.items() if why not in (ALONE, TEXT)})
+    return Table(str(path), columns, units, notes=odd, passed_over=passed_over)
+
+
+def write_mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    """Write columns as variables of a v5 file, beside a structure `units`."""
+    with atomic_write(path) as file:
+        scipy.io.savemat(file, {**columns, "units": units}, oned_as="column", do_compression=True)
+
+
+def _columns(path: str, value: Any) -> Iterator[Column]:
+    if isinstance(value, dict):
+        yield from _structure(path, value)
+    elif isinstance(value, list) and value and all(isinstance(item, str) for item in value):
+        yield path, TEXT, None
+    elif isinstance(value, list):
+        for k, item in enumerate(value):
+            yield from _columns(f"{path}({k + 1})", item)
+    else:
+        for name, values in _signals(path, value):
+            yield name, values, None
+
+
+def _structure(path: str, held: dict[str, Any]) -> Iterator[Column]:
+    if isinstance(held.get("X"), dict) and isinstance(held.get("Y"), dict) and "Data" in held["Y"]:
+        yield from _dspace(path, held["X"], held["Y"])
+    elif isinstance(held.get("signals"), dict) and "values" in held["signals"]:
+        yield from _simulink(path, held)
+    else:
+        for name, value in held.items():
+            yield from _columns(f"{path}.{name}" if path else name, value)
+
+
+def _dspace(path: str, clocks: dict[str, Any], signals: dict[str, Any]) -> Iterator[Column]:
+    """A ControlDesk recording: X(i).Data are the clocks, Y(i).Name and Y(i).Data the signals."""
+    for k, data in enumerate(_listed(clocks.get("Data", []))):
+        for name, values in _signals(f"{path}.X.time" if k == 0 else f"{path}.X({k + 1}).time", data):
+            yield name, values, None
+    data, names = _listed(signals["Data"]), _listed(signals.get("Name", []))
+    units = _listed(signals.get("Unit", []))
+    for k, values in enumerate(data):
+        name = names[k] if k < len(names) and isinstance(names[k], str) else f"({k + 1})"
+        unit = units[k] if k < len(units) and isinstance(units[k], str) else None
+        for column, array in _signals(f"{path}.Y.{name}", values):
+            yield column, array, unit
+
+
+def _simulink(path: str, held: dict[str, Any]) -> Iterator[Column]:
+    """'Structure with time': time, signals(i).values and signals(i).label."""
+    for name, values in _signals(f"{path}.time", held.get("time")):
+        yield name, values, None
+    signals, count = held["signals"], np.size(held.get("time"))
+    values, labels = _listed(signals["values"]), _listed(signals.get("label", []))
+    for k, data in enumerate(values):
+        label = labels[k] if k < len(labels) and isinstance(labels[k], str) and labels[k] else f"signals({k + 1})"
+        for name, column in _signals(f"{path}.{label}", data, count):
+            yield name, column, None
+
+
+def _listed(value: Any) -> list[Any]:
+    """A structure array of one element comes without its list."""
+    return value if isinstance(value, list) else [value]
+
+
+def _why_none(value: Any) -> str | None:
+    """Why a variable is no signal; None where it is one."""
+    if isinstance(value, str) or getattr(getattr(value, "dtype", None), "kind", None) in ("U", "S"):
+        return TEXT
+    if not isinstance(value, np.ndarray):
+        return ALONE if np.isscalar(value) or value is None else f"holds a {type(value).__name__}"
+    if value.dtype.kind == "c" or (value.dtype.names or ())[:1] == ("real",):
+        return "holds complex numbers"
+    if value.dtype.kind not in "fiub":
+        return f"holds {value.dtype.name} in place of numbers"
+    if value.size < 2:
+        return ALONE
+    return f"has {value.ndim} dimensions" if value.ndim > 3 else None
+
+
+def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[str, np.ndarray | str]]:
+    """A vector as it is, a matrix column by column, signals in time along its longer side, or the one of `count`.
+
+    In an array of three dimensions time is the last one, as Simulink writes matrices.
+    """
+    if (why := _why_none(value)) is not None:
+        yield path, why
+    elif value.ndim == 1:
+        yield path, value
+    elif value.ndim == 3:
+        for i, j in np.ndindex(value.shape[:2]):
+            yield f"{path}({i + 1},{j + 1})", value[i, j]
+    else:
+        rows, columns = value.shape
+        lies = columns == count if count in value.shape and rows != columns else rows < columns
+        upright = value.T if lies else value
+        for k in range(upright.shape[1]):
+            yield f"{path}({k + 1})", upright[:, k]

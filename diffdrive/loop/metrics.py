@@ -1,0 +1,22 @@
+"""How well the table follows: scalars of a tracking error, safe to differentiate."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from diffdrive.model.parameters import Scalar
+
+
+def safe_sqrt(value: Scalar) -> Scalar:
+    """Square root whose derivative at zero is zero, not infinite."""
+    above = value > 0
+    return jnp.where(above, jnp.sqrt(jnp.where(above, value, 1.0)), 0.0 * value)
+
+
+def rms(signal: Float[Array, " n"]) -> Scalar:
+    """Root mean square; where the signal is zero throughout, its gradient is zero, not NaN."""
+    return safe_sqrt(jnp.mean(signal**2))
+
+
+def command_noise(command: Float[Array, " n"]) -> Scalar:
+    """RMS of the sample-to-sample change over sqrt 2: the standard deviation of a white command noise, N."""
+    return rms(jnp.diff(command)) / jnp.sqrt(2.0)

@@ -1,0 +1,149 @@
+"""The result of a simulation: its signals, and a status that says whether to believe them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from diffdrive.errors import DivergenceError
+from diffdrive.logs.log import Log
+from diffdrive.motion.motion import Limits, Motion
+
+
+@dataclass(frozen=True)
+class Status:
+    """`ok`, or what went wrong: the signal, when it left its bounds (s), and its value then."""
+
+    ok: bool
+    message: str = "ok"
+    signal: str | None = None
+    time: float | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulated motion; arrays of shape [n]. Estimates are None where the controller makes none."""
+
+    time: np.ndarray  # s
+    reference: np.ndarray  # m
+    reference_velocity: np.ndarray  # m/s
+    load: np.ndarray  # N
+    position: np.ndarray  # m, as the scale reports it
+    table_position: np.ndarray  # m, true
+    velocity: np.ndarray  # m/s, true
+    command: np.ndarray  # N, before the actuator
+    force: np.ndarray  # N, after it
+    friction: np.ndarray  # N, without the damping B_S v
+    friction_estimate: np.ndarray | None
+    load_estimate: np.ndarray | None
+    status: Status = Status(True)
+
+    @classmethod
+    def of(cls, motion: Motion, load: np.ndarray, frames: Any, every: int) -> "Run":
+        """From the frames of a roll-out that kept each `every`-th sample."""
+        count = len(frames.position)
+        kept = slice(0, count * every, every)
+        estimate = frames.estimate
+        return cls(
+            time=motion.time[kept],
+            reference=motion.position[kept],
+            reference_velocity=motion.velocity[kept],
+            load=load[kept],
+            position=np.asarray(frames.measured),
+            table_position=np.asarray(frames.position),
+            velocity=np.asarray(frames.velocity),
+            command=np.asarray(frames.command),
+            force=np.asarray(frames.force),
+            friction=np.asarray(frames.friction),
+            friction_estimate=None if estimate is None else np.asarray(estimate.friction),
+            load_estimate=None if estimate is None or estimate.load is None else np.asarray(estimate.load),
+        )
+
+    @property
+    def error(self) -> np.ndarray:
+        """Tracking error of the table, reference minus true position (m)."""
+        return self.reference - self.table_position
+
+    def between(self, start: float, end: float) -> np.ndarray:
+        """Which samples lie in [start, end] (s): a mask of shape [n]; raises if there is none."""
+        inside = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
+        if not inside.any():
+            raise ValueError(
+                f"no sample between {start:g} and {end:g} s: the run lasts {self.time[0]:g} to {self.time[-1]:g} s"
+            )
+        return inside
+
+    def peak(self, start: float = -np.inf, end: float = np.inf) -> float:
+        """Largest tracking error between `start` and `end` (m)."""
+        return float(np.max(np.abs(self.error[self.between(start, end)])))
+
+    def rms(self, start: float = -np.inf, end: float = np.inf) -> float:
+        """Root mean square tracking error between `start` and `end` (m)."""
+        return float(np.sqrt(np.mean(self.error[self.between(start, end)] ** 2)))
+
+    def log(self, name: str = "run") -> Log:
+        """What the machine itself would have logged of this run, without what only a simulation knows."""
+        signals = {channel: getattr(self, channel) for channel in ("time", "position", "command", "reference", "load")}
+        return Log(name, **{channel: np.asarray(values, dtype=np.float64) for channel, values in signals.items()})
+
+    def require_ok(self) -> "Run":
+        """The run itself, or a `DivergenceError` with its status."""
+        if not self.status.ok:
+            raise DivergenceError(self.status.message)
+        return self
+
+
+def sane_error(reference: np.ndarray, limits: Limits) -> float:
+    """The tracking error (m) beyond which a loop has diverged: ten times the travel, a tenth of a metre, the stroke."""
+    low, high = limits.stroke
+    return min(max(10.0 * float(np.ptp(reference)), 0.1), (high - low) if np.isfinite(high - low) else np.inf)
+
+
+def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequence[str] = ()) -> Run:
+    """The run with its status: finite, within a sane distance of its reference, and how much of it saturated.
+
+    `effects` are those without which the same loop stays within its bounds, where that is known.
+    """
+    reach = sane_error(run.reference, limits)
+    limit = np.inf if force_limit is None else force_limit
+    with np.errstate(invalid="ignore", over="ignore"):
+        faults = [("tracking error", run.error, ~(np.abs(run.error) <= reach), f"{reach:g} m")]
+        for name in ("command", "friction_estimate", "load_estimate", "velocity"):
+            signal = getattr(run, name)
+            if signal is not None:
+                faults.append((name.replace("_", " "), signal, ~np.isfinite(signal), "all bounds"))
+        limited = np.abs(run.command) > limit
+    first = [(int(np.argmax(bad)), name, signal, bound) for name, signal, bad, bound in faults if bad.any()]
+    if not first:
+        late = limited[-len(limited) // 4 :]
+        if np.mean(late) > 0.5:
+            begin = float(run.time[int(np.argmax(limited))])
+            message = (
+                f"saturated: the command exceeds the force limit of {limit:g} N in {100 * np.mean(late):.0f} % of the "
+                f"last quarter, first at t = {begin:g} s: the axis is too weak for this motion and load, or the loop "
+                "oscillates between its limits; raise force_limit, slow the motion, or lower kp and kd"
+            )
+            return replace(run, status=Status(False, message, "command", begin))
+        if not limited.any():
+            return run
+        share = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"
+        return replace(run, status=Status(True, share))
+    k, name, signal, bound = min(first, key=lambda fault: fault[0])
+    if effects:
+        cause = (
+            f"without {' and '.join(f'effects.{name}' for name in effects)} it stays within them; check the units there"
+        )
+    elif np.mean(limited[: k + 1]) > 0.5:
+        cause = f"the force sits at its limit of {limit:g} N; raise force_limit, or slow the motion"
+    elif np.isnan(signal[k]):
+        cause = (
+            "numbers leave the range of floating point; check the units of the drive's parameters, or lower kd, kp or "
+            "the delay"
+        )
+    else:
+        cause = (
+            "the loop is unstable with these gains, delay and sampling; lower kd, kp or the delay, or check their units"
+        )
+    message = f"diverged: {name} leaves {bound} at t = {run.time[k]:g} s (value {signal[k]:g}): {cause}"
+    return replace(run, status=Status(False, message, name, float(run.time[k])))

@@ -1,0 +1,362 @@
+"""The closed loop, one control step at a time, and its roll-out over a motion.
+
+    scale -> controller (with its observer) -> command -> actuator -> force -> plant -> ...
+
+A step begins where a controller's interrupt routine begins, with the measurement; the estimate used at k rests on
+the measurement at k and on the force applied up to k, so there is no algebraic loop.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.controllers import Controller, Reference
+from diffdrive.effects import acting, possible
+from diffdrive.effects.base import Effect, Push
+from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
+from diffdrive.loop.metrics import safe_sqrt
+from diffdrive.loop.run import Run, judged
+from diffdrive.model import actuator, plant, sensor
+from diffdrive.model.friction import bristle_at, friction_force
+from diffdrive.model.parameters import (
+    Drive,
+    Sampling,
+    Scalar,
+    as_arrays,
+    check,
+    check_drive,
+    in_precision_of,
+    require_double_precision,
+)
+from diffdrive.motion.load import Ramp, require_possible, require_resolved
+from diffdrive.motion.motion import Limits, Motion, require_within
+from diffdrive.numerics.once import once
+from diffdrive.numerics.pipeline import require_shorter
+from diffdrive.observers.convergence import advice
+from diffdrive.observers.friction_observer import Estimate
+from diffdrive.support.messages import shown
+from diffdrive.support.resources import require_memory
+
+GIVEN, KEPT, DOUBLE = 8, 14, 8  # arrays over the samples of a run, those over the kept ones, and bytes of a number
+
+
+class Inputs(NamedTuple):
+    """What the loop is given from outside, [n] over time or scalars at one step."""
+
+    reference: Reference
+    load: Float[Array, " n"] | Scalar  # N on the guides
+    disturbance: Float[Array, " n"] | Scalar  # N on the table beside the actuator's: process force, test pulses
+
+
+class Frame(NamedTuple):
+    """What one control step looks like from outside: the signals at sample k, the command given at k."""
+
+    position: Scalar  # m, of the table
+    velocity: Scalar  # m/s
+    measured: Scalar  # m, as the scale reports it
+    command: Scalar  # N, before the actuator
+    force: Scalar  # N, that acts from k to k+1
+    friction: Scalar  # N, without the damping B_S v
+    estimate: Estimate | None
+
+
+class LoopState(NamedTuple):
+    """What is carried from one control step to the next."""
+
+    plant: plant.PlantState
+    actuator: actuator.ActuatorState
+    controller: Any
+    count: Scalar
+    effects: tuple[Any, ...] = ()
+
+
+def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
+    """Everything at rest at `position` (m), in its precision."""
+    state = LoopState(
+        plant.at_rest(position),
+        actuator.init(drive.actuator),
+        controller.init(position),
+        jnp.zeros((), jnp.uint32),
+        acting.at_rest(drive.effects, jnp.zeros(())),
+    )
+    return in_precision_of(position, state)
+
+
+def move(
+    drive: Drive, sampling: Sampling, state: LoopState, push: Push, disturbance: Scalar, load: Scalar
+) -> tuple[plant.PlantState, tuple[Any, ...], Drive]:
+    """The table and the effects one period later, the actuator's `push` and a disturbance acting on the table; and the
+    drive with its friction as the effects bend it over that period.
+
+    `drive` has been altered.
+    """
+    table, effects, force = state.plant, drive.effects, push.mean + disturbance
+    if not effects:
+        return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), (), drive
+    time = sampling.period * state.count
+    seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
+    carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
+    carried, acts = once((carried, acts))
+    machine = acting.bent(drive, acts)
+    steps = acting.plant_steps(effects, sampling)
+    moved = plant.advance(machine, table, force + acts.force, load, sampling.period, steps)
+    shift = acts.shift + acting.displaced(drive, push.tilt, sampling.period)
+    return moved._replace(position=moved.position + shift), carried, machine
+
+
+def step(
+    drive: Drive, controller: Controller, sampling: Sampling, key: Array | None, state: LoopState, inputs: Inputs
+) -> tuple[LoopState, Frame]:
+    """One control period of the closed loop of a drive that has been `altered`."""
+    table = state.plant
+    shown = table.position + acting.scale_error(drive.effects, table.position)
+    normal = None
+    if key is not None:  # the same noise in either precision
+        drawn = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
+        normal = in_precision_of(shown, drawn)
+    measured = sensor.measure(drive.sensor, shown, normal)
+    controller_state, command = controller.step(
+        state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
+    )
+    controller_state, command = once((controller_state, command))
+    drive_state = actuator.step(drive.actuator, state.actuator, command.force)
+    carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
+    before = state._replace(effects=carried)
+    moved, carried, bent = move(drive, sampling, before, applied, inputs.disturbance, inputs.load)
+    bristle = bristle_at(bent.friction, table.velocity, table.bristle, inputs.load)
+    frame = Frame(
+        position=table.position,
+        velocity=table.velocity,
+        measured=measured,
+        command=command.force,
+        force=applied.mean,
+        friction=friction_force(bristle, table.velocity, table.bristle),
+        estimate=command.estimate,
+    )
+    return LoopState(moved, drive_state, controller_state, state.count + 1, carried), frame
+
+
+# In reverse mode a step keeps its carry alone and is computed again on the way back: a fiftieth of the memory, and
+# faster too, since it stays in cache. In forward mode it changes nothing.
+recomputed = partial(jax.checkpoint, prevent_cse=False)
+
+
+def _scanned(body: Callable[[Any, Any], tuple[Any, Any]], begin: Any, inputs: Any, kept: int) -> tuple[Any, Any]:
+    """`lax.scan` that in reverse mode keeps the carry of each `kept`-th step and computes the steps between again."""
+    if kept == 1:
+        return lax.scan(recomputed(body), begin, inputs)
+    if not isinstance(kept, int) or kept < 1:
+        raise ParameterError(f"kept must be a whole number from 1 on, got {kept!r}")
+    whole = len(jax.tree.leaves(inputs)[0]) // kept * kept
+    chunks = jax.tree.map(lambda signal: signal[:whole].reshape(-1, kept, *signal.shape[1:]), inputs)
+    state, frames = lax.scan(recomputed(lambda state, at: lax.scan(body, state, at, unroll=kept)), begin, chunks)
+    frames = jax.tree.map(lambda signal: signal.reshape(whole, *signal.shape[2:]), frames)
+    if whole == len(jax.tree.leaves(inputs)[0]):
+        return state, frames
+    state, last = lax.scan(recomputed(body), state, jax.tree.map(lambda signal: signal[whole:], inputs))
+    return state, jax.tree.map(lambda some, rest: jnp.concatenate([some, rest]), frames, last)
+
+
+def rollout(
+    drive: Drive,
+    controller: Controller,
+    inputs: Inputs,
+    sampling: Sampling,
+    key: Array | None = None,
+    every: int = 1,
+    begin: LoopState | None = None,
+    kept: int = 1,
+) -> Frame:
+    """Roll the loop over `inputs` ([n] each) and record each `every`-th frame: arrays of shape [n // every].
+
+    Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
+    `begin` is the state to begin from (see `start`); by default at rest where the reference begins. In reverse mode the
+    state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile (docs/numerics.md).
+    """
+    require_double_precision()
+    drive = acting.altered(drive, drive.effects)
+
+    def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
+        return step(drive, controller, sampling, key, state, at)
+
+    begin = start(drive, controller, inputs.reference.position[0]) if begin is None else begin
+    if every == 1:
+        return _scanned(body, begin, inputs, kept)[1]
+
+    def block(state: LoopState, chunk: Inputs) -> tuple[LoopState, Frame]:
+        state, frame = recomputed(body)(state, jax.tree.map(lambda signal: signal[0], chunk))
+        rest = jax.tree.map(lambda signal: signal[1:], chunk)
+        state, _ = _scanned(lambda s, at: (body(s, at)[0], None), state, rest, kept)
+        return state, frame
+
+    blocks = len(inputs.load) // every
+    chunks = jax.tree.map(lambda signal: signal[: blocks * every].reshape(blocks, every), inputs)
+    return lax.scan(block, begin, chunks)[1]
+
+
+class Costs(NamedTuple):
+    """Running costs of a roll-out over the samples that count."""
+
+    rms: Scalar  # m, tracking error
+    peak: Scalar  # m, largest tracking error
+    command_noise: Scalar  # N, RMS of the command's sample-to-sample change over sqrt 2
+    load_error: Scalar | None  # N, RMS of the estimated minus the true load; None where no load is estimated
+    saturated: Scalar  # share of the samples at which the command exceeded the force limit
+    steps_finite: Scalar  # how many control steps passed before the tracking error left `reach`, or was not finite
+
+
+def running_costs(
+    drive: Drive,
+    controller: Controller,
+    inputs: Inputs,
+    counts: Float[Array, " n"],
+    sampling: Sampling,
+    key: Array | None = None,
+    ramp: Ramp | None = None,
+    kept: int = 1,
+    reach: Scalar = 1.0,
+) -> Costs:
+    """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
+
+    `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `kept`: as `rollout`.
+    A loop has diverged whose tracking error is beyond `reach` (m; `run.sane_error`). It runs in the precision of the
+    arrays that it is given, all of one kind; its sums are always double.
+
+    Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
+    """
+    require_double_precision()
+    drive = acting.altered(drive, drive.effects)
+    limit = acting.force_limit(drive)
+    limit = jnp.inf if limit is None else limit
+
+    def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
+        state, last, (square, largest, change, missed, limited, finite) = carry
+        now, count = at
+        if ramp is not None:
+            now = now._replace(load=now.load + ramp.at(sampling.period * state.count))
+        state, frame = step(drive, controller, sampling, key, state, now)
+        error = now.reference.position - frame.position
+        known = frame.estimate is not None and frame.estimate.load is not None
+        follows = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
+        # what does not count may be anything, infinite too
+        off, jump = jnp.where(count > 0.0, error, 0.0), jnp.where(follows > 0.0, frame.command - last, 0.0)
+        astray = jnp.where(count > 0.0, frame.estimate.load - now.load, 0.0) if known else None
+        sums = (
+            square + count * off**2,
+            jnp.maximum(largest, count * jnp.abs(off)),
+            change + follows * jump**2,
+            missed + count * astray**2 if known else None,
+            limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
+            finite + jnp.where((jnp.abs(error) <= reach) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
+        )
+        return (state, frame.command, sums), None
+
+    zero = jnp.zeros(())  # sums stay in double precision, whatever the loop runs in
+    begin = start(drive, controller, inputs.reference.position[0])
+    still = jnp.zeros_like(begin.plant.position)
+    at_first = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
+    estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, at_first)[1].estimate)
+    missed = None if estimate is None or estimate.load is None else zero
+    sums = (zero, zero, zero, missed, zero, jnp.zeros((), jnp.uint32))
+    (_, _, (square, largest, change, missed, limited, finite)), _ = _scanned(
+        body, (begin, still, sums), (inputs, counts), kept
+    )
+    total = jnp.sum(counts)
+    # reciprocals, once: of a division by the same number in every lane the compiler makes one at its whim
+    share, change_share = 1.0 / total, 0.5 / (total - counts[0])
+    return Costs(
+        rms=safe_sqrt(square * share),
+        peak=largest,
+        command_noise=safe_sqrt(change * change_share),
+        load_error=None if missed is None else safe_sqrt(missed * share),
+        saturated=limited * share,
+        steps_finite=finite,
+    )
+
+
+_rollout = eqx.filter_jit(rollout)
+
+
+def inputs_of(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
+    """A motion, a load and a disturbing force (N, [n] each; None: no force) as the arrays that `rollout` takes."""
+    reference = Reference(motion.position, motion.velocity, motion.acceleration)
+    force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
+    return as_arrays(Inputs(reference, np.asarray(load, float), force))
+
+
+def simulate(
+    drive: Drive,
+    controller: Controller,
+    motion: Motion,
+    load: np.ndarray | float = 0.0,
+    *,
+    sampling: Sampling = Sampling(),
+    limits: Limits = Limits(),
+    seed: int | None = 0,
+    every: int = 1,
+) -> Run:
+    """Simulate one motion and return every signal, with a status that says whether to believe it.
+
+    `load` is in N, one number or one per sample. `seed` seeds the sensor noise (None: no noise). `every` keeps each
+    n-th sample. Raises `ParameterError` and `MotionError` on bad input; a loop that diverges does not raise but
+    returns a `Run` whose `status` says which signal left its bounds and when.
+    """
+    require_double_precision()
+    check_drive(drive)
+    check(controller)
+    require_within(motion, limits)
+    if abs(motion.rate / sampling.rate - 1) > 1e-6:
+        raise ParameterError(
+            f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
+        )
+    if not isinstance(every, int) or not 1 <= every < len(motion.time):
+        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {shown(every)}")
+    if isinstance(load, str):
+        raise MotionError(f"load must be in N, one number or one per sample, got {shown(load)}")
+    require_shorter(len(motion.time), (*drive.actuator.pipelines, *controller.pipelines))
+    require_memory(
+        ParameterError,
+        f"a run of {len(motion.time)} samples",
+        DOUBLE * len(motion.time) * (GIVEN + KEPT / every),
+        "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
+    )
+    loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
+    loads = require_possible(drive, loads, motion.time)
+    require_resolved(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
+    possible.require_possible(drive, possible.envelope_of(motion.position, motion.velocity, loads, sampling.period))
+    for problem in advice(controller, motion, loads, sampling.period):
+        warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
+    if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
+        raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {shown(seed)}")
+    noisy = seed is not None and float(drive.sensor.noise) > 0
+    key = jax.random.key(seed) if noisy else None
+
+    def of(machine: Drive) -> tuple[Run, float | None]:
+        frames = _rollout(*as_arrays((machine, controller)), inputs_of(motion, loads), sampling, key, every)
+        limit = acting.force_limit(machine)
+        return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
+
+    def sound_without(effects: Sequence[Effect]) -> bool:
+        machine = replace(
+            drive, effects=tuple(one for one in drive.effects if not any(one is gone for gone in effects))
+        )
+        run, limit = of(machine)
+        return judged(run, limits, limit).status.ok
+
+    run, limit = of(drive)
+    found = judged(run, limits, limit)
+    if found.status.ok or found.status.message.startswith("saturated") or not drive.effects:
+        return found
+    # gains are blamed only for what they do without the effects, too
+    single = [[one] for one in drive.effects]
+    guilty = next((some for some in (*single, list(drive.effects)) if sound_without(some)), [])
+    return judged(run, limits, limit, [one.name for one in guilty])

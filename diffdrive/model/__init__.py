@@ -1,0 +1,1 @@
+"""The machine: parameters, friction, plant, actuator, sensor."""

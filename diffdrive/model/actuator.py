@@ -1,0 +1,51 @@
+"""Command to force: limit, then delay.
+
+A delay of a fraction f of the period lets the last force act for the first f of it: the mean force over the period,
+f F[k-1] + (1 - f) F[k], is what acts here throughout, so that the momentum is exact and the result smooth in f.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from diffdrive.model.parameters import Actuator, Scalar
+from diffdrive.numerics.pipeline import Pipeline, filled, pushed
+
+
+class ActuatorState(NamedTuple):
+    """Forces still under way, next first, the last one that arrived, and the one that acted over the last period."""
+
+    pending: Pipeline
+    arrived: Scalar
+    applied: Scalar
+
+
+def init(actuator: Actuator) -> ActuatorState:
+    """No force now, none under way."""
+    zero = jnp.zeros(())
+    return under_way(actuator, zero)
+
+
+def under_way(actuator: Actuator, force: Scalar) -> ActuatorState:
+    """The same force (N) for as long as the delay lasts, and before."""
+    return ActuatorState(filled(force, actuator.delay_samples), force, force)
+
+
+def limited(actuator: Actuator, command: Scalar) -> Scalar:
+    """The command within the force limit; with `limit_rounding`, the limit's corners are rounded by softplus."""
+    limit, width = actuator.force_limit, actuator.limit_rounding
+    if limit is None:
+        return command
+    if width is None:
+        return jnp.clip(command, -limit, limit)
+    rise = jax.nn.softplus((command + limit) / width) - jax.nn.softplus((command - limit) / width)
+    return width * rise - limit
+
+
+def step(actuator: Actuator, state: ActuatorState, command: Scalar) -> ActuatorState:
+    """The force for the coming period is `applied` of the state returned."""
+    now, pending = pushed(state.pending, limited(actuator, command))
+    share = actuator.delay_fraction
+    applied = now if share is None else share * state.arrived + (1.0 - share) * now
+    return ActuatorState(pending, now, applied)

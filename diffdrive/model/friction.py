@@ -1,0 +1,169 @@
+"""LuGre friction (paper, eqs. (4) to (6)), and its bristle after a while at one velocity.
+
+    F     = s0 z + s1 dz/dt + mu_v v
+    dz/dt = v - r z ,   r = s0 |v| / g(v)
+    g(v)  = F_C + (F_S - F_C) exp(-(|v| / v_s)^d) ,   F_C = F_BC + mu_LC (W_LI + W_LA)
+
+The paper's d is 1, for which the curve costs one exponential and nothing else; textbooks have 2, measurements 0.5 to 2.
+Sliding parameters are taken for the direction of the velocity, the bristle's stiffness for the direction of its
+deflection: then force and bristle rate stay continuous through v = 0 and z = 0 also where the two sides differ.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from diffdrive.model.parameters import Directional, Friction, Scalar
+from diffdrive.numerics.exponential import LOG2_E, halving, raised
+from diffdrive.numerics.once import once
+from diffdrive.numerics.polynomial import inverse
+from diffdrive.numerics.relaxation import decay, relaxation
+
+
+class Bristle(NamedTuple):
+    """The LuGre coefficients at one velocity, load and direction."""
+
+    stiffness: Scalar  # s0, N/m
+    damping: Scalar  # s1, N s/m
+    viscous: Scalar  # mu_v, N s/m
+    level: Scalar  # g(v), N
+    rate: Scalar  # r = s0 |v| / g, 1/s
+
+
+def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
+    """Coulomb friction F_C, N, in the direction of `velocity` under the applied load (eq. (6))."""
+    guide = friction.load_coefficient.towards(velocity)
+    return friction.coulomb_screw.towards(velocity) + guide * (friction.initial_load + load)
+
+
+def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
+    """Friction level g(v), N, without the viscous part (eq. (5))."""
+    return under(friction, load).level(velocity)
+
+
+def bristle_at(friction: Friction, velocity: Scalar, deflection: Scalar, load: Scalar) -> Bristle:
+    """The coefficients of eq. (4) at this velocity, bristle deflection and load."""
+    return under(friction, load).at(velocity, deflection)
+
+
+class Loaded(NamedTuple):
+    """Friction under one load, for many velocities: what does not hang on these is computed once."""
+
+    coulomb: Directional  # F_C, N
+    gap: Directional  # F_S - F_C, N
+    halvings: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves for each m/s; of another curve 1 / v_s
+    stiffness: Directional
+    damping: Directional
+    viscous: Directional
+    exponent: Scalar | None  # d, of the Stribeck curve; None: 1
+
+    def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
+        """The coefficients of eq. (4) at this velocity and bristle deflection."""
+        return self.under_level(self.level(velocity), velocity, deflection)
+
+    def under_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> Bristle:
+        """The same with a friction level (N) that is known already."""
+        stiffness = self.stiffness.towards(deflection)
+        return Bristle(
+            stiffness=stiffness,
+            damping=self.damping.towards(velocity),
+            viscous=self.viscous.towards(velocity),
+            level=level,
+            rate=stiffness * jnp.abs(velocity) / level,
+        )
+
+    def level(self, velocity: Scalar) -> Scalar:
+        """Friction level g(v), N."""
+        stribeck = self.gap.towards(velocity) * self.falling(jnp.abs(velocity) * self.halvings.towards(velocity))
+        return self.coulomb.towards(velocity) + stribeck
+
+    def levels(self, velocity: Scalar) -> Directional:
+        """Friction level g, N, at this speed in either direction."""
+        speed = jnp.abs(velocity)
+        return Directional(
+            self.coulomb.positive + self.gap.positive * self.falling(speed * self.halvings.positive),
+            self.coulomb.negative + self.gap.negative * self.falling(speed * self.halvings.negative),
+        )
+
+    def falling(self, speeds: Scalar) -> Scalar:
+        """The share of the gap that is left at a speed times `halvings`."""
+        return halving(speeds if self.exponent is None else LOG2_E * raised(speeds, self.exponent))
+
+
+def under(friction: Friction, load: Scalar) -> Loaded:
+    """The friction under an applied load (N)."""
+    pressed = friction.initial_load + load
+
+    def coulomb_of(screw: Scalar, guide: Scalar) -> Scalar:
+        return screw + guide * pressed
+
+    screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
+    exponent = friction.stribeck_exponent
+    base = LOG2_E if exponent is None else 1.0
+    return Loaded(
+        Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
+        friction.breakaway_gap,
+        Directional(base / slow.positive, base / slow.negative),
+        friction.bristle_stiffness,
+        friction.bristle_damping,
+        friction.viscous,
+        exponent,
+    )
+
+
+def friction_force(bristle: Bristle, velocity: Scalar, deflection: Scalar) -> Scalar:
+    """Friction force F, N (eq. (4))."""
+    bristle_velocity = velocity - bristle.rate * deflection
+    return bristle.stiffness * deflection + bristle.damping * bristle_velocity + bristle.viscous * velocity
+
+
+def steady_friction(friction: Friction, velocity: Scalar, load: Scalar = 0.0) -> Scalar:
+    """Friction force, N, after a long time at constant velocity: the Stribeck curve (paper, Fig. 5(a))."""
+    level = stribeck_level(friction, velocity, load)
+    return jnp.sign(velocity) * level + friction.viscous.towards(velocity) * velocity
+
+
+def steepest_fall(friction: Friction, side: str) -> float:
+    """The steepest fall of the Stribeck curve in one direction ("positive" or "negative"), N s/m, by its magnitude.
+
+    From d = 1 on it is that of the curve itself, at rest for d = 1; below, where the curve leaves rest upright, that of
+    the chord from rest to where the gap is down by a factor e.
+    """
+    gap, width = (float(getattr(pair, side)) for pair in (friction.breakaway_gap, friction.stribeck_velocity))
+    d = float(friction.exponent)
+    share = (d - 1.0) / d
+    steepest = d * share**share * math.exp(-share) if d > 1.0 else 1.0 if d == 1.0 else 1.0 - math.exp(-1.0)
+    return gap / width * steepest
+
+
+def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:
+    """The bristle's deflection after `duration` at constant `velocity`: the exact solution of dz/dt = v - r z."""
+    fade = decay(rate * duration)
+    return fade.end * deflection + duration * fade.mean * velocity
+
+
+def sound(level: Scalar) -> Scalar:
+    """A friction level (N), or NaN where it is not above zero, as an effect may make it: no bristle holds then."""
+    return jnp.where(level > 0.0, level, jnp.nan)
+
+
+def relaxing(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
+    """`slide` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
+    level, bent = once((sound(level), duration * stiffness * jnp.abs(velocity)))
+    fade = relaxation(bent, level)
+    share = inverse(fade.whole)
+    return once((fade.end * share, duration * fade.mean * share * velocity))
+
+
+def resisting_midway(
+    friction: Loaded, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
+) -> tuple[Scalar, Scalar]:
+    """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
+    stiffness = friction.stiffness.towards(bristle)
+    stays, drawn = relaxing(stiffness, friction.level(velocity), velocity, 0.5 * step)
+    half = stays * bristle + drawn
+    end = stays * half + drawn
+    bending = friction.damping.towards(velocity) * ((end - bristle) * (1.0 / step))
+    force = stiffness * half + bending + (friction.viscous.towards(velocity) + damping.towards(velocity)) * velocity
+    return force, end

@@ -1,0 +1,22 @@
+"""Position to measured position: white noise, then the resolution of the scale."""
+
+import jax.numpy as jnp
+from jax import lax
+
+from diffdrive.model.parameters import Scalar, Sensor
+
+
+def quantised(position: Scalar, resolution: Scalar) -> Scalar:
+    """Rounded to the resolution; its derivative is the straight-through one (that of no quantiser at all).
+
+    The true derivative is zero almost everywhere, which would cut the feedback loop out of every gradient.
+    """
+    step = resolution * jnp.round(position / resolution)
+    return position + lax.stop_gradient(step - position)
+
+
+def measure(sensor: Sensor, position: Scalar, normal: Scalar | None) -> Scalar:
+    """Measured position; `normal` is a standard normal number, or None for no noise at all."""
+    if normal is not None:
+        position = position + sensor.noise * normal
+    return position if sensor.resolution is None else quantised(position, sensor.resolution)

@@ -1,0 +1,1 @@
+"""Motions and loads: as functions, as one line of text, and from files."""

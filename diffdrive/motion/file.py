@@ -1,0 +1,68 @@
+"""A motion from a CSV file: its time, and its reference or else its position, in the units that the header says."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive.errors import MotionError
+from diffdrive.logs.column_unit import Conversion, conversion, split
+from diffdrive.motion.motion import Motion, from_array
+from diffdrive.support.messages import listed, shortened
+from diffdrive.support.text_file import decoded
+
+# a log holds both: where the table should be is asked for again, not where the scale saw it
+_PREFERRED = ("reference", "position")
+
+
+def read_motion(path: Path) -> str:
+    """The text of a motion's file."""
+    try:
+        return decoded(path.read_bytes())
+    except OSError as error:
+        raise MotionError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def parse_motion_table(text: str, path: str) -> Motion:
+    """A motion from the text of a CSV file with a column time and a column reference or position; `path` names it.
+
+    Units stand in the header as in a log's ('position [mm]'); without one a column is in SI. Where both columns are
+    there the reference is taken, and the motion's name says so. Raises `MotionError` for a column that is missing or
+    there twice, or in what is no unit of it.
+    """
+    first, _, rest = text.partition("\n")
+    try:
+        header = next(csv.reader([first], skipinitialspace=True), [])
+        if not rest.strip():  # numpy warns
+            raise ValueError("no row of numbers")
+        table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
+    except (ValueError, csv.Error) as error:
+        problem = shortened(str(error).partition("\n")[0], 200)
+        raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {problem}") from None
+    found = {channel: _columns(header, channel) for channel in ("time", *_PREFERRED)}
+    taken = next((channel for channel in _PREFERRED if found[channel]), None)
+    if not found["time"] or taken is None or table.shape[1] != len(header):
+        raise MotionError(
+            f"{path}: needs a header line with the columns time and position (or reference), each with its unit unless "
+            f"it is s and m, such as 'time [s],position [mm]'; has {listed(header, taken or 'position', 'columns')}"
+        )
+    time, place = (_in_si(table, header, channel, found[channel], path) for channel in ("time", taken))
+    name = Path(path).name
+    return from_array(time, place, name=f"{name} (column reference)" if all(found.values()) else name)
+
+
+def _columns(header: list[str], channel: str) -> list[int]:
+    return [k for k, cell in enumerate(header) if split(cell, channel)[0].strip('" ').casefold() == channel]
+
+
+def _in_si(table: np.ndarray, header: list[str], channel: str, columns: list[int], path: str) -> np.ndarray:
+    if len(columns) > 1:
+        raise MotionError(f"{path}: has {len(columns)} columns called {channel}: leave one")
+    [column] = columns
+    unit = split(header[column], channel)[1]
+    try:
+        to_si = Conversion(1.0) if unit is None else conversion(channel, unit, {})
+    except ValueError as problem:
+        raise MotionError(f"{path}: column '{header[column].strip()}': {problem}") from None
+    return to_si(table[:, column])

@@ -1,0 +1,123 @@
+"""Applied load on the guides over time, in newtons: functions of the time grid, and a ramp of four numbers."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.errors import MotionError
+from diffdrive.model.parameters import Drive, Sampling, Scalar
+
+GRAVITY = 9.80665  # m/s^2
+
+
+class Ramp(NamedTuple):
+    """A load (N) that changes linearly by `change` (N) from `begin` to `end` (s), constant outside: four numbers.
+
+    For many lanes at once, each with a load of its own that no array over time needs to hold.
+    """
+
+    load: Scalar
+    change: Scalar
+    begin: Scalar
+    end: Scalar
+
+    def at(self, time: Scalar) -> Scalar:
+        """The load (N) at a time (s); where `end` does not come after `begin`, a step there."""
+        share = (time - self.begin) / jnp.maximum(self.end - self.begin, 1e-9)
+        return self.load + self.change * jnp.clip(share, 0.0, 1.0)
+
+
+def constant(time: np.ndarray, load: float) -> np.ndarray:
+    """The same load (N) throughout."""
+    return np.full(len(time), float(load))
+
+
+def step(time: np.ndarray, *, at: float, to: float, before: float = 0.0) -> np.ndarray:
+    """`before` (N) until `at` (s), `to` (N) from then on."""
+    if not np.isfinite(at):
+        raise MotionError(f"load step: at = {at!r} must be a finite time in s")
+    return np.where(np.asarray(time) < at, float(before), float(to))
+
+
+def ramp(time: np.ndarray, *, start: float, end: float, to: float, before: float = 0.0) -> np.ndarray:
+    """Linear from `before` (N) at `start` (s) to `to` (N) at `end` (s)."""
+    return piecewise(time, times=[start, end], loads=[before, to])
+
+
+def piecewise(time: np.ndarray, *, times: Sequence[float], loads: Sequence[float]) -> np.ndarray:
+    """Linear between the points (times s, loads N), constant outside."""
+    t, w = np.asarray(times, float), np.asarray(loads, float)
+    if t.shape != w.shape or t.ndim != 1 or not len(t):
+        raise MotionError("piecewise load: give as many times as loads, at least one of each")
+    if not (np.all(np.isfinite(t)) and np.all(np.isfinite(w))):
+        raise MotionError("piecewise load: times and loads must be finite")
+    if np.any(np.diff(t) <= 0):
+        raise MotionError(f"piecewise load: times must increase, got {list(times)!r}")
+    return np.interp(time, t, w)
+
+
+def material_removal(
+    time: np.ndarray, *, workpiece: float, removal_rate: float, cuts: Sequence[tuple[float, float]]
+) -> np.ndarray:
+    """Weight of a workpiece (kg) that loses `removal_rate` (kg/s) while cutting; `cuts` are (from, to) in s."""
+    time = np.asarray(time, float)
+    if not (0 <= workpiece < np.inf and 0 <= removal_rate < np.inf):
+        raise MotionError(
+            f"material removal: workpiece = {workpiece!r} kg and removal_rate = {removal_rate!r} kg/s must be finite, "
+            "0 or more"
+        )
+    if any(not end > start for start, end in cuts):
+        raise MotionError(f"material removal: each cut must end after it starts, got {list(cuts)!r}")
+    cutting = sum((np.clip(time, start, end) - start for start, end in cuts), np.zeros(len(time)))
+    mass = workpiece - removal_rate * cutting
+    if np.any(mass < 0):
+        raise MotionError(
+            f"material removal: the {workpiece:g} kg workpiece is used up at t = {time[np.argmax(mass < 0)]:g} s: "
+            "cut less, more slowly, or a heavier one"
+        )
+    return GRAVITY * mass
+
+
+def require_resolved(drive: Drive, highest: Scalar, fastest: float, sampling: Sampling) -> None:
+    """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion.
+
+    `highest` is the load (N), `fastest` the speed (m/s); drive and load are numbers, or arrays over machines. A force F
+    is known to eps F, and in a substep h that is a velocity of eps F h / M.
+    """
+    friction = drive.friction
+    forces = [
+        getattr(friction.coulomb_screw, side)
+        + getattr(friction.load_coefficient, side) * (friction.initial_load + highest)
+        + np.maximum(getattr(friction.breakaway_gap, side), 0.0)
+        for side in ("positive", "negative")
+    ]
+    step = sampling.period / sampling.plant_steps
+    for force in forces:
+        rounding = np.max(np.finfo(float).eps * step * np.asarray(force) / np.asarray(drive.plant.mass))
+        if fastest > 0.0 and rounding > fastest:
+            raise MotionError(
+                f"under a load of {np.max(highest):g} N the rounding of the friction, {np.max(force):.3g} N, alone "
+                f"moves the table by {rounding:.2g} m/s, the motion by {fastest:.2g}: check the units of [friction], "
+                "load and speed"
+            )
+
+
+def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """The load unchanged, or a `MotionError`: it must be finite, as long as the motion, and above minus the preload."""
+    load = np.asarray(load, float)
+    if load.shape != np.shape(time):
+        raise MotionError(f"the load has shape {load.shape}, the motion {len(time)} samples: give one load per sample")
+    if not np.all(np.isfinite(load)):
+        raise MotionError(
+            f"the load is not finite at t = {time[int(np.argmin(np.isfinite(load)))]:g} s: give newtons throughout"
+        )
+    lowest = -float(drive.friction.initial_load)
+    if np.any(load < lowest):
+        k = int(np.argmax(load < lowest))
+        raise MotionError(
+            f"the load of {load[k]:g} N at t = {time[k]:g} s lifts the table off its guides: it must stay above "
+            f"minus the initial load, {lowest:g} N"
+        )
+    return load

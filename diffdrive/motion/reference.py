@@ -1,0 +1,39 @@
+"""Every motion and shape of load with its settings, units and defaults, as their functions declare them."""
+
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from diffdrive.motion.text import LISTS, LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, PAIRS
+
+COLUMNS = ("name", "settings", "that may be left out", "what")
+_BY_DEFAULT = {"first_reversal": "stroke / speed", "phases": "Schroeder's"}  # where the default is worked out
+
+
+def _setting(name: str, unit: str, default: Any) -> str:
+    many = "list of " if name in LISTS else "list of pairs of " if name in PAIRS else ""
+    of = many + ("whole number" if unit == "1" else unit)
+    if default is inspect.Parameter.empty:
+        return f"{name} ({of})"
+    return f"{name} ({of}; {_BY_DEFAULT[name] if default is None else f'{default:g}'})"
+
+
+def reference(builders: dict[str, Callable[..., Any]], units: dict[str, str]) -> Iterator[tuple[str, ...]]:
+    """Rows of `COLUMNS`, one for each name."""
+    for name, builder in builders.items():
+        settings: dict[bool, list[str]] = {False: [], True: []}
+        for key, parameter in inspect.signature(builder).parameters.items():
+            if key not in ("time", "rate"):
+                optional = parameter.default is not inspect.Parameter.empty
+                settings[optional].append(_setting(key, units[key], parameter.default))
+        first = inspect.cleandoc(builder.__doc__ or "").partition("\n\n")[0]
+        yield name, ", ".join(settings[False]), ", ".join(settings[True]), " ".join(first.split())
+
+
+def markdown() -> str:
+    """Both tables in Markdown."""
+    tables = []
+    for title, builders, units in (("motion", MOTIONS, MOTION_UNITS), ("load", LOADS, LOAD_UNITS)):
+        rows = [(title, *COLUMNS[1:]), ("---",) * len(COLUMNS), *reference(builders, units)]
+        tables.append("\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n")
+    return "\n".join(tables)

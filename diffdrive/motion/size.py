@@ -1,0 +1,54 @@
+"""What a motion takes, known before it is made: samples, memory, and numbers that a float can hold."""
+
+import contextlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from diffdrive.errors import MotionError
+from diffdrive.support.resources import counted, require_memory
+
+# Bytes at the worst moment of making a motion (tests/test_motion_size.py measures them): arrays of doubles for each
+# sample, beside these some for each wave of a multisine, and what a piece of constant jerk takes in a list.
+ARRAYS, ARRAYS_A_WAVE, DOUBLE, PIECE = 15, 2, 8, 280
+
+
+def require_room(name: str, duration: float, rate: float, *, pieces: int = 0, waves: int = 0) -> None:
+    """Raise `MotionError` where a motion of `duration` (s) at `rate` (Hz) does not fit into memory.
+
+    `pieces` are those of constant jerk, `waves` the sines that are added.
+    """
+    samples = duration * rate
+    needed = samples * DOUBLE * (ARRAYS + ARRAYS_A_WAVE * waves) + PIECE * pieces
+    require_memory(
+        MotionError,
+        f"{name}: {duration:.6g} s at {rate:g} Hz are {counted(round(samples))} samples, which",
+        needed,
+        "shorten or speed up the motion, or lower sampling.rate",
+    )
+
+
+@contextlib.contextmanager
+def reckoned(name: str) -> Iterator[None]:
+    """Raise `MotionError` where the settings of a motion lead to numbers that no float can hold."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            yield
+    except ArithmeticError:
+        raise MotionError(
+            f"{name}: its settings are so large or so small that their quotients leave the range of floating-point "
+            "numbers: check their units"
+        ) from None
+
+
+def require_resolved(name: str, position: np.ndarray, velocity: np.ndarray) -> None:
+    """Raise `MotionError` where the motion is lost in the rounding of its own positions (m), as from 1e300 m on."""
+    travel, farthest = float(np.ptp(position)), float(np.max(np.abs(position)))
+    # so that no more than a per mille of the motion is rounding
+    if not np.any(velocity):  # it stands still, as it was asked to
+        return
+    if not travel >= 1e3 * np.spacing(farthest):
+        raise MotionError(
+            f"{name}: a travel of {travel:g} m at {farthest:g} m is lost in the rounding of positions, which are "
+            f"{np.spacing(farthest):.2g} m apart there: lengthen it, or start nearer to 0"
+        )

@@ -1,0 +1,180 @@
+"""The friction observer: a Kalman filter on the drive's own model (paper, section 3.1), with its load estimator.
+
+An observer is told, once a control period, the force that acted since the last one and the position measured now, and
+returns what it makes of them: friction to cancel, load, velocity.
+"""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from diffdrive.model.friction import bristle_at, friction_force
+from diffdrive.model.parameters import Friction, Plant, Scalar, quantity
+from diffdrive.numerics.once import once
+from diffdrive.numerics.transition import state_matrices, transition
+from diffdrive.observers import kalman
+from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
+
+
+class Estimate(NamedTuple):
+    """What an observer reports at each sample; None stands for what it does not estimate."""
+
+    friction: Scalar  # N, without the damping B_S v
+    load: Scalar | None = None  # N
+    velocity: Scalar | None = None  # m/s
+    innovation: Scalar | None = None  # m, measured minus predicted position
+
+
+class ObserverState(NamedTuple):
+    """Estimated [x, v, z], its covariance and the estimated load (N)."""
+
+    x: kalman.Vector
+    covariance: kalman.Triangle
+    load: Scalar
+
+
+class FrictionObserver(eqx.Module):
+    """Interface of every friction observer."""
+
+    @abc.abstractmethod
+    def init(self, position: Scalar) -> Any:
+        """State of the observer for a table at rest at `position` (m)."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, force: Scalar, position: Scalar, period: float) -> tuple[Any, Estimate]:
+        """One period: `force` (N) acted over it, `position` (m) was measured at its end."""
+
+
+class Tuning(eqx.Module):
+    """Q = diag(position, velocity, bristle) and R of the filter."""
+
+    position: Scalar = quantity("m^2", "process noise of the position, Q[0]", at_least=0.0, default=1e-15)
+    velocity: Scalar = quantity("m^2/s^2", "process noise of the velocity, Q[1]", at_least=0.0, default=1e-10)
+    bristle: Scalar = quantity("m^2", "process noise of the bristle, Q[2]", at_least=0.0, default=1e-12)
+    measurement: Scalar = quantity(
+        "m^2", "measurement noise, R; resolution^2 / 12 where nothing else is known", above=0.0, default=8.3e-16
+    )
+
+    @property
+    def process(self) -> kalman.Vector:
+        """The diagonal of Q."""
+        return (self.position, self.velocity, self.bristle)
+
+
+def estimated_friction(friction: Friction, x: kalman.Vector, load: Scalar) -> Scalar:
+    """Fhat = [0, s1 + mu_v, s0 (1 - s1 |v| / g)] Xhat (paper, eq. (18))."""
+    _, velocity, deflection = x
+    return friction_force(bristle_at(friction, velocity, deflection, load), velocity, deflection)
+
+
+class KalmanObserver(FrictionObserver):
+    """The paper's observer: state-dependent Ad, Bd at the estimated velocity, and a load estimator on top."""
+
+    plant: Plant
+    friction: Friction
+    tuning: Tuning = Tuning()
+    load_estimator: FixedLoad | InnovationLoad = FixedLoad()
+
+    def init(self, position: Scalar) -> ObserverState:
+        zero = jnp.zeros_like(position)
+        x = (position, zero, zero)
+        spread = jax.tree.map(lambda q: q + zero, (*self.tuning.process,))
+        return ObserverState(x, kalman.diagonal(spread), self.load_estimator.init() + zero)
+
+    def step(
+        self, state: ObserverState, force: Scalar, position: Scalar, period: float
+    ) -> tuple[ObserverState, Estimate]:
+        _, velocity, deflection = state.x
+        bristle = once(bristle_at(self.friction, velocity, deflection, state.load))
+        ad, bd = state_matrices(self.plant, bristle, velocity, period)
+        u = force + self.plant.constant_force
+        predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
+        omega = kalman.predict_covariance(state.covariance, ad, self.tuning.process)
+        predicted, omega = once((predicted, omega))
+
+        k = kalman.gain(omega, self.tuning.measurement)
+        innovation = position - predicted[0]
+        updated = tuple(p + g * innovation for p, g in zip(predicted, k, strict=True))
+        omega = kalman.update_covariance(omega, k, self.tuning.measurement)
+
+        before = estimated_friction(self.friction, predicted, state.load)
+        # stages apart, or the compiler computes a stage anew for each of its readers (docs/numerics.md)
+        updated, omega, before = once((updated, omega, before))
+        after = once(estimated_friction(self.friction, updated, state.load))
+        load = self.load_estimator.step(state.load, velocity, before, after)
+        state = once(ObserverState(updated, omega, load))
+        assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
+        return state, Estimate(after, None if assumed else load, updated[1], innovation)
+
+
+class LoadStateTuning(eqx.Module):
+    """Q and R of the four-state filter; the load is a random walk of variance `load` per control step.
+
+    The defaults, for 10 kHz, settle within a second at every speed from 1 to 100 mm/s (docs/load-estimation.md).
+    """
+
+    position: Scalar = quantity("m^2", "process noise of the position", at_least=0.0, default=1e-16)
+    velocity: Scalar = quantity("m^2/s^2", "process noise of the velocity", at_least=0.0, default=1e-11)
+    bristle: Scalar = quantity("m^2", "process noise of the bristle", at_least=0.0, default=1e-15)
+    load: Scalar = quantity("N^2", "process noise of the load, per control step", above=0.0, default=1000.0)
+    measurement: Scalar = quantity("m^2", "measurement noise, R", above=0.0, default=8.3e-16)
+
+    @property
+    def process(self) -> kalman.Vector:
+        """The diagonal of Q."""
+        return (self.position, self.velocity, self.bristle, self.load)
+
+
+class LoadStateObserver(FrictionObserver):
+    """The load as a fourth state of the filter, so that its correction has the right sign at every speed.
+
+    The paper's eq. (20) corrects the load by the change of the friction estimate, whose sign depends on speed, Q and R
+    (`convergence.convergence_gain`). Here the filter's own covariance between load and position gives the
+    correction: sliding at v, one newton of load bends the bristle by dz/dt = (r z / g) mu_LC, a direction that keeps
+    its sign from creep to traverse and fades by itself in stick, where the load cannot be seen.
+    """
+
+    plant: Plant
+    friction: Friction
+    tuning: LoadStateTuning = LoadStateTuning()
+    initial_load: Scalar = quantity("N", "load estimate at the start", default=0.0)
+    floor: Scalar | None = quantity("N", "smallest load estimate; 'none': no floor", default=0.0, optional=True)
+
+    def init(self, position: Scalar) -> ObserverState:
+        zero = jnp.zeros_like(position)
+        spread = jax.tree.map(lambda q: q + zero, self.tuning.process)
+        return ObserverState((position, zero, zero), kalman.diagonal(spread), self.initial_load + zero)
+
+    def step(
+        self, state: ObserverState, force: Scalar, position: Scalar, period: float
+    ) -> tuple[ObserverState, Estimate]:
+        friction = self.friction
+        _, velocity, deflection = state.x
+        bristle = bristle_at(friction, velocity, deflection, state.load)
+        ad, bd = state_matrices(self.plant, bristle, velocity, period)
+        column = self._load_column(bristle, velocity, deflection, period)
+        u = force + self.plant.constant_force
+        predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
+        ad4 = (*((*row, c) for row, c in zip(ad, column, strict=True)), (0.0, 0.0, 0.0, 1.0))
+        omega = kalman.predict_covariance(state.covariance, ad4, self.tuning.process)
+        predicted, omega = once((predicted, omega))
+
+        k = kalman.gain(omega, self.tuning.measurement)
+        innovation = position - predicted[0]
+        updated = tuple(p + g * innovation for p, g in zip(predicted, k[:3], strict=True))
+        load = state.load + k[3] * innovation
+        load = load if self.floor is None else jnp.maximum(load, self.floor)
+        omega = kalman.update_covariance(omega, k, self.tuning.measurement)
+        after = estimated_friction(friction, updated, load)
+        state = once(ObserverState(updated, omega, load))
+        return state, Estimate(after, load, updated[1], innovation)
+
+    def _load_column(self, bristle: Any, velocity: Scalar, deflection: Scalar, period: float) -> kalman.Vector:
+        """d[x, v, z]/dW over one period: the bristle is pushed by (r z / g) mu_LC per newton of load."""
+        push = bristle.rate * deflection / bristle.level * self.friction.load_coefficient.towards(velocity)
+        source = (-bristle.damping * push / self.plant.mass, push)
+        _, integral, double = transition(self.plant, bristle, velocity, period)
+        return (kalman.dot(double[0], source), *kalman.times(integral, source))

@@ -1,0 +1,1 @@
+"""What every part of the package leans on: files, messages, units, limits of this machine."""

@@ -1,0 +1,56 @@
+"""Numbers with units as people write them, in SI."""
+
+import functools
+import math
+import re
+
+import pint
+
+from diffdrive.support.messages import shortened
+
+_NUMBER_AND_UNIT = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)")
+# an M for an m; whoever means a million of them has other words for it
+_SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 s"), "megagram": ("Mg", "mg", "1 t")}
+
+
+@functools.cache
+def _registry() -> pint.UnitRegistry:
+    return pint.UnitRegistry()
+
+
+def in_unit(unit: str) -> str:
+    """The words behind "a number" in a message: which unit, or none for a ratio."""
+    return "" if unit == "1" else f" in {unit}"
+
+
+def to_si(text: str, unit: str) -> float:
+    """`text`, one number and its unit, in the SI `unit`; without a unit only where `unit` is 1.
+
+    Raises `ValueError` saying what is wrong with the text. A million metres, seconds or grams are taken for a slip of
+    the pen (Mm for mm): no axis has them. Angles count as units of their own: to the library a radian is a plain
+    number, so that 1500 rad/s would pass for 1500 Hz and 10 deg for 0.17 m.
+    """
+    example = "0.5, without a unit" if unit == "1" else f"'1.5 {unit}'"
+    said, units = shortened(text), []
+    if not _NUMBER_AND_UNIT.fullmatch(text):
+        raise ValueError(f"cannot read '{said}' as one number and its unit; write for example {example}")
+    try:
+        quantity = _registry().Quantity(text)
+        units = [name for name, _ in quantity.unit_items()]
+        angular = "radian" in str(quantity.to_base_units().units) or "degree" in str(quantity.units)
+        if angular and unit != "rad":
+            raise pint.DimensionalityError(text, unit)
+        found = float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
+    except pint.DimensionalityError:
+        wanted = "a plain number" if unit == "1" else f"in {unit} or a multiple of it"
+        raise ValueError(f"'{said}' has the wrong unit: it must be {wanted}") from None
+    except OverflowError:  # a whole number of 400 digits
+        found = math.inf
+    except Exception:
+        raise ValueError(f"cannot read '{said}' as a number with a unit; write for example {example}") from None
+    for slip, (symbol, meant, means) in _SLIPS.items():
+        if slip in units:
+            raise ValueError(f"'{said}' says {symbol}, which is {means}; write {meant} if that is meant")
+    if not math.isfinite(found):
+        raise ValueError(f"'{said}' is larger than any number that a computer reckons with")
+    return found

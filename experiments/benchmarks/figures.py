@@ -1,0 +1,40 @@
+"""The figure of a benchmark run."""
+
+from typing import Any
+
+from experiments.reports.report import new_figure, plain_logarithmic
+
+PANELS = {
+    "single": "One lane, beside the same step by hand",
+    "lanes": "Lanes on one core",
+    "sweep": "As a sweep runs them, on all cores",
+    "controllers": "Controllers",
+    "gradients": "Derivatives, one lane",
+    "reverse": "Reverse mode, 64 lanes",
+    "effects": "Effects",
+}
+
+
+def drawn(tables: dict[str, Any]) -> Any:
+    """What was measured, a panel for each part that was run and has one; None where none has."""
+    panels = [name for name in PANELS if name in tables]
+    if not panels:
+        return None
+    figure, axes = new_figure(len(panels), 1, width=9.0, height=4.2, share_x=False)
+    every = [axes] if len(panels) == 1 else list(axes)
+    for axis, name in zip(every, panels, strict=True):
+        rows = tables[name]["rows"]
+        if name == "single":
+            rows = [[f"{who}, {substeps} substeps", None, ns] for substeps, who, ns, *_ in rows]
+        if name == "lanes":
+            axis.plot([row[0] for row in rows], [row[1] for row in rows], "o-")
+            axis.set(xscale="log", yscale="log", xlabel="lanes", ylabel="ns a lane-step", title=PANELS[name])
+            plain_logarithmic(axis.xaxis)
+            plain_logarithmic(axis.yaxis)
+            continue
+        axis.barh(range(len(rows)), [row[2] for row in rows][::-1])
+        axis.set_yticks(range(len(rows)), [row[0] for row in rows][::-1], fontsize=7)
+        if name != "single":
+            axis.axvline(1.0, color="0.3", lw=0.8)
+        axis.set(xlabel=tables[name]["columns"][2], title=PANELS[name])
+    return figure

@@ -1,0 +1,190 @@
+"""An interrupted command ends in time, whatever it computes, and says what it leaves.
+
+A signal's Python handler runs in the main thread, and only between two steps of the interpreter: not while that thread
+is in compiled code (compilation, a long roll-out). So a thread of its own reads the signals from the wake-up socket, to
+which the C handler writes at once, and ends the process where the main thread does not end it in time.
+"""
+
+import _thread
+import contextlib
+import itertools
+import math
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from diffdrive.support.processes import end_children
+
+INTERRUPTED = 130
+# s: a command ends within 15 s of the first signal and 5 s of the second; what is left is for a busy machine to end it
+FIRST, SECOND = 11.0, 1.5
+TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
+LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the four steps of the end
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
+# what commands continue from: diagnose, identify, real-axes, tune, sweep, recovery, withheld
+CONTINUED = (
+    "diagnosis.parts", "identification.parts", "real-axes.parts", "tuning.checkpoint.json", "parts", "draws.jsonl",
+    "answers",
+)  # fmt: skip
+SWALLOWED = 0  # on the wake-up socket, beside the numbers of signals
+SHOW_CURSOR = b"\x1b[?25h"
+
+
+class Watch:
+    """The signals of this process, from `begin` to `end`."""
+
+    def __init__(self, out: Path | None = None) -> None:
+        """`out` is the folder that the command writes to, for its last words."""
+        self.out, self.began = out, time.time()
+        self.own = 0  # signals that were raised again here, and are still on their way
+        self.raised = False
+        self.came: float | None = None  # the first signal, as `time.monotonic` has it
+
+    def begin(self) -> None:
+        """From here on a signal interrupts the main thread, and ends the process where that does not."""
+        self._here, there = socket.socketpair()
+        self._there = there
+        there.setblocking(False)  # the handler must never wait
+        self._before = [(one, signal.signal(one, self._interrupt)) for one in SIGNALS]
+        self._descriptor = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
+        self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
+        threading.Thread(target=self._watch, name="signals", daemon=True).start()
+
+    def end(self) -> None:
+        """Leave the signals to whoever had them before."""
+        sys.unraisablehook = self._hook
+        signal.set_wakeup_fd(self._descriptor)
+        for one, handler in self._before:
+            signal.signal(one, handler)
+        self._there.close()  # which ends the thread
+
+    def _interrupt(self, *_: Any) -> None:
+        """Raised once: a second exception would break what the first one has set going, the writing of results."""
+        if not self.raised:
+            self.raised = True
+            raise KeyboardInterrupt
+
+    def _unraisable(self, unraisable: Any) -> None:
+        """An exception in a callback of the garbage collector (jax has one) or in a finaliser reaches nobody."""
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            self._hook(unraisable)
+            return
+        self.raised = False
+        with contextlib.suppress(OSError):  # full: enough signals are on their way
+            self._there.send(bytes([SWALLOWED]))
+
+    def _watch(self) -> None:
+        ends = None
+        while True:
+            left = None if ends is None else max(0.0, ends - time.monotonic())
+            if not select.select([self._here], [], [], left)[0]:
+                self.leave("stopped at once")
+            received = self._here.recv(64)
+            if not received:
+                self._here.close()
+                return
+            for number in received:
+                if number == SWALLOWED:
+                    self._raise_again()
+                elif self.own and number == signal.SIGINT:
+                    self.own -= 1
+                elif number in SIGNALS and self.came is None:
+                    self.came = time.monotonic()
+                    ends = self.came + FIRST
+                elif number in SIGNALS and ends is not None and time.monotonic() > (self.came or 0.0) + TOGETHER:
+                    ends = min(ends, time.monotonic() + SECOND)
+
+    def _raise_again(self) -> None:
+        """Once more in the main thread, a little later: at once it would be raised in the hook."""
+        time.sleep(0.02)
+        self.own += 1
+        _thread.interrupt_main(signal.SIGINT)
+
+    def leave(self, how: str) -> NoReturn:
+        """End the process here and now, its other threads with it, after one line about what is left."""
+
+        def last_words() -> None:
+            if os.isatty(1):
+                os.write(1, SHOW_CURSOR)  # which a progress bar hides
+            os.write(2, f"\ninterrupted, {how}; {left_in(self.out, self.began)}\n".encode())
+
+        for step in (end_children, sys.stdout.flush, sys.stderr.flush, last_words):
+            _within(LAST_WORDS, step)
+        os._exit(INTERRUPTED)
+
+
+@contextlib.contextmanager
+def watched(out: Path | None) -> Iterator[Watch]:
+    """A `Watch` over what is within; it stays after a signal, since threads that compute keep a process from ending."""
+    watch = Watch(out)
+    watch.begin()
+    try:
+        yield watch
+    finally:
+        if watch.came is None:
+            watch.end()
+
+
+def out_of(arguments: Sequence[str]) -> Path | None:
+    """The folder that a command line names with --out."""
+    for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
+        name, equals, value = argument.partition("=")
+        if name == "--out":
+            return Path(value if equals else following)
+    return None
+
+
+def left_in(out: Path | None, since: float) -> str:
+    """What a folder holds that was written after `since` (s, as `time.time` has it), and what can be continued from.
+
+    Unfinished files are hidden, and no part of it.
+    """
+    written, continued = [], []
+    for one in _visible(out):
+        if one.name in CONTINUED:
+            continued.append(one.name)
+        count = sum(_time(path) >= since for path in _files_in(one))
+        if one.is_dir() and count:
+            written.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
+        elif count:
+            written.append(one.name)
+    says = f"{out} holds, of this run: {', '.join(written)}" if written else "it had written nothing"
+    return says + (f"; the same command continues from {', '.join(continued)}" if continued else "")
+
+
+def _visible(out: Path | None) -> list[Path]:
+    with contextlib.suppress(OSError):
+        return sorted(one for one in (out or Path(os.devnull)).iterdir() if not one.name.startswith("."))
+    return []
+
+
+def _files_in(place: Path) -> list[Path]:
+    if not place.is_dir():
+        return [place]
+    return [Path(here) / name for here, _, names in os.walk(place) for name in names if not name.startswith(".")]
+
+
+def _time(path: Path) -> float:
+    """When it was written (s); never, where it is gone meanwhile."""
+    with contextlib.suppress(OSError):
+        return path.stat().st_mtime
+    return -math.inf
+
+
+def _within(seconds: float, step: Callable[[], object]) -> None:
+    """Run a step in a thread that nobody waits for longer: a reader that does not read must not keep the process."""
+
+    def run() -> None:
+        with contextlib.suppress(OSError, ValueError, RuntimeError):
+            step()
+
+    running = threading.Thread(target=run, daemon=True)
+    running.start()
+    running.join(seconds)

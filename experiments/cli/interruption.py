@@ -1,0 +1,48 @@
+"""Ctrl-C that lets a search end its step and keep the best so far, in place of losing everything in mid-computation."""
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from experiments.cli.ending import FIRST, SIGNALS, TOGETHER
+from tuning.optimisation.least_squares import Progress
+
+
+@contextlib.contextmanager
+def at_next_step(progress: Progress, say: Callable[[str], None]) -> Iterator[Progress]:
+    """Yields `progress` for a search: after a Ctrl-C it ends the search between two steps, where that keeps its best.
+
+    SIGTERM is taken like it. What comes after the search (covariance, intervals) is still computed, as far as the time
+    allows that `ending.Watch` leaves. A second one stops at once. Signals reach only the main thread; in another this
+    changes nothing.
+    """
+    first: float | None = None
+
+    def ask(*_: Any) -> None:
+        nonlocal first
+        if first is None:
+            first = time.monotonic()
+            say(
+                "Interrupted: the search ends with this step, and the best so far is written if that takes no longer "
+                f"than {FIRST:.0f} s (again to stop at once)."
+            )
+        elif time.monotonic() - first > TOGETHER:
+            raise KeyboardInterrupt
+
+    def step(count: int, most: int, cost: float) -> None:
+        progress(count, most, cost)
+        if first is not None:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield progress
+        return
+    before = {one: signal.signal(one, ask) for one in SIGNALS}
+    try:
+        yield step
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)

@@ -1,0 +1,100 @@
+"""What several commands take, and what no option may be."""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive.errors import ParameterError
+from diffdrive.support.messages import shown
+
+MOST = 2**63  # beyond: what the libraries count in
+
+
+def finite(param: typer.CallbackParam, value: float | None) -> float | None:
+    """A number, and not nan or infinite, which pass every range."""
+    if value is not None and not math.isfinite(value):
+        raise ParameterError(f"{param.opts[0]}: must be a finite number, got {value:g}")
+    return value
+
+
+def seed_of(param: typer.CallbackParam, value: int | None) -> int | None:
+    """A seed that every generator takes."""
+    if value is not None and not 0 <= value < MOST:
+        raise ParameterError(f"{param.opts[0]}: must be a whole number from 0 to 2^63 - 1, got {shown(value)}")
+    return value
+
+
+def count_of(param: typer.CallbackParam, value: int | None) -> int | None:
+    """A count that the machine can count to."""
+    if value is not None and value >= MOST:
+        raise ParameterError(f"{param.opts[0]}: must be less than 2^63, got {shown(value)}")
+    return value
+
+
+def folder_of(text: str) -> Path:
+    """A folder by its name; one without a name would be the current one."""
+    if not text.strip():
+        raise typer.BadParameter("is empty; name a folder, or . for the current one")
+    return Path(text)
+
+
+DriveFile = Annotated[Path, typer.Argument(help="Drive file (TOML); `diffdrive template` prints one.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        parser=folder_of,
+        metavar="PATH",
+        help="Folder for figures, tables and result.json; made if it does not exist.",
+    ),
+]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
+]
+Believed = Annotated[
+    Path, typer.Option("--drive", help="Drive file: what is believed about the axis, and how its logs read.")
+]
+Columns = Annotated[
+    list[str] | None, typer.Option("--column", help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
+]
+Units = Annotated[
+    list[str] | None, typer.Option("--unit", help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
+]
+Shifts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--shift",
+        help="CHANNEL=SAMPLES, over the drive file's \\[shifts]: `command=-1` for one recorded late in all logs, "
+        "`lap2:command=-1` in lap2 alone; repeatable.",
+    ),
+]
+Loads = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load",
+        help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable.",
+    ),
+]
+MotionText = Annotated[
+    str,
+    typer.Option(
+        "--motion",
+        help="`name:setting=value,...` with units where you like, see `diffdrive motions`; names: triangular, "
+        "constant_speed, trapezoidal, jerk_limited, sine, multisine, chirp, staircase. Or a CSV file with the columns "
+        "time and reference, or else position, each with its unit: `time (s),position (mm)`; without one, s and m.",
+    ),
+]
+LoadText = Annotated[
+    str,
+    typer.Option(
+        "--load",
+        help="Load on the guides: a number of newtons, `8kN`, `step:at=1s,to=10kN`, `ramp:start=1,end=2,to=10kN`, "
+        "`piecewise:times=0;1;2,loads=0;5kN;0`, or `material_removal:workpiece=800,removal_rate=20,cuts=0.5~2;3~4`.",
+    ),
+]
+
+# not 10 mm/s: ten quanta of 0.1 um a period, on which a quantised loop locks and looks unlike its neighbours
+DEFAULT_MOTION = "triangular:speed=10.137mm/s,stroke=10mm,rounding=0.2s,duration=3s"

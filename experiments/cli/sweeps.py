@@ -1,0 +1,118 @@
+"""The commands about many machines."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Out, count_of, finite, seed_of
+
+sweeps = typer.Typer()
+
+
+@sweeps.command()
+def sweep(
+    drive: DriveFile,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What varies: `plant.mass=lognormal:3%`, `load=uniform:0..12 kN`, "
+            "`effects.cogging.cosine=normal:2 N`; uniform, loguniform, triangular, normal, lognormal, fixed; "
+            "repeatable. A load may change over time: load.change, load.from, load.to. Settings of --motion and --load "
+            "may vary from machine to machine, too: `motion.speed=uniform:5..20 mm/s`, `load.workpiece=...`.",
+        ),
+    ] = None,
+    spread: Annotated[
+        str | None, typer.Option(help="Relative deviation of all plant and friction parameters that --vary leaves.")
+    ] = None,
+    identified: Annotated[
+        Path | None,
+        typer.Option(help="uncertainty.toml of `diffdrive identify`: what its logs left open varies that far."),
+    ] = None,
+    motion: Annotated[
+        list[str] | None,
+        typer.Option(help="As of `diffdrive simulate`; repeatable.", show_default=DEFAULT_MOTION),
+    ] = None,
+    load: LoadText = "0",
+    machine: Annotated[
+        Path | None,
+        typer.Option(help="Drive file of what the machines vary about, where it is not what the controller believes."),
+    ] = None,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(help="Drive file whose controller gets the same machines, loads and noise; repeatable."),
+    ] = None,
+    samples: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="How many machines; powers of two for sobol.")
+    ] = 1024,
+    method: Annotated[str, typer.Option(help="sobol, latin-hypercube or random.")] = "sobol",
+    tolerance: Annotated[str | None, typer.Option(help="Error that must not be exceeded: `2um`.")] = None,
+    by: Annotated[str, typer.Option(help="The error that counts: peak or rms.")] = "peak",
+    settle: Annotated[
+        float, typer.Option(callback=finite, min=0.0, help="Seconds at the start that do not count.")
+    ] = 0.5,
+    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of the machines and of their noise.")] = 0,
+    record: Annotated[
+        str, typer.Option(help="Signals of the worst machines to write as netCDF: `error,command,load_estimate`.")
+    ] = "",
+    workers: Annotated[
+        int | None,
+        typer.Option(callback=count_of, min=1, help="Worker processes; by default this process, on all cores."),
+    ] = None,
+    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler: `tcp://host:8786`.")] = None,
+    precision: Annotated[
+        str,
+        typer.Option(help="double; or single, in about half the time, errors off by some nm and more on long strokes."),
+    ] = "double",
+    out: Out = None,
+) -> None:
+    """Monte Carlo: over the machines, loads and noise that this axis will meet, how often does it miss, and why?
+
+    Quantiles of the error and the probability of a miss with their intervals, controllers side by side on the same
+    machines, what drives the spread, and the worst machines, each of which `diffdrive replay` runs again. Machines that
+    diverge are counted and kept, and the command then ends with code 3. Interrupted or killed, the same command with
+    the same --out goes on where it stopped and ends with the same numbers.
+
+    Example: `diffdrive sweep drive.toml --spread 3% --vary "load=uniform:0..12 kN" --tolerance 2um --out swept`
+    """
+    from diffdrive.runtime import with_accelerator
+    from experiments.reports.sweep.sweep import sweep_drive
+    from tuning.sweeps.spec import Asked
+    from tuning.sweeps.varying import tolerance_of, varying
+
+    if workers is None or cluster is not None:  # workers of this machine are processes on its cores
+        with_accelerator()
+    texts, correlation = varying(machine or drive, vary or (), spread, identified)
+    asked = Asked.of(
+        drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
+        seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,
+    )  # fmt: skip
+    engine = None
+    if cluster is not None:
+        from tuning.sweeps.cluster import on_cluster
+
+        engine = on_cluster(asked, cluster)
+    elif workers is not None:
+        from tuning.sweeps.workers import on_workers
+
+        engine = on_workers(asked, workers)
+    recorded = [name.strip() for name in record.split(",") if name.strip()]
+    if not sweep_drive(asked, tolerance_of(tolerance), f"{by}_m", engine, recorded, out):
+        raise typer.Exit(3)
+
+
+@sweeps.command()
+def replay(
+    folder: Annotated[Path, typer.Argument(help="Folder of a sweep (its --out).")],
+    machine: Annotated[int, typer.Option(callback=count_of, min=0, help="Number of the machine.")],
+    controller: Annotated[str | None, typer.Option(help="By the name of its drive file; default the first.")] = None,
+    motion: Annotated[str | None, typer.Option(help="By its name in the sweep; default the first.")] = None,
+    out: Out = None,
+) -> None:
+    """Run one machine of a sweep again: every signal, its figure, and the machine as a drive file."""
+    from diffdrive.runtime import with_accelerator
+    from experiments.reports.sweep.sweep import replay_machine
+
+    with_accelerator()
+    if not replay_machine(folder, machine, controller, motion, out):
+        raise typer.Exit(3)

@@ -1,0 +1,211 @@
+"""A diagnosis as diagnosis.json holds it: numbers with their units in their names, and what they say in words."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.model.parameters import Directional, Drive
+from experiments.reports.report import null, plain
+from experiments.reports.spans import spelled
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.diagnose import Diagnosis
+from tuning.diagnosis.held_out import HIDDEN, closed
+from tuning.diagnosis.intervals import deviations, parameters
+from tuning.diagnosis.ladder import Rung, known_floor
+from tuning.diagnosis.leftover import STRAINED, meant, strain
+from tuning.diagnosis.next_experiment import Experiment
+from tuning.diagnosis.verdict import Belief
+from tuning.identification.estimates import NORMAL
+
+NOT_NOTHING = 5e-4  # of confidence: what has less has no rivals that anyone would ask for
+TOO_FAR = (
+    "The drive file's drive is too far from the logs for the missing force to be told: the filter that would tell it "
+    "is lost along them, or runs away. Look at units and signs"
+)
+
+
+def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
+    """The diagnosis as diagnosis.json holds it: numbers, and null where one is infinite or undefined."""
+    nominal, recalibrated, last = found.rungs[0], found.rungs[1], found.rungs[-1]
+    told = {
+        "verdict": found.verdict.verdict,
+        "says": found.verdict.says,
+        "unexplained": found.verdict.unexplained,
+        "gap": {
+            "says": _size(found) + (f"; {found.laps.says}" if found.laps else ""),
+            "position_rms_m": _in_loop(nominal, "position_rms"),
+            "command_rms_N": _in_loop(nominal, "command_rms"),
+            "force_rms_N": _force(nominal),
+            "force_interval_N": _span(nominal),
+            "noise_floor_position_m": _in_loop(last, "position_floor"),
+            "noise_floor_command_N": _in_loop(last, "command_floor"),
+            "noise_floor_force_N": found.floor,
+            "recalibrated_position_rms_m": _in_loop(recalibrated, "position_rms"),
+            "recalibrated_command_rms_N": _in_loop(recalibrated, "command_rms"),
+            "recalibrated_force_rms_N": _force(recalibrated),
+            "judged_on": found.split.says,
+            "laps": found.laps and found.laps._asdict(),
+        },
+        "where": [one._asdict() for one in found.where],
+        "causes": [cause(found, one) for one in found.verdict.beliefs],
+        "recalibrated": list(_recalibrated(found)),
+        "ladder": [_rung(found, one) for one in found.rungs],
+        "closed": _closed(found),
+        "lacks": [one._asdict() for one in found.lacks],
+        "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
+    }
+    return dict(plain(told, null))
+
+
+def _size(found: Diagnosis) -> str:
+    """How large the gap is, in words."""
+    (nominal, recalibrated), floor = (one.force for one in found.rungs[:2]), found.floor
+    if not recalibrated.told:
+        return TOO_FAR
+    lacks = f"recalibrated it lacks {recalibrated.rms:.3g} N"
+    if not nominal.told or floor is None:
+        return f"{TOO_FAR}; {lacks}"
+    (low, high), within = found.rungs[0].interval, recalibrated.rms < HIDDEN * floor
+    return (
+        f"The drive file's model lacks {nominal.rms:.3g} N ({low:.3g} to {high:.3g}), {nominal.rms / floor:.2g} times "
+        f"the noise floor of {floor:.3g} N; {lacks}, which is {'that floor' if within else 'more than that floor'}"
+    )
+
+
+def _force(rung: Rung) -> float | None:
+    """The missing force (N); None where it cannot be told."""
+    return rung.force.rms if rung.force.told else None
+
+
+def _span(rung: Rung) -> tuple[float | None, float | None]:
+    """Its interval (N)."""
+    return rung.interval if rung.force.told else (None, None)
+
+
+def _in_loop(rung: Rung, name: str) -> float | None:
+    """A number of the simulation in closed loop; None where that could not be simulated."""
+    return None if rung.loop is None or rung.loop.says else getattr(rung.loop, name)
+
+
+def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
+    """One effect as diagnosis.json holds it."""
+    # what was found is to be as in augmented.toml: fitted together with everything else that was
+    fitted = found.found if belief.found else belief.fitted
+    names = [one.candidate.name for one in fitted.model.members]
+    numbers = parameters(fitted, names.index(belief.effect))
+    kind = EFFECTS[belief.effect]
+    units = {field.name: field.metadata["quantity"].unit for field in dataclasses.fields(kind)}
+    rungs = {rung.name: rung for rung in found.rungs}
+    rung = rungs.get(f"+ {belief.effect}") if belief.found else None
+    before = found.rungs[found.rungs.index(rung) - 1] if rung else None
+    return {
+        "effect": belief.effect,
+        "confidence": belief.confidence,
+        "found": belief.found,
+        "round": belief.round + 1,
+        "evidence": belief.gain,
+        "parameters": {name: value for name, (value, _) in numbers.items()},
+        "intervals": {name: interval for name, (_, interval) in numbers.items()},
+        "units": {name: units[name] for name in numbers},
+        "gap_before": before and _force(before),
+        "gap_after": rung and _force(rung),
+        "held_out": rung and before and _own_shrink(found, before, rung),
+        "indistinguishable_from": belief.alternatives if belief.found or belief.confidence >= NOT_NOTHING else [],
+    }
+
+
+def _own_shrink(found: Diagnosis, before: Rung, after: Rung) -> dict[str, Any]:
+    """What one effect takes off the gap beyond the floor that the rung before it leaves; no share of nothing."""
+    gone = closed(before, after, found.logged.sampling.rate)
+    judged = {"judged_on": found.split.says}
+    if gone is None or not after.force.told:
+        return {"shrink": None, "interval": None} | judged
+    return {"shrink": gone.share, "interval": [gone.low, gone.high]} | judged
+
+
+def _recalibrated(found: Diagnosis) -> Iterator[dict[str, Any]]:
+    """The nominal parameters as the drive file has them, recalibrated, and fitted together with what was found."""
+    fits = {"recalibrated": found.explanation.base}
+    if found.found.model.added:
+        fits["with_effects"] = found.found
+    spreads = {key: deviations(one) for key, one in fits.items()}
+    for k, parameter in enumerate(NAMES):
+        for name, nominal, unit in _nominal(found.logged.drive, parameter):
+            row: dict[str, Any] = {"parameter": name, "unit": unit, "drive_file": nominal}
+            for key, one in fits.items():
+                at = one.u[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
+                value, *interval = (nominal * np.exp(one.model.tolerance * at)).tolist()
+                row |= {key: value, f"{key}_interval": interval}
+            yield row
+
+
+def _nominal(drive: Drive, parameter: str) -> list[tuple[str, float, str]]:
+    """Name, value and unit of a parameter of the calibration; both directions where it moves them together."""
+    field, _, side = parameter.partition(".")
+    owner = drive.plant if field == "mass" else drive.friction
+    unit = next(one.metadata["quantity"].unit for one in dataclasses.fields(owner) if one.name == field)
+    value = getattr(owner, field)
+    if not isinstance(value, Directional):
+        return [(parameter, float(value), unit)]
+    ways = [side] if side else ["positive", "negative"]
+    return [(f"{field}.{way}", float(getattr(value, way)), unit) for way in ways]
+
+
+def _rung(found: Diagnosis, rung: Rung) -> dict[str, Any]:
+    shrink, *span = rung.shrink if rung.force.told and found.rungs[0].force.told else (None, None, None)
+    unknown = "not simulated in closed loop: the controller or the reference is not known"
+    return {
+        "model": rung.name,
+        "force_rms_N": _force(rung),
+        "force_interval_N": _span(rung),
+        "force_floor_N": known_floor(found.rungs, rung),
+        "shrink": shrink,
+        "shrink_interval": span,
+        "position_rms_m": _in_loop(rung, "position_rms"),
+        "position_floor_m": _in_loop(rung, "position_floor"),
+        "command_rms_N": _in_loop(rung, "command_rms"),
+        "command_floor_N": _in_loop(rung, "command_floor"),
+        "loop_says": rung.loop.says if rung.loop else unknown,
+        "deviance": rung.deviance,
+    }
+
+
+def _closed(found: Diagnosis) -> dict[str, Any]:
+    """How much of the force's mean square that recalibration leaves beyond the floor is gone with what was found."""
+    before, after, floor, gone = found.rungs[1].force, found.rungs[-1].force, found.floor, found.closed
+    if len(found.rungs) == 2:
+        return {"share": None, "interval": None, "says": "No effect was added."}
+    if not (before.told and after.told and floor is not None):
+        untold = "the recalibrated drive" if after.told else "what was found"
+        says = f"On {found.split.says}: the filter that would tell the missing force is lost with {untold}"
+        return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
+    alike = np.array_equal(found.rungs[1].trusting, found.rungs[-1].trusting)
+    on = (
+        f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor "
+        f"{floor:.3g} N{'' if alike else ' (by a filter of its own that follows it)'}"
+    )
+    if gone is None:
+        among = meant(found.explanation.base, found.found)
+        moved = strain(found.explanation.base, among)
+        hides = (
+            f"Recalibration hides the gap, but with a nominal parameter moved by {moved:.0f} standard deviations, "
+            f"against {strain(found.found, among):.1f} with it"
+        )
+        says = f"{on}. {hides if moved >= STRAINED else 'Recalibration alone leaves nothing there to close'}"
+        return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
+    share, low, high = spelled((100.0 * gone.share, 100.0 * gone.low, 100.0 * gone.high))
+    says = f"{on}: {share} % ({low} to {high}) of what was left beyond the floor is gone"
+    return {"share": gone.share, "interval": [gone.low, gone.high], "says": says + _in_closed_loop(found)}
+
+
+def _in_closed_loop(found: Diagnosis) -> str:
+    """How far the simulation is off, in words: backlash shows where the table turns, the force only while it slides."""
+    before, after = (_in_loop(rung, "position_rms") for rung in (found.rungs[1], found.rungs[-1]))
+    floor = _in_loop(found.rungs[-1], "position_floor")
+    if before is None or after is None or floor is None:
+        return ""
+    before, after, floor = (f"{1e6 * one:.3g} um" for one in (before, after, floor))
+    return f". In closed loop the position is {before} off recalibrated, {after} with what was found, the floor {floor}"

@@ -1,0 +1,145 @@
+"""The figures of `diffdrive diagnose`: the ladder, the missing force, where it lies, and the causes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+
+from diffdrive.logs import Log
+from experiments.reports.report import Report, new_figure
+from tuning.diagnosis.diagnose import Diagnosis
+from tuning.diagnosis.ladder import Rung
+from tuning.diagnosis.where import SIGNIFICANT
+
+MOST_POINTS = 6000  # of a signal in a figure
+REGIONS, CAUSES = 12, 8
+BEFORE, AFTER = "0.6", "C0"
+BLANK = "blank where the table rests, and where nothing is held out"
+ROOM = 1.8  # times the largest value, above it, and below the least
+
+
+def draw(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
+    """Save every figure."""
+    report.figure("ladder", _ladder(found))
+    report.figure("missing_force", _missing(found, logs))
+    report.figure("where", _where(found))
+    if found.verdict.beliefs:
+        report.figure("causes", _causes(found))
+
+
+def _ladder(found: Diagnosis) -> Any:
+    """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
+    rms = np.array([rung.force.rms if rung.force.told else np.nan for rung in found.rungs])
+    spread = np.abs(np.array([rung.interval for rung in found.rungs]).T - rms)
+    loops = [rung.loop for rung in found.rungs if rung.loop is not None]
+    simulated = [one for one in loops if not one.says]
+    figure, axes = new_figure(1, 3 if simulated else 1, width=11.0 if simulated else 6.0, height=3.4, share_x=False)
+    axes = np.atleast_1d(axes)
+    axes[0].set_title("missing force, N RMS", fontsize="medium")
+    _points(axes[0], rms, np.nan if found.floor is None else found.floor, "not told", spread)
+    for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("um", "N"), strict=False):
+        of_loops = [np.nan if one.says else scale * getattr(one, f"{signal}_rms") for one in loops]
+        axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
+        _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"), "runs away")
+    for axis in axes:
+        axis.set_xticks(np.arange(len(rms)), [rung.name for rung in found.rungs], rotation=20, ha="right")
+        axis.set_xlim(-0.5, len(rms) - 0.5)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right")
+    figure.suptitle(f"The gap, {found.split.says}", x=0.01, ha="left")
+    return figure
+
+
+def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.ndarray | None = None) -> None:
+    """One value for each model, with its error bar, on a logarithmic axis; of one that is nan it is said `why`."""
+    at, good = np.arange(len(values)), [one for one in (floor, *values) if np.isfinite(one)]
+    axis.errorbar(at, values, yerr=spread, fmt="o", color=AFTER, capsize=4)
+    axis.axhline(floor, color="k", linestyle="--", label="noise floor")
+    if good:
+        axis.set_yscale("log")
+        axis.set_ylim(min(good) / ROOM, max(good) * ROOM)
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
+    for k, value in enumerate(values):
+        if np.isfinite(value):
+            text = axis.annotate(f"{value:.3g}", (k, value), xytext=(0, 8), textcoords="offset points", ha="center")
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # the floor may pass through it
+        else:
+            axis.text(k, 0.97, why, transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
+
+
+def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
+    """The force that is missing over time and position, and within the period that was found; before and after."""
+    log = found.split.logs[-1]
+    repeats = _period(found, log)
+    figure, axes = new_figure(2 if repeats is None else 3, 1, width=11.0, height=2.8, share_x=False)
+    lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
+    rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
+    for rung, label, color in (one for one in _first_and_last(found.rungs) if one[0].force.told):
+        for lane in lanes:
+            counts = rung.force.counts[lane] > 0
+            every = max(1, counts.size // MOST_POINTS)
+            force = np.where(counts, rung.force.force[lane], np.nan)[::every]
+            position = 1e3 * np.asarray(rung.force.course.position[lane])[::every]
+            time = starts[lane] + np.arange(counts.size)[::every] / rate
+            axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
+            axes[1].plot(position, force, ".", color=color, markersize=1.5)
+            if repeats is not None:
+                axes[2].plot(np.mod(position, repeats[0]), force, ".", color=color, markersize=1.5)
+    axes[0].set_xlabel("time, s")
+    axes[1].set_xlabel("position, mm")
+    if repeats is not None:
+        axes[2].set_xlabel("position within a period of {:.5g} mm ({}), mm".format(*repeats))
+    for axis in axes:
+        axis.set_ylabel("missing force, N")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    figure.suptitle(f"Force that the model lacks, {logs[log].name}\n{BLANK}", x=0.01, ha="left")
+    return figure
+
+
+def _period(found: Diagnosis, log: int) -> tuple[float, str] | None:
+    """The travel (mm) after which the first effect found that repeats does so, and its name."""
+    model = found.found.model
+    added = list(zip(model.members, model.values(found.found.u), strict=True))[len(model.members) - model.added :]
+    for member, values in added:
+        for name in ("period", "lead"):
+            if name in values:
+                return 1e3 * float(values[name][log]), member.candidate.effect.name
+    return None
+
+
+def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:
+    """Recalibrated and, if there is anything, with what was found: each with its label and colour."""
+    last = [(rungs[-1], "with what was found", AFTER)] if len(rungs) > 2 else []
+    return [(rungs[1], "recalibrated", BEFORE), *last]
+
+
+def _where(found: Diagnosis) -> Any:
+    """Shares of the gap beside the shares of the time."""
+    telling = [one for one in found.where if one.dimension not in ("subsystem", "signal")]
+    telling = [one for one in telling if one.p_value < SIGNIFICANT][:REGIONS] or telling[:REGIONS]
+    figure, axis = new_figure(width=9.0, height=0.9 + 0.34 * max(len(telling), 3))
+    at = np.arange(len(telling))[::-1]
+    axis.barh(at + 0.2, [100 * one.share for one in telling], 0.4, color=AFTER, label="of the gap")
+    axis.barh(at - 0.2, [100 * one.expected for one in telling], 0.4, color=BEFORE, label="expected by chance")
+    axis.set_yticks(at, [f"{one.dimension}: {one.region}" for one in telling])
+    axis.set_xlabel("share, %")
+    axis.set_axisbelow(True)
+    figure.legend(loc="outside upper right", ncols=2)
+    return figure
+
+
+def _causes(found: Diagnosis) -> Any:
+    """How sure each cause is."""
+    beliefs = found.verdict.beliefs[:CAUSES]
+    figure, axis = new_figure(width=7.0, height=0.6 + 0.34 * max(len(beliefs), 3))
+    at = np.arange(len(beliefs))[::-1]
+    colors = [AFTER if one.found else BEFORE for one in beliefs]
+    axis.bar_label(axis.barh(at, [one.confidence for one in beliefs], color=colors), fmt="%.2f", padding=3)
+    rounds = any(one.round for one in beliefs)
+    axis.set_yticks(at, [f"{one.effect} (round {one.round + 1})" if rounds else one.effect for one in beliefs])
+    axis.set_xlim(0, 1.1)
+    axis.set_axisbelow(True)
+    axis.set_xlabel("confidence (blue: part of the explanation)")
+    return figure

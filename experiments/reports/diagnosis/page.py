@@ -1,0 +1,244 @@
+"""The diagnosis for its readers: on the console, and as one self-contained HTML page that a colleague can open.
+
+Both are made of what diagnosis.json holds, and of nothing else.
+"""
+
+import base64
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from diffdrive.support.atomic_write import write_text
+from experiments.reports.diagnosis import payoff
+from experiments.reports.diagnosis.cause_words import headlines, numbers
+from experiments.reports.diagnosis.figures import BLANK
+from experiments.reports.report import Report
+from experiments.reports.spans import spelled
+from tuning.diagnosis.where import SIGNIFICANT
+
+STYLE = """
+body { font-family: sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222; line-height: 1.4 }
+h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem; border-bottom: 1px solid #ccc }
+table { border-collapse: collapse; margin: 1rem 0 } caption { text-align: left; padding-bottom: .3rem }
+td, th { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #eee; vertical-align: top }
+td:first-child, th:first-child, .words td, .words th { text-align: left } img { max-width: 100% }
+figure { margin: 1rem 0 } caption, figcaption { color: #555; font-size: .9rem }
+.verdict { font-size: 1.15rem; padding: .7rem 1rem; background: #eef4fb; border-left: 4px solid #1f77b4 }
+"""
+REGIONS = 10  # that are shown, each with
+LEAST = 0.03  # of the gap and more; the JSON has all
+NOT_WORTH = "No effect of the catalogue was worth a fit."
+NOT_SEARCHED = "No cause was looked for: before the log is mended, no number of this page means anything."
+NOWHERE = f"nowhere in particular: no region with {100 * LEAST:.0f} % of it or more has more than chance would give it"
+
+SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
+LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
+LOOP = (
+    "Missing force: what the model lacks while the table slides, RMS, low and high its 95 %; "
+    "position and command: the log against the simulation in closed loop, RMS"
+)
+SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, noise floor and all, against the nominal drive's"
+LEAST_CHANCE = 1e-3  # no smaller one means anything
+CAUSES = ("effect", "round", "evidence", "confidence", "parameters with 95 % intervals", "not excluded in its place")
+NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
+FOUND_FIRST = (
+    "Causes: what was found, then what else was fitted, the surest first; the rest of the catalogue promised less when "
+    "screened. Round 1: alone, 2 and more: beside what was found before. Evidence: drop of -2 ln likelihood"
+)
+PICTURES = {
+    "missing_force": f"The force that the model lacks, on held-out data ({BLANK}).",
+    "where": "Shares of the gap beside what chance would give.",
+    "causes": "How sure each cause is.",
+    "ladder": "The gap of each model on held-out data, against the noise floor; bars: 95 %.",
+}
+BOTH = "Nominal parameters; damping moves with viscous friction"
+
+Row = list[Any]
+
+
+def tell(report: Report, told: dict[str, Any]) -> None:
+    """Print the four answers, in their order."""
+    gap, regions = told["gap"], _regions(told)
+    report.say(f"\n1. How large is the gap? ({gap['judged_on']})\n  {gap['says']}")
+    report.table("gap", SIZE, _sizes(told), LOOP)
+    report.say("\n2. Where does it lie? (after recalibration)")
+    for region in regions:
+        report.say(f"  - {region}")
+    if not regions:
+        report.say(f"  - {NOWHERE}")
+    report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
+    for line in headlines(told["causes"]):
+        report.say(f"  {line}")
+    if told["causes"]:
+        report.table(
+            "causes",
+            CAUSES,
+            [_cause(one) for one in told["causes"]],
+            FOUND_FIRST,
+        )
+    report.say(f"\n4. How far does the gap shrink once it is added?\n  {told['closed']['says']}")
+    report.table("ladder", LADDER, _ladder(told), SHRINK)
+    for reason in _not_simulated(told):
+        report.say(f"  {reason}")
+    report.say(f"\nNext: {told['next_experiment']['says']}")
+
+
+def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
+    """Write report.html beside the figures, which it holds inside."""
+    assert report.out is not None
+    gap, title, regions = told["gap"], escape(report.data["title"]), _regions(told)
+    loop = "".join(f"<p>{escape(reason)}</p>" for reason in _not_simulated(told))
+    parts = [
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>",
+        f"<h1>{title}</h1>",
+        f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {escape(told['says'])}{_found(told)}</p>",
+        _findings(told["findings"]),
+        "<h2>1. How large is the gap?</h2>",
+        f"<p>{escape(gap['says'])}.</p>",
+        _table(SIZE, _sizes(told), f"{LOOP}; {gap['judged_on']}"),
+        _image(report, "missing_force"),
+        "<h2>2. Where does it lie?</h2>",
+        "<ul>" + "".join(f"<li>{escape(one)}</li>" for one in regions) + "</ul>" if regions else f"<p>{NOWHERE}.</p>",
+        _image(report, "where"),
+        "<h2>3. Which unmodelled effect causes it?</h2>",
+        _table(CAUSES, [_cause(one) for one in told["causes"]], FOUND_FIRST, words=True)
+        if told["causes"]
+        else f"<p>{NOT_WORTH if told['searched'] else NOT_SEARCHED}</p>",
+        _image(report, "causes"),
+        _table(NOMINAL, [_recalibrated(one) for one in told["recalibrated"]], BOTH),
+        "<h2>4. How far does the gap shrink once it is added?</h2>",
+        f"<p>{escape(told['closed']['says'])}</p>",
+        _table(LADDER, _ladder(told), f"{SHRINK}; {gap['judged_on']}"),
+        loop,
+        _image(report, "ladder"),
+        f"<p>Drive with what was found, as in log 1: <code>{escape(augmented)}</code></p>" if augmented else "",
+        f"<p>{escape(told['scale_noise'])}</p>" if told["scale_noise"] else "",
+        _paid(told["payoff"]) if "payoff" in told else "",
+        f"<h2>What next?</h2><p>{escape(told['next_experiment']['says'])}</p>",
+        "</html>",
+    ]
+    write_text(report.out / "report.html", "\n".join(parts))
+
+
+def _found(told: dict[str, Any]) -> str:
+    return "".join(f"<br>{escape(line)}" for line in headlines(told["causes"]))
+
+
+def _regions(told: dict[str, Any]) -> list[str]:
+    """Where more of the gap lies than chance would give, in words."""
+    telling = [one for one in told["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
+    return [f"{one['says']} ({_chance(one['p_value'])})" for one in telling]
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= LEAST_CHANCE else f"p < {LEAST_CHANCE:g}"
+
+
+def _rung(one: dict[str, Any]) -> Row:
+    position = one["position_rms_m"]
+    return [
+        one["model"],
+        one["force_rms_N"],
+        *one["force_interval_N"],
+        None if position is None else 1e6 * position,
+        one["command_rms_N"],
+    ]
+
+
+def _floor(told: dict[str, Any]) -> Row:
+    gap = told["gap"]
+    floor = {"position_rms_m": gap["noise_floor_position_m"], "command_rms_N": gap["noise_floor_command_N"]}
+    force = {"force_rms_N": gap["noise_floor_force_N"], "force_interval_N": [None, None]}
+    return _rung({"model": "noise floor"} | force | floor)
+
+
+def _sizes(told: dict[str, Any]) -> list[Row]:
+    """The gap before anything is added, against the floor."""
+    return [*(_rung(one) for one in told["ladder"][:2]), _floor(told)]
+
+
+def _ladder(told: dict[str, Any]) -> list[Row]:
+    nothing: Row = [None, None, None]
+    first, *others = told["ladder"]
+    shrinks = [[_percent(share) for share in (one["shrink"], *one["shrink_interval"])] for one in others]
+    rows = [_rung(one) + shrink for one, shrink in zip(others, shrinks, strict=True)]
+    return [_rung(first) + nothing, *rows, _floor(told) + nothing]
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def _not_simulated(told: dict[str, Any]) -> list[str]:
+    """Why there are no numbers in closed loop, each reason with the models that it is about."""
+    models: dict[str, list[str]] = {}
+    for one in told["ladder"]:
+        if one["loop_says"]:
+            models.setdefault(one["loop_says"], []).append(one["model"])
+    return [f"{', '.join(names)}: {reason}" for reason, names in models.items()]
+
+
+def _cause(one: dict[str, Any]) -> Row:
+    return [
+        one["effect"],
+        one["round"],
+        None if one["evidence"] is None else round(one["evidence"]),
+        round(one["confidence"], 3),
+        "; ".join(numbers(one)) if one["found"] else "",
+        ", ".join(one["indistinguishable_from"]),
+    ]
+
+
+def _recalibrated(one: dict[str, Any]) -> Row:
+    row = [one["parameter"], "" if one["unit"] == "1" else one["unit"], one["drive_file"]]
+    for key in ("recalibrated", "with_effects"):
+        row += spelled((one[key], *one[f"{key}_interval"])) if key in one else ("-", "-", "-")
+    return row
+
+
+def _findings(findings: Sequence[dict[str, str]]) -> str:
+    """What the log checks found, or nothing."""
+    if not findings:
+        return ""
+    columns = ("log", "severity", "channel", "found", "mend")
+    return _table(
+        columns, [[one[key] for key in columns] for one in findings], "Before all: the log checks", words=True
+    )
+
+
+def _paid(paid: dict[str, Any]) -> str:
+    """What the controller gains by being tuned on what was found."""
+    rows = [
+        [name, *(one[key] for key in payoff.COLUMNS), "yes" if one["requirements_kept_where_tuned"] else "no"]
+        for name, one in paid["gains"].items()
+    ]
+    columns = ("gains", *(_spaced(key) for key in payoff.COLUMNS), "requirements kept where tuned")
+    return f"<p>{escape(paid['says'])}</p>" + (_table(columns, rows, payoff.CAPTION) if rows else "")
+
+
+def _spaced(key: str) -> str:
+    """A key that ends with its unit, as a heading."""
+    *words, unit = key.split("_")
+    return f"{' '.join(words)}, {unit}"
+
+
+def _image(report: Report, name: str) -> str:
+    assert report.out is not None
+    if f"{name}.png" not in report.data.get("figures", []):
+        return ""  # what lies there may be of an earlier diagnosis
+    data = base64.b64encode((report.out / f"{name}.png").read_bytes()).decode("ascii")
+    picture = f"<img alt='{name}' src='data:image/png;base64,{data}'>"
+    return f"<figure>{picture}<figcaption>{escape(PICTURES[name])}</figcaption></figure>"
+
+
+def _table(columns: tuple[str, ...], rows: list[Row], caption: str = "", words: bool = False) -> str:
+    head = "".join(f"<th>{escape(one)}</th>" for one in columns)
+    body = "".join("<tr>" + "".join(f"<td>{_cell(one)}</td>" for one in row) + "</tr>" for row in rows)
+    kind, above = " class='words'" if words else "", f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table{kind}>{above}<tr>{head}</tr>{body}</table>"
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))

@@ -1,0 +1,88 @@
+"""What closing the gap pays: the gains tuned on the drive with what was found, against those tuned on the nominal one.
+
+Both are judged on the drive with what was found, the best that is known of the machine, in scenarios that neither was
+tuned on.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.controllers import Controller
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import as_arrays
+from experiments.reports.report import Report
+from experiments.reports.tuning import tune_drive
+from tuning.gains.handover import worst_margins
+from tuning.gains.plan import Judged, Plan, held_out, judge
+from tuning.gains.requirements import Limits, Requirements, points
+
+STANDSTILL = 0.0  # m/s
+NAMES = ("given", "tuned on nominal", "tuned on augmented")
+COLUMNS = ("mean_rms_um", "worst_peak_um", "command_noise_N", "phase_deg", "gain_up_dB", "gain_down_dB")
+CAPTION = "On the drive with what was found, in scenarios not tuned on"
+
+
+def payoff(
+    report: Report, nominal: DriveDescription, augmented: DriveDescription, plan: Plan = Plan()
+) -> dict[str, dict[str, Any]]:
+    """Tune on both drives and judge the gains as given and both results on the augmented one.
+
+    The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what
+    `tune` raises: `ParameterError` for a drive or a controller that cannot be tuned.
+    """
+    gains: list[Controller] = [nominal.controller]
+    accepted = [True]
+    for name, description in (("nominal", nominal), ("augmented", augmented)):
+        quiet = Report(f"tuned on the {name} drive", _below(report, f"tuned-{name}"), Console(quiet=True))
+        with report.working(f"tuning on the {name} drive"), quiet:
+            tuned, kept = tune_drive(description, quiet, plan=plan)
+        if tuned.status.startswith("interrupted"):
+            raise KeyboardInterrupt  # half a tuning pays nothing
+        gains.append(tuned.controller)
+        accepted.append(kept)
+    scenarios = held_out(augmented, plan)
+    rows, found = [], {}
+    for name, controller, kept in zip(NAMES, gains, accepted, strict=True):
+        with report.working(f"judging the gains {name}"):
+            judged = [judge(controller, one, augmented.sampling) for one in scenarios]
+        found[name] = _told(judged, _margins(augmented, controller, plan)) | {"requirements_kept_where_tuned": kept}
+        rows.append([name, *(found[name].get(key) for key in COLUMNS)])
+    report.table("payoff", ("gains", *COLUMNS), rows, CAPTION)
+    return found
+
+
+def in_words(found: dict[str, dict[str, Any]]) -> str:
+    """What `payoff` found, in a sentence."""
+    was, now = (found[name]["mean_rms_um"] for name in NAMES[1:])
+    failed = [name for name in NAMES[1:] if not found[name]["runs_ok"]]
+    unkept = [name for name in NAMES[1:] if not found[name]["requirements_kept_where_tuned"]]
+    says = (
+        f"On the augmented drive, tuning on it leaves {now:.3g} um of tracking error where tuning on the nominal one "
+        f"leaves {was:.3g} um ({100 * (now / was - 1):+.0f} %)."
+    )
+    says += f" Simulations fail with the gains {' and '.join(failed)}." if failed else ""
+    return says + (f" Requirements could not be kept by the gains {' and '.join(unkept)}." if unkept else "")
+
+
+def _below(report: Report, name: str) -> Path | None:
+    return None if report.out is None else report.out / name
+
+
+def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
+    return {
+        "mean_rms_um": float(np.mean([one.rms for one in judged])),
+        "worst_peak_um": float(np.max([one.peak for one in judged])),
+        "command_noise_N": float(np.max([one.command_noise for one in judged])),
+        "runs_ok": all(one.run.status.ok for one in judged),
+        **margins,
+    }
+
+
+def _margins(description: DriveDescription, controller: Controller, plan: Plan) -> dict[str, float]:
+    """The worst at standstill and at the speed tuned at, without load and under the highest."""
+    at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
+    return worst_margins(Requirements(Limits(), at, description.sampling).margins(as_arrays(smooth(controller))))

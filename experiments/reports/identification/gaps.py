@@ -1,0 +1,97 @@
+"""How far a drive is from a log, before and after identification, by measures that are the same for both."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.ndimage
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.controllers import UnknownController
+from diffdrive.logs import Log
+from diffdrive.model.parameters import Drive, as_arrays
+from experiments.reports.report import Report
+from tuning.identification.prediction import constant_gains, predict
+from tuning.identification.problem import FINE_SUBSTEP, lanes_of, sampling_of
+from tuning.identification.replay import closed_loop, drift_note, open_loop
+
+BANDWIDTH = 1000.0  # rad/s of the correction, above the fastest growth on a falling Stribeck curve; less where slow
+FORGOTTEN = 0.05  # s, in which the unknown velocity at the beginning is corrected
+SMOOTHING = 0.02  # s, over which a missing force is averaged: below that it is the noise of the position
+
+# what a drive makes of a log: the description with that drive in it, its delay (control periods), the log -> numbers
+# by name, the unit in the name
+Measure = Callable[[DriveDescription, float, Log], dict[str, float]]
+
+_predict = eqx.filter_jit(predict)
+
+
+def one_step(description: DriveDescription, delay: float, log: Log) -> dict[str, float]:
+    """What the drive does not foresee from one sample to the next, and the force (RMS) that it lacks for it.
+
+    Every drive is corrected with the same constant gains. Gains chosen for each (as the identification does) would
+    forgive a poor drive its errors: trusting it less, they follow the measurement.
+    """
+    drive, lanes = description.drive, lanes_of([log])
+    gains = constant_gains(min(BANDWIDTH, 0.3 * log.rate), 1.0, lanes, 1.0 / log.rate)
+    sampling = sampling_of(float(round(log.rate, 6)), FINE_SUBSTEP)
+    found = _predict(as_arrays(drive), jnp.asarray(delay), as_arrays(gains), as_arrays(lanes), sampling)
+    innovation = np.asarray(found.innovation)
+    counts = np.asarray(lanes.counts) > 0
+    counts[:, : round(FORGOTTEN * log.rate)] = False
+    force = float(drive.plant.mass) * log.rate * np.asarray(gains.velocity) * innovation
+    smooth = scipy.ndimage.uniform_filter1d(force, max(1, round(SMOOTHING * log.rate)), axis=1)
+    return {"one-step prediction, um": 1e6 * _rms(innovation[counts]), "missing force, N": _rms(smooth[counts])}
+
+
+def _rms(signal: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(signal**2))) if len(signal) else 0.0
+
+
+def replayed(description: DriveDescription, _: float, log: Log) -> dict[str, float]:
+    """The log replayed by the drive: in closed loop through the controller if it has a reference, and in open loop."""
+    drive, found = description.drive, {}
+    if log.reference is not None and not isinstance(description.controller, UnknownController):
+        loop = closed_loop(drive, description.controller, log)
+        found = {
+            "closed loop: command, N": loop.command_rms,
+            "closed loop: command, %": loop.force_percent,
+            "closed loop: position, um": 1e6 * loop.position_rms,
+        }
+    return found | {"open loop: position, mm": open_loop(drive, log).position_rms_mm}
+
+
+MEASURES: tuple[Measure, ...] = (one_step, replayed)
+
+
+def delay_of(drive: Drive) -> float:
+    """Control periods between a command and its force, as the drive says."""
+    return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+
+
+def gap_table(
+    report: Report,
+    description: DriveDescription,
+    identified: Drive,
+    delay: float,
+    logs: Sequence[Log],
+    held_out: Sequence[Log],
+) -> None:
+    """Print each measure on each log for the drive file's drive and for the `identified` one; nothing is refitted.
+
+    The controller is the drive file's in both cases, with the model that it had when the logs were made.
+    """
+    rows: list[list[Any]] = []
+    with report.working("the gap before and after"):
+        for role, several in (("identified from", logs), ("held out", held_out)):
+            for log in several:
+                for measure in MEASURES:
+                    was = measure(description, delay_of(description.drive), log)
+                    now = measure(replace(description, drive=identified), delay, log)
+                    rows += [[log.name, role, name, was[name], now[name]] for name in was]
+    report.table("gaps", ("log", "role", "gap", "drive file", "identified"), rows, "The gap to the logs, RMS")
+    note = drift_note(identified)
+    report.say(f"{note[0].upper()}{note[1:]}.")

@@ -1,0 +1,248 @@
+"""`diffdrive identify`: the drive that logs tell, how sure each parameter is, and whether the model suffices."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, write_drive
+from diffdrive.controllers import UnknownController
+from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
+from diffdrive.logs import Log
+from diffdrive.model.parameters import Drive, quantities
+from diffdrive.motion.text import number
+from experiments.cli.interruption import at_next_step
+from experiments.reports.checked_logs import described, parse_loads, read_checked
+from experiments.reports.identification.figures import draw
+from experiments.reports.identification.gaps import gap_table
+from experiments.reports.identification.left_open import write_uncertainty
+from experiments.reports.report import Report
+from tuning.experiment_design.next_motion import proposals
+from tuning.identification import inverse_dynamics
+from tuning.identification.identify import Identified, identify
+from tuning.identification.inverse_dynamics import SLOWEST
+from tuning.identification.ranges import BOUNDABLE, NAMES
+from tuning.identification.refinement import interrupted
+from tuning.identification.scale_noise import unstated_noise
+from tuning.store.folder import KeptParts
+
+SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
+PARTS = "identification.parts"  # finished searches, from which the same command continues
+DIGITS = 6  # intervals may be narrow
+
+
+def identify_drive(
+    paths: Sequence[Path],
+    drive: Path,
+    out: Path | None,
+    *,
+    columns: Sequence[str] = (),
+    units: Sequence[str] = (),
+    shifts: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    bounds: Sequence[str] = (),
+    loads: Sequence[str] = (),
+    starts: int = 6,
+    seed: int = 0,
+    held_out: Sequence[Path] = (),
+    force: bool = False,
+) -> bool:
+    """`diffdrive identify`; False if the search did not converge.
+
+    `columns`, `units`, `shifts`, `fixed`, `bounds`, `loads` are texts as on the command line. Raises `DriveFileError`,
+    `LogError` and `ParameterError`, one line each.
+    """
+    description = described(drive, columns, units, shifts, [*paths, *held_out])
+    if effects := [effect.name for effect in description.drive.effects]:
+        raise DriveFileError(
+            f"{drive}: [effects] {', '.join(effects)}: identification knows no effects; take the table out, or diagnose"
+        )
+    bounded = parse_bounds(bounds, description.drive)
+    _require_known(fixed, "--fix", NAMES)
+    applied = parse_loads(loads, [*paths, *held_out])
+    with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
+        checked = partial(read_checked, description=description, report=report, force=force, loads=applied)
+        logs = checked(paths, name="findings")
+        others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
+        _inverse_dynamics(report, logs, others)
+        parts = KeptParts.within(out, PARTS)
+        with (
+            report.progress("searching", 1) as advance,
+            at_next_step(advance, report.say) as progress,
+        ):
+            found = identify(
+                logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, store=parts,
+                progress=progress,
+            )  # fmt: skip
+        if parts is not None and parts.found:
+            report.console.print(f"{parts.found} finished searches of an interrupted identification were used.")
+        _estimates(report, found)
+        if report.out is not None:
+            _write(report, replace(description, drive=found.drive))
+            write_uncertainty(report.out, found)
+        _words(report, found)
+        if interrupted(found.search) and parts is not None and parts.folder.exists():
+            report.say(f"The same command continues the search from {PARTS}.")
+        if unstated := unstated_noise(description.drive, found.noise):
+            report.say(unstated)
+        if found.search.status == "converged":
+            _next_motions(report, found, description)
+        gap_table(report, description, found.drive, _delay(found), logs, others)
+        if report.out is not None:
+            with report.working("drawing"):
+                draw(report, found, description.drive, logs)
+    if parts is not None and not interrupted(found.search):
+        parts.remove()
+    return found.search.status == "converged"
+
+
+def parse_bounds(texts: Sequence[str], drive: Drive) -> dict[str, tuple[float, float]]:
+    """Bounds from `NAME=LOW:HIGH`, each a number in SI or with its unit; raises `ParameterError`."""
+    units = {path.split(".")[-1]: declared.unit for path, declared, _ in quantities(drive)}
+    units["coulomb_at_no_load"] = units["coulomb_screw"]
+    bounded: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        name, equals, limits = (part.strip() for part in text.partition("="))
+        low, colon, high = limits.partition(":")
+        if not (equals and colon):
+            raise ParameterError(f"--bound {text}: write NAME=LOW:HIGH, such as mass=80:120")
+        _require_known([name], "--bound", BOUNDABLE)
+        if name in bounded:
+            raise ParameterError(f"--bound {text}: {name} is bounded twice")
+        unit = units.get(name, "1")  # the delay, in control periods, is no parameter of its own in the file
+        ends = number(low.strip(), unit, f"--bound {text}"), number(high.strip(), unit, f"--bound {text}")
+        if not ends[0] < ends[1]:
+            raise ParameterError(f"--bound {text}: the lower end must be below the higher one")
+        bounded[name] = ends
+    return bounded
+
+
+def _require_known(names: Sequence[str], option: str, known: Iterable[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise ParameterError(f"{option} {name}: no such parameter; known: {', '.join(known)}")
+
+
+def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Log]) -> None:
+    """What the reference method says, which knows neither a bristle nor a delay."""
+    try:
+        found = inverse_dynamics.identify(logs, min_speed=SLOWEST)
+        others = inverse_dynamics.evaluate(found, held_out).error_percent if held_out else None
+    except DiffdriveError as problem:
+        report.say(f"No inverse dynamics: {problem}")
+        return
+    report.values(
+        "inverse_dynamics",
+        mass_kg=found.values["mass"],
+        viscous_Ns_per_m=found.values["viscous"],
+        coulomb_N=found.values["coulomb"],
+        constant_force_N=found.values["constant_force"],
+        force_error_percent=found.fit.error_percent,
+        **({} if others is None else {"held_out_force_error_percent": others}),
+    )
+    for note in found.notes:
+        report.say(f"inverse dynamics: {note}")
+
+
+def _estimates(report: Report, found: Identified) -> None:
+    def row(one: Any) -> list[Any]:
+        interval = [one.low, one.high] if one.status == "fitted" else [None, None]
+        free = one.status in ("fitted", "at its bound")
+        within = [_short(one.lowest), _short(one.highest)] if free else [None, None]
+        return [one.name, one.unit, one.believed, one.value, *interval, *within, one.status]
+
+    report.table(
+        "estimates",
+        ("name", "unit", "drive_file", "identified", "low", "high", "lowest", "highest", "status"),
+        [row(one) for one in found.estimates],
+        "Parameters in SI units: 95 % intervals (low to high), bounds of the search (lowest to highest)",
+        digits=DIGITS,
+    )
+
+
+def _short(bound: float) -> float:
+    return float(f"{bound:.3g}")
+
+
+def _words(report: Report, found: Identified) -> None:
+    """What the numbers mean."""
+    report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
+    if found.search.status != "converged":
+        report.say("The search did not converge: these are the best parameters that it saw, not the best there are.")
+    for note in found.notes:
+        report.say(note)
+    verdict = found.adequacy.says
+    report.say(f"{verdict[0].upper()}{verdict[1:]}.")
+    report.values(
+        "accuracy",
+        noise_m=found.noise,
+        white_force_N=found.process,
+        condition=found.covariance.condition,
+        blocks=found.covariance.blocks,
+    )
+    report.values("adequacy", structured=found.adequacy.structured, **found.adequacy._asdict())
+    report.values("starts", cost_over_best=[round(float(cost), 4) for cost in found.starts])
+    if found.correlated:
+        rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
+        report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly tell apart")
+    undetermined = [one.name for one in found.estimates if one.status == "not determined"]
+    if undetermined:
+        report.say(f"The logs do not determine {', '.join(undetermined)}: they stay as the drive file says.")
+    at_bound = [one.name for one in found.estimates if one.status == "at its bound"]
+    if at_bound:
+        report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
+
+
+def _next_motions(report: Report, found: Identified, description: DriveDescription) -> None:
+    """Which motion would determine what these logs leave open."""
+    if not found.undetermined:
+        return
+    with report.working("looking for the motions that would determine them"):
+        offers = proposals(found, description.controller, description.sampling, description.limits)
+    if isinstance(description.controller, UnknownController):
+        report.say("No motion is proposed: without a controller none can be simulated.")
+    elif len(offers) < len(found.undetermined):
+        report.say("No motion is proposed: the axis limits leave none of those that would be tried.")
+    if not offers:
+        return
+    rows = [
+        [_named(one.parameter), one.unit, _finite(one.before), _finite(one.after), one.motion or "none of those tried"]
+        for one in offers
+    ]
+    report.table(
+        "next_motions",
+        ("parameter", "unit", "+- now", "+- then", "log this motion too"),
+        rows,
+        "What would determine the rest (each can be tried: diffdrive simulate --motion ...)",
+    )
+
+
+def _finite(width: float) -> float | None:
+    """Half-width of an interval; None where it says nothing."""
+    return width if np.isfinite(width) else None
+
+
+def _named(path: str) -> str:
+    """A path of the search space under the name of the table of estimates."""
+    stem, dot, side = path.partition(".")
+    return f"{SEARCHED[stem]}{dot}{side}"
+
+
+def _delay(found: Identified) -> float:
+    """The delay found (control periods); below zero where the command was logged late, which no drive file can say."""
+    return next(one.value for one in found.estimates if one.name == "delay")
+
+
+def _write(report: Report, description: DriveDescription) -> None:
+    """identified.toml: the same gains; observers and feed-forwards, whose model is the file's own, get the new one."""
+    assert report.out is not None
+    path = report.out / "identified.toml"
+    try:
+        write_drive(path, parse_drive(drive_tables(description), str(path)))
+    except DiffdriveError as problem:
+        report.say(f"identified.toml is not written, since no drive file can say this: {problem}")
+        return
+    report.values("written", file=path.name)

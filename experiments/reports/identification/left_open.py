@@ -1,0 +1,52 @@
+"""What an identification left open, as what a sweep varies: uncertainty.toml."""
+
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from diffdrive.support.atomic_write import write_text
+from tuning.identification.estimates import LINEAR, Estimate
+from tuning.identification.identify import Identified
+from tuning.sweeps.varied import WIDEST
+
+FILE = "uncertainty.toml"
+NOT_IN_A_FILE = ("coulomb_at_no_load", "delay")  # the first is told by others, the second is no number of its own
+
+
+def uncertainty(found: Identified) -> dict[str, dict[str, object]]:
+    """Each fitted parameter's distribution by its name in a drive, and the correlations between them."""
+    kept = [
+        k
+        for k, one in enumerate(found.estimates)
+        if one.status == "fitted" and one.name.split(".")[0] not in NOT_IN_A_FILE and found.scatter[k, k] > 0.0
+    ]
+    deviation = np.sqrt(np.diag(found.scatter))
+    vary = {name_of(found.estimates[k]): _distribution(found.estimates[k], float(deviation[k])) for k in kept}
+    correlation: dict[str, object] = {}
+    for at, k in enumerate(kept):
+        others = {
+            name_of(found.estimates[j]): float(np.clip(found.scatter[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0))
+            for j in kept[at + 1 :]
+        }
+        if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
+            correlation[name_of(found.estimates[k])] = others
+    return {"vary": dict(vary), "correlation": correlation}
+
+
+def name_of(one: Estimate) -> str:
+    """In a drive."""
+    return f"plant.{one.name}" if one.name in ("mass", "constant_force") else f"friction.{one.name}"
+
+
+def _distribution(one: Estimate, deviation: float) -> str:
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    if one.name.split(".")[0] in LINEAR or one.value <= 0.0:
+        return f"normal:{one.value:.10g}{unit}..{deviation:.6g}{unit}"
+    # beyond that nothing was told of it but that it is positive, and a sweep takes no wider one
+    return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, WIDEST):.6g}%"
+
+
+def write_uncertainty(folder: Path, found: Identified) -> None:
+    """As a file."""
+    write_text(folder / FILE, tomli_w.dumps(uncertainty(found)))

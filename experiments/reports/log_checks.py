@@ -1,0 +1,54 @@
+"""`diffdrive check`: what logs hold, what was repaired when they were read, and what they would mislead about."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive.logs.log import CHANNELS, Log
+from experiments.reports.checked_logs import EXTRA, described, fatal_of, looked_over, parse_loads
+from experiments.reports.report import Report
+
+SMOOTH = 5e-3  # s, over which a speed is taken
+
+
+def check_logs(
+    paths: Sequence[Path],
+    drive: Path,
+    out: Path | None,
+    *,
+    columns: Sequence[str] = (),
+    units: Sequence[str] = (),
+    shifts: Sequence[str] = (),
+    loads: Sequence[str] = (),
+) -> bool:
+    """Whether nothing fatal was found in any log.
+
+    `columns`, `units`, `shifts` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
+    `ParameterError`, one line each.
+    """
+    description = described(drive, columns, units, shifts, paths)
+    with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
+        logs, found = looked_over(
+            paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA
+        )
+        names = ("log", "samples", "rate Hz", "s", "gaps", "from mm", "to mm", "fastest mm/s", "largest N", "channels")
+        report.table("logs", names, [_row(log) for log in logs], "What the logs hold, in SI where nothing is said")
+        fatal = fatal_of(found)
+        report.values("verdict", fatal=len(fatal), findings=len(found))
+        if not found:
+            report.say("Nothing is wrong with them that could be seen.")
+    return not fatal
+
+
+def _row(log: Log) -> list[object]:
+    few = max(1, round(SMOOTH * log.rate))
+    speeds = [np.abs(log.position[piece][few:] - log.position[piece][:-few]) * log.rate / few for piece in log.pieces()]
+    fastest = max((float(np.max(one)) for one in speeds if one.size), default=0.0)
+    there = [name for name in CHANNELS if name != "time" and getattr(log, name) is not None]
+    ends = 1e3 * float(np.nanmin(log.position)), 1e3 * float(np.nanmax(log.position))
+    largest = float(np.nanmax(np.abs(log.command)))
+    seconds = len(log.time) / log.rate
+    return [
+        log.name, len(log.time), log.rate, seconds, len(log.gaps), *ends, 1e3 * fastest, largest, " ".join(there)
+    ]  # fmt: skip

@@ -1,0 +1,144 @@
+"""The commands that work on one drive file: simulate and convergence."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.controllers import FrictionCompensation
+from diffdrive.errors import LoadEstimatorError
+from diffdrive.logs.column_unit import FORCES
+from diffdrive.logs.log import CHANNELS
+from diffdrive.logs.write import write_csv
+from diffdrive.loop import metrics
+from diffdrive.loop.run import Run
+from diffdrive.loop.simulate import simulate
+from diffdrive.motion.text import numbers, parse_load, parse_motion, require_left, require_rate
+from diffdrive.observers.convergence import convergence_gains, time_constants
+from diffdrive.observers.friction_observer import KalmanObserver
+from diffdrive.observers.load_estimator import InnovationLoad
+from experiments.reports.report import Report, new_figure
+
+# what a machine could not log; the velocity gets another name there, as a log's is that which the machine reports
+_SIMULATED = {
+    "table_position": "table_position",
+    "table_velocity": "velocity",
+    "force": "force",
+    "friction": "friction",
+    "friction_estimate": "friction_estimate",
+    "load_estimate": "load_estimate",
+}
+
+
+def write_run(path: Path, run: Run) -> None:
+    """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows.
+
+    The command says that it is in newtons, since a drive file may know volts and amperes as well.
+    """
+    signals = {column: getattr(run, name) for column, name in _SIMULATED.items()}
+    channels = run.log().channels | {column: values for column, values in signals.items() if values is not None}
+    write_csv(path, channels, {name: CHANNELS[name].unit for name in FORCES if name in channels})
+
+
+def simulate_drive(
+    drive: Path, motion: str, load: str, machine: Path | None, settle: float, seed: int, out: Path | None
+) -> bool:
+    """`diffdrive simulate`; False if the loop diverged."""
+    description = read_drive(drive)
+    other = description if machine is None else read_drive(machine)
+    require_rate("--machine", other, description)
+    planned = parse_motion(motion, description.sampling.rate)
+    require_left(settle, planned.name, planned)
+    loads = parse_load(load, planned.time)
+    with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
+        with report.working("simulating"):
+            run = simulate(
+                other.drive, description.controller, planned, loads,
+                sampling=description.sampling, limits=description.limits, seed=seed,
+            )  # fmt: skip
+        report.values("run", status=run.status.message)
+        if run.status.ok:
+            report.values(
+                "result",
+                from_s=settle,
+                peak_error_um=1e6 * run.peak(settle),
+                rms_error_um=1e6 * run.rms(settle),
+                peak_command_N=float(np.max(np.abs(run.command))),
+                command_noise_N=float(metrics.command_noise(run.command)),
+            )
+            if run.load_estimate is not None:
+                report.values("load", final_N=float(run.load[-1]), final_estimate_N=float(run.load_estimate[-1]))
+        if report.out is not None:
+            write_run(report.out / "run.csv", run)
+            report.figure("run", run_figure(run))
+    return run.status.ok
+
+
+def run_figure(run: Run) -> Any:
+    """Position, tracking error, forces and load over time."""
+    figure, axes = new_figure(4, 1, width=9.0, height=1.9)
+    axes[0].plot(run.time, 1e3 * run.reference, label="reference")
+    axes[0].plot(run.time, 1e3 * run.position, "--", label="position")
+    axes[0].set(ylabel="mm", title="position")
+    axes[1].plot(run.time, 1e6 * run.error, lw=0.8)
+    axes[1].set(ylabel="um", title="tracking error")
+    axes[2].plot(run.time, run.command, lw=0.6, label="command")
+    axes[2].plot(run.time, run.friction, lw=0.8, label="friction")
+    if run.friction_estimate is not None:
+        axes[2].plot(run.time, run.friction_estimate, "--", lw=0.8, label="friction, estimated")
+    axes[2].set(ylabel="N", title="force")
+    axes[3].plot(run.time, 1e-3 * run.load, label="load")
+    if run.load_estimate is not None:
+        axes[3].plot(run.time, 1e-3 * run.load_estimate, lw=0.8, label="estimated")
+    axes[3].set(ylabel="kN", title="load", xlabel="time, s")
+    for axis in (axes[0], axes[2], axes[3]):
+        axis.legend(fontsize=8, loc="upper right")
+    return figure
+
+
+def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
+    """`diffdrive convergence`; False if the estimator fails at one of the speeds."""
+    description = read_drive(drive)
+    controller = description.controller
+    observer = getattr(controller, "observer", None)
+    if (
+        not isinstance(controller, FrictionCompensation)
+        or not isinstance(observer, KalmanObserver)
+        or not isinstance(observer.load_estimator, InnovationLoad)
+    ):
+        raise LoadEstimatorError(
+            f'{drive}: [controller] kind must be "pd+fc+le", whose eq. (20) estimator this is about; '
+            '"pd+fc+ls" estimates the load at every speed'
+        )
+    if not speeds.strip(" ;"):
+        raise LoadEstimatorError("--speeds is empty: give one or more, such as '1;10;100 mm/s'")
+    if not speeds.strip(" ;")[-1:].isalpha():  # 10;20 would be m/s, a thousand times what most will mean
+        raise LoadEstimatorError(f"--speeds {speeds}: give the unit behind the last, as '10;20 mm/s'")
+    asked = np.abs(numbers(speeds.strip(" ;"), "m/s", "--speeds"))
+    with Report(f"{drive.name}: convergence of eq. (20)", out) as report:
+        period = description.sampling.period
+        with report.working("linearising the observer at each speed"):
+            columns = [
+                (convergence_gains(observer, sign * asked, period), time_constants(observer, sign * asked, period))
+                for sign in (1.0, -1.0)
+            ]
+        (up, up_time), (down, down_time) = columns
+        fine = np.isfinite(up_time) & np.isfinite(down_time)
+        gated = asked <= float(observer.load_estimator.min_speed)
+        verdicts = [
+            "no update below min_speed" if g else "converges" if f else "DIVERGES"
+            for g, f in zip(gated, fine, strict=True)
+        ]
+        rows = [
+            [1e3 * v, float(a), float(b), float(c), float(d), verdict]
+            for v, a, b, c, d, verdict in zip(asked, up, down, up_time, down_time, verdicts, strict=True)
+        ]
+        report.table("convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "verdict"), rows)
+        ok = bool(np.all(fine | gated))
+        report.values("verdict", converges_everywhere=ok)
+        if not ok:
+            report.say(
+                'Use kind = "pd+fc+ls", whose estimator converges at every speed, or change Q and R until G > 0.'
+            )
+    return ok

@@ -1,0 +1,208 @@
+"""`diffdrive sweep` and `diffdrive replay`: a sweep run, told and drawn; and one of its machines again."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive, write_drive
+from diffdrive.errors import ParameterError
+from diffdrive.motion.text import require_choice
+from diffdrive.observers.convergence import advice
+from diffdrive.support.atomic_write import atomic_write, remove_temporary
+from experiments.reports.report import RESULT, Report, named_file
+from experiments.reports.simulation import run_figure, write_run
+from experiments.reports.sweep import figures
+from experiments.reports.sweep.tables import TOLD, Told, announce, influences_of, tell
+from tuning.sweeps.engine import Precision
+from tuning.sweeps.parts import Computed, Engine, Say, here, kept, missing, run
+from tuning.sweeps.plan import Plan
+from tuning.sweeps.replay import SIGNALS, chosen, costs_again, errors_of, machine_of, run_of, traces
+from tuning.sweeps.room import require_room
+from tuning.sweeps.samples import Method
+from tuning.sweeps.spec import FILE, Asked, keep, read_asked
+from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, groups, worst
+
+PARTS = "parts"
+ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
+
+
+def sweep_drive(
+    asked: Asked, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
+) -> bool:
+    """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
+    require_choice("--by", "error", by.removesuffix("_m"), [one.removesuffix("_m") for one in ERRORS])
+    require_choice("--method", "method", asked.method, get_args(Method))
+    require_choice("--precision", "precision", asked.precision, get_args(Precision))
+    if recorded and out is None:
+        raise ParameterError("--record: give --out, a folder for the traces")
+    for name in recorded:
+        require_choice("--record", "signal", name, SIGNALS)
+    plan = asked.plan()
+    require_room(plan, Path(tempfile.gettempdir()) if out is None else out)
+    warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
+    title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
+    if out is not None:
+        if (out / RESULT).exists() and not (out / FILE).exists():
+            raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
+        missing(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
+    with Report(title, out) as report, _folder(out) as folder:
+        for warning in warned:
+            report.say(warning)
+        runs = plan.samples * len(plan.controllers) * len(plan.motions)
+        with report.counted("machines", plan.samples) as done:
+            rows = run(plan, folder, done, _noted(asked, engine or here, report), report.console.print)
+        _legend(report, asked.origins(plan.axis.sampling.rate))
+        report.values(
+            "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
+            precision=plan.precision,
+        )  # fmt: skip
+        found = groups(rows, list(plan.controllers), list(plan.motions))
+        told = [(one, influences_of(plan, one, by)) for one in found]
+        tell(report, plan, told, tolerance, by)
+        for motion in plan.motions if out is not None else ():
+            _draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
+        if recorded:
+            _record(report, plan, found, recorded, by)
+        return not any(one.diverged.any() for one in found)
+
+
+def _warnings(plan: Plan, motion: str) -> list[str]:
+    """What to expect of each controller on a motion. Where settings vary, the first warning of each kind."""
+    extremes, found = plan.extremes(motion), []
+    for name, controller in plan.controllers.items():
+        first: dict[str, str] = {}
+        for course in extremes:
+            for text in advice(controller, *course, plan.axis.sampling.period):
+                first.setdefault(text.partition(" at ")[0], text)
+        found += [f"{motion}, {name}: {text}" for text in first.values()]
+    return found
+
+
+def _legend(report: Report, origins: Mapping[str, str]) -> None:
+    """Which motion is meant by each name."""
+    report.data["motions"] = dict(origins)
+    if len(origins) > 1:
+        report.table("motions", ("motion", "as asked for"), [list(one) for one in origins.items()], "Motions")
+
+
+def _noted(asked: Asked, engine: Engine, report: Report) -> Engine:
+    """An engine that tells what varies and writes down what was asked when it begins: by then every machine has been
+    found possible.
+    """
+
+    def noted(plan: Plan, wanted: list[int], say: Say) -> Computed:
+        results = engine(plan, wanted, say)  # which may find that nobody is there
+        announce(report, plan)
+        if report.out is not None:
+            keep(asked, report.out)
+        yield from results
+
+    return noted
+
+
+@contextlib.contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """Where the parts go: beside the results, or nowhere for long."""
+    if out is not None:
+        remove_temporary(out / PARTS)
+        yield out / PARTS
+        return
+    with tempfile.TemporaryDirectory(prefix="sweep-") as room:
+        yield Path(room)
+
+
+def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+    every = [one for one, _ in found]
+    if all(one.diverged.all() for one in every):
+        report.say(f"{every[0].motion}: no figures, since every machine diverged.")
+        return
+    motion = f"_{named_file(every[0].motion)}" if len(plan.motions) > 1 else ""
+    report.figure(f"distribution{motion}", figures.distribution(every, tolerance, by))
+    report.figure(f"exceedance{motion}", figures.exceeded(every, tolerance, by))
+    for one, told in found:
+        if told:
+            controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
+            report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
+    strongest = [told[0].name for _, told in found if told and told[0].clear]
+    for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
+        drawn = figures.against(every, name, plan.units[name], tolerance, by)
+        report.figure(f"error_against_{named_file(name)}{motion}", drawn)
+
+
+def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequence[str], by: str) -> None:
+    """The signals of every controller's worst machines, under every controller."""
+    assert report.out is not None
+    for motion in plan.motions:
+        mine = [one for one in found if one.motion == motion]
+        numbers = sorted({number for one in mine for number in (*worst(one, TOLD, by), *first_to_diverge(one, TOLD))})
+        path = report.out / (f"traces_{named_file(motion)}.nc" if len(plan.motions) > 1 else "traces.nc")
+        with report.working("recording the worst machines"):
+            told = traces(plan, numbers, plan.controllers, motion, recorded)
+            with atomic_write(path) as file:
+                file.write(told.to_netcdf(engine="h5netcdf"))  # in memory: on a full disk HDF5 fails without saying so
+        report.say(f"{path.name}: {', '.join(recorded)} of machines {', '.join(map(str, numbers))}")
+        for one in mine:
+            again = told.sel(controller=one.controller)
+            apart = [
+                number
+                for k, number in enumerate(numbers)
+                if not all(
+                    np.isclose(again[name][k], one.column(name)[number], rtol=ALIKE, atol=0.0, equal_nan=True)
+                    for name in ERRORS
+                )
+            ]
+            if apart:
+                report.say(
+                    f"{one.controller}, machines {', '.join(map(str, apart))}: {_why_apart(plan)}: their errors are in "
+                    f"{path.name} as rms_m and peak_m."
+                )
+
+
+def _why_apart(plan: Plan) -> str:
+    if plan.precision == "single":
+        return f"The signals are computed in double precision, the sweep in single, and differ by more than {ALIKE:.0%}"
+    return (
+        "The signals are of a machine by itself, whose last digits differ; on a quantised scale, or at the edge of "
+        f"stability, such runs part, here by more than {ALIKE:.0%}"
+    )
+
+
+def replay_machine(folder: Path, number: int, controller: str | None, motion: str | None, out: Path | None) -> bool:
+    """`diffdrive replay`; False if the machine diverged, here or in the sweep, or its run is not to be believed."""
+    if out is not None and (out / FILE).exists():
+        raise ParameterError(f"--out {out}: holds a sweep, whose results this would overwrite; name another folder")
+    plan = read_asked(folder).plan()
+    controller, motion = chosen(plan, controller, motion)
+    machine = machine_of(plan, number, motion)
+    with Report(f"{folder.name}: machine {number}, {controller}, {motion}", out) as report:
+        report.table(
+            "machine",
+            ("quantity", "unit", "value"),
+            [[name, plan.units[name], value] for name, value in machine.values.items()],
+            "What differs from the drive file",
+        )
+        with report.working("simulating"):
+            simulated = run_of(plan, machine, controller, motion)
+            costs, diverged_at = costs_again(plan, number, controller, motion)
+        rms, peak = errors_of(plan, simulated)
+        report.values("run", status=simulated.status.message)
+        report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
+        if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, atol=0.0, equal_nan=True):
+            report.say(f"{_why_apart(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
+        told = kept(plan, folder / PARTS, number, controller, motion)
+        if told is None:
+            report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
+        else:
+            again = [float(costs.rms[0]), float(costs.peak[0]), float(diverged_at[0])]
+            report.values("as_in_the_sweep", to_the_last_bit=np.array_equal(told, again, equal_nan=True))
+        if report.out is not None:
+            write_run(report.out / "run.csv", simulated)
+            # the gains are the axis's; observers and feed-forwards in a file take the file's own model
+            tables = drive_tables(plan.axis_of(machine.drive))
+            write_drive(report.out / "machine.toml", parse_drive(tables, f"machine {number}"))
+            report.figure("run", run_figure(simulated))
+    return simulated.status.ok and bool(np.isnan(diverged_at[0]))

@@ -1,0 +1,1 @@
+"""Studies of the tool itself: the paper, real axes, known machines."""

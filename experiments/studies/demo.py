@@ -1,0 +1,118 @@
+"""The main job: simulate the paper's drive, differentiate it, tune it over loads; identify and replay a real axis."""
+
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from diffdrive.axis_file.drive_file import DriveDescription, read_drive
+from diffdrive.controllers import FrictionCompensation
+from diffdrive.errors import ParameterError
+from diffdrive.loop import metrics
+from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import as_arrays, quantities
+from experiments.reports.report import Report
+from experiments.reports.tuning import tune_drive
+from experiments.studies.emps import axis as emps
+from experiments.studies.emps import study as emps_study
+from experiments.studies.paper import scenario as paper
+from experiments.studies.paper.reproduce import table_1
+from tuning.gains.plan import reversal
+from tuning.gains.tune import STARTS
+
+PAPER_DRIVE = Path(__file__).parents[1] / "drives" / "paper.toml"
+
+
+def sensitivities(description: DriveDescription) -> list[tuple[str, float]]:
+    """d(RMS tracking error) / d(log parameter), um per doubling / ln 2, for every parameter of drive and controller."""
+    motion = reversal(0.010, description.sampling.rate, 0.6)
+    inputs = inputs_of(motion, np.linspace(0.0, 5_000.0, len(motion.time)))
+    models = as_arrays(smooth((description.drive, description.controller)))
+
+    @eqx.filter_jit
+    def gradient(models: Any) -> Any:
+        def rms(models: Any) -> Any:
+            drive, controller = models
+            return metrics.rms(
+                inputs.reference.position - rollout(drive, controller, inputs, description.sampling).position
+            )
+
+        return jax.grad(rms)(models)
+
+    slopes = gradient(models)
+    found = []
+    for part, name in ((0, "machine"), (1, "controller")):
+        for (path, _, value), (_, _, slope) in zip(quantities(models[part]), quantities(slopes[part]), strict=True):
+            for side, number, s in _sides(value, slope):
+                if number is not None and float(number) != 0:
+                    found.append((f"{name}: {path}{side}", 1e6 * float(number) * float(s)))
+    return sorted(found, key=lambda item: -abs(item[1]))
+
+
+def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
+    if hasattr(value, "positive"):
+        return [(" +", value.positive, slope.positive), (" -", value.negative, slope.negative)]
+    return [("", value, slope)]
+
+
+def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = False) -> Report:
+    """The main job; `quick` searches from fewer starts. Returns the report, written to `out` if given."""
+    if emps_folder is not None and not (emps_folder / emps.FILES["estimation"]).is_file():
+        raise ParameterError(f"--emps {emps_folder}: no {emps.FILES['estimation']} in it")
+    with Report("diffdrive: the paper's drive, and a real axis", out) as report:
+        description = read_drive(PAPER_DRIVE)
+        _simulate(report, description)
+        _differentiate(report, description)
+        report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN, within stability margins.")
+        tune_drive(description, report, starts=1 if quick else STARTS)
+        folder = emps_folder or emps.find_folder()
+        if folder is None:
+            report.say(
+                "The EMPS log is not here (looked for shared/data/emps beside this folder): the real axis is left out. "
+                "Name its folder with --emps."
+            )
+        else:
+            _real_axis(report, folder, quick)
+    return report
+
+
+def _simulate(report: Report, description: DriveDescription) -> None:
+    with report.working("simulating six controllers on the paper's drive"):
+        runs = table_1(description.drive, paper.canonical())
+    rows = []
+    for name, run in runs.items():
+        theirs = paper.TABLE_1.get(name, (None, None))
+        rows.append([name, *theirs, 1e6 * run.peak(*paper.AFTER_LOAD), 1e6 * run.rms(*paper.AFTER_LOAD)])
+    report.table(
+        "table_1",
+        ("controller", "paper peak", "paper RMS", "peak", "RMS"),
+        rows,
+        "Tracking error in um at a reversal under 10 kN (paper, Table 1), 0.1 um scale",
+    )
+
+
+def _differentiate(report: Report, description: DriveDescription) -> None:
+    assert isinstance(description.controller, FrictionCompensation)
+    with report.working("differentiating the closed loop with respect to every parameter"):
+        slopes = sensitivities(description)
+    report.table(
+        "sensitivities",
+        ("parameter", "um per 100 %"),
+        slopes[:12],
+        f"What moves the tracking error most, of {len(slopes)} parameters (reverse-mode gradient of its RMS)",
+    )
+
+
+def _real_axis(report: Report, folder: Path, quick: bool) -> None:
+    """The EMPS axis before and after identification; `diffdrive emps` says more."""
+    records = emps.read_all(folder)
+    identified = emps_study.identify_axis(report, records, starts=2 if quick else 6)
+    drives = {emps_study.PUBLISHED: emps.reference_drive(), emps_study.IDENTIFIED: identified.drive}
+    replays = emps_study.force_table(report, drives, records)
+    emps_study.parameter_table(report, identified.estimates, {})
+    report.say(identified.adequacy.says)
+    estimation = {name: replays[name]["estimation"] for name in drives}
+    emps_study.force_figure(report, records["estimation"], estimation)

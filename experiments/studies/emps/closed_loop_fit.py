@@ -1,0 +1,159 @@
+"""Fit by the simulation error in closed loop: the commands of a replay against the commands of the logs.
+
+Nothing corrects the simulation but its own controller, so this fit weighs what the force lacks over whole strokes,
+where the prediction error of `tuning.identification.identify` weighs what comes from one sample to the next. With an
+exact model both find the same drive, the latter more sharply; with a real one this says how close the model's force can
+come.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.controllers import Controller
+from diffdrive.errors import LogError, ParameterError
+from diffdrive.logs import Log
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import (
+    Drive,
+    Sampling,
+    Scalar,
+    as_arrays,
+    check,
+    check_drive,
+    require_double_precision,
+)
+from tuning.identification import inverse_dynamics
+from tuning.identification.inverse_dynamics import LOAD_SPREAD, SLOWEST
+from tuning.identification.problem import FINE_SUBSTEP, sampling_of
+from tuning.identification.ranges import NAMES, inside
+from tuning.identification.regressors import DIRECTIONAL
+from tuning.identification.replay import Given, given, replay
+from tuning.identification.seed import seed_drive
+from tuning.identification.unknowns import Unknowns, bounds, paths, placed, unknowns_of, value
+from tuning.optimisation.least_squares import Progress, Search, levenberg_marquardt, silent
+from tuning.optimisation.space import Free, Space, space_of
+
+MOST_STEPS = 25
+TOLERANCE = 1e-3
+PRIOR = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
+
+
+class Problem(NamedTuple):
+    """What is fitted to what."""
+
+    believed: Drive
+    controller: Controller
+    unknowns: Unknowns  # where the search starts
+    given: Given
+    norm: Scalar  # N, of the logged force over all samples
+    origin: Float[np.ndarray, " free"]  # of the search space
+
+
+@dataclasses.dataclass(frozen=True)
+class CommandGap:
+    """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
+
+    Simulated minus logged command in percent of the norm of the logged force: the root of their sum of squares is the
+    `force_percent` of `tuning.identification.replay`. Then the distance of y from its start, next to nothing.
+    """
+
+    free: tuple[Free, ...]
+    sampling: Sampling
+
+    def drive(self, y: Float[Array, " k"], problem: Problem) -> Drive:
+        """The drive at y."""
+        unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
+        drive = unknowns.drive(problem.believed)
+        actuator = dataclasses.replace(drive.actuator, delay_fraction=unknowns.delay - drive.actuator.delay_samples)
+        return dataclasses.replace(drive, actuator=actuator)
+
+    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
+        lanes = problem.given.lanes
+        command = replay(self.drive(y, problem), problem.controller, problem.given, self.sampling).command
+        missing = jnp.where(lanes.counts > 0, command - lanes.command, 0.0)
+        return jnp.concatenate([(100.0 / problem.norm * missing).ravel(), PRIOR * y])
+
+
+def fit_closed_loop(
+    logs: Sequence[Log],
+    drive: Drive,
+    controller: Controller,
+    start: Drive | None = None,
+    *,
+    fixed: Sequence[str] = (),
+    max_steps: int = MOST_STEPS,
+    progress: Progress = silent,
+) -> tuple[Drive, Search]:
+    """Fit `drive` to the commands of `logs` (of one machine, at one rate) in closed loop through `controller`.
+
+    The search starts from `start`, by default from `drive` with what inverse dynamics finds; it has no other starts, so
+    a result of identification is the safer one. `fixed` names parameters (as in the drive file) that stay as it has
+    them. The delay is free within the period that `delay_samples` of `drive` begins. The search's costs are in percent
+    of the logged force.
+
+    Raises `LogError` and `ParameterError` as `tuning.identification.replay` does, the latter for an unknown name too,
+    and `DivergenceError` where the start runs away.
+    """
+    require_double_precision()
+    check(controller)
+    check_drive(drive)
+    if not logs or any(abs(log.rate / logs[0].rate - 1) > 1e-6 for log in logs):
+        raise LogError("give one log or more, all of one rate")
+    for name in fixed:
+        if name not in NAMES:
+            raise ParameterError(f"cannot fix '{name}'; known: {', '.join(NAMES)}")
+    if start is None:
+        start, _ = seed_drive(drive, inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST))
+    check_drive(start)
+    pieces = given(list(logs))
+    unknowns, free = _free(start, drive.actuator.delay_samples, pieces, {NAMES[name] for name in fixed})
+    lanes = pieces.lanes
+    # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
+    believed, smoothed = smooth((dataclasses.replace(start, actuator=drive.actuator, sensor=drive.sensor), controller))
+    problem = Problem(
+        believed=believed,
+        controller=smoothed,
+        unknowns=unknowns,
+        given=pieces,
+        norm=jnp.linalg.norm(lanes.counts * (lanes.command + lanes.disturbance)),
+        origin=space_of(unknowns, free).origin,
+    )
+    residuals = CommandGap(free, sampling_of(float(round(logs[0].rate, 6)), FINE_SUBSTEP))
+    at = as_arrays(problem)
+    search = levenberg_marquardt(
+        residuals, np.zeros(len(free)), at, max_steps=max_steps, tolerance=TOLERANCE, progress=progress
+    )
+    found = jax.tree.map(float, residuals.drive(jnp.asarray(search.y), at))
+    # the limits and the scale as they are, not their smooth neighbours
+    actuator = dataclasses.replace(drive.actuator, delay_fraction=found.actuator.delay_fraction)
+    return dataclasses.replace(found, actuator=actuator, sensor=drive.sensor), search
+
+
+def _free(start: Drive, whole: int, pieces: Given, held: set[str]) -> tuple[Unknowns, tuple[Free, ...]]:
+    """The unknowns at `start`, those that are not held nudged inside their bounds, and these."""
+    actuator = start.actuator
+    unknowns = unknowns_of(start, actuator.delay_samples + float(actuator.delay_fraction or 0.0))
+    load = np.asarray(pieces.lanes.load)[np.asarray(pieces.lanes.counts) > 0]
+    if np.ptp(load) <= LOAD_SPREAD * np.max(np.abs(load)):
+        held = held | {"load_coefficient"}
+    if "breakaway" in held:  # a held gap stays a gap, whatever becomes of the Coulomb friction
+        unknowns = dataclasses.replace(unknowns, breakaway=None)
+    free = []
+    for path in paths(unknowns):
+        if path.split(".")[0] in held:
+            continue
+        start = value(unknowns, path)
+        limits = Free(path, whole, whole + 1.0) if path == "delay" else bounds(path, start, _coulomb(unknowns))
+        unknowns = placed(unknowns, path, inside(start, limits))
+        free.append(limits)
+    return unknowns, tuple(free)
+
+
+def _coulomb(unknowns: Unknowns) -> float:
+    return 0.5 * float(unknowns.coulomb.positive + unknowns.coulomb.negative)

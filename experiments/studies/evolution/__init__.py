@@ -1,0 +1,1 @@
+"""Gradient search against a genetic one."""

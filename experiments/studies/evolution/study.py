@@ -1,0 +1,258 @@
+"""Gradient search against a genetic one on one identification problem: simulations and time to equal quality."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.controllers import Cascade, Controller
+from diffdrive.errors import ParameterError
+from diffdrive.logs import Log
+from diffdrive.loop.simulate import simulate
+from diffdrive.model.parameters import Directional, Drive, Sensor, as_arrays, quantities
+from diffdrive.motion.motion import staircase
+from experiments.reports.report import Report, new_figure
+from experiments.studies.emps import axis as emps
+from experiments.studies.evolution.two_stage import two_stage
+from tuning.identification.identify import COARSE_EVERY, COARSE_STEPS, scattered
+from tuning.identification.problem import COARSE_SUBSTEP, Innovations, sampling_of
+from tuning.identification.replay import closed_loop
+from tuning.identification.setup import ask
+from tuning.optimisation.evolution import POPULATION, Budget, Evolution, Visit, evolve, norms, origin_share
+from tuning.optimisation.least_squares import levenberg_marquardt, many_starts
+from tuning.optimisation.space import Space
+
+STARTS = 6  # of the gradient search, as in tuning/identification/identify.py
+MOST_STEPS = 30  # of its last search
+TOLERANCE = 1e-6
+MOST_TIMES = 20  # as many simulations as the gradient search, that evolution may take at most
+SPEEDS = (2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)  # m/s, of the synthetic log
+FLOOR = 1e-6  # so that the best itself has a place on a logarithmic axis
+LEVELS = (0.1, 0.01, 0.001)  # of the gradient search's cost, above it
+
+
+class Case(NamedTuple):
+    """A log, the controller under which it was made, and the drive behind it where that is known."""
+
+    log: Log
+    controller: Controller
+    truth: Drive | None
+
+
+class Descent(NamedTuple):
+    """A gradient search: where it ended, the lowest cost along the way, and why it stopped."""
+
+    y: Float[np.ndarray, " k"]
+    history: list[Visit]
+    status: str
+
+    @property
+    def cost(self) -> float:
+        """The lowest."""
+        return self.history[-1].cost
+
+
+def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps: int, last: int) -> Descent:
+    """The coarse search of identification: several starts for a few steps, then the best of them to the end.
+
+    A step counts as one simulation and one more for each derivative that it carries along.
+    """
+    each = 1 + len(residuals.free)
+    began, history = time.perf_counter(), list[Visit]()
+
+    def visited(simulations: int) -> Callable[[int, int, float], None]:
+        def visit(step: int, most: int, cost: float) -> None:
+            least = min(cost, history[-1].cost) if history else cost
+            history.append(Visit(simulations * step + before, time.perf_counter() - began, least))
+
+        return visit
+
+    points = scattered(residuals.free, starts, seed)
+    before = 0
+    found, costs, _ = many_starts(residuals, points, args, steps=steps, progress=visited(starts * each))
+    before = starts * steps * each
+    search = levenberg_marquardt(
+        residuals, found[int(np.argmin(costs))], args, max_steps=last, tolerance=TOLERANCE, progress=visited(each)
+    )
+    return Descent(search.y, history, search.status)
+
+
+def evolution_study(
+    report: Report, case: Case, *, seconds: float = 300.0, runs: int = 3, most_times: float = MOST_TIMES
+) -> None:
+    """Both searches by turns on one log, what is compiled being compiled before; then the paper's two-stage route.
+
+    One evolution may take `seconds`, and `most_times` as many simulations as the gradient search.
+    """
+    if not seconds > 0 or runs < 1:
+        raise ParameterError(f"seconds and runs must be positive, got {seconds!r} and {runs!r}")
+    report.say(f"Log: {case.log.name}.")
+    question = ask([case.log], emps.reference_drive(), (), {})
+    residuals = Innovations(question.free, sampling_of(question.rate, COARSE_SUBSTEP), COARSE_EVERY)
+    space, args = Space(question.free, question.problem.origin), as_arrays(question.problem)
+    costs, begin = norms(residuals, space, args), origin_share(space)
+    members = max(5, POPULATION * len(begin))
+
+    def gradient(seed: int, steps: int = COARSE_STEPS, last: int = MOST_STEPS) -> Descent:
+        return descend(residuals, args, seed=seed, starts=STARTS, steps=steps, last=last)
+
+    compiling = {
+        "gradient_s": _seconds(lambda: gradient(0, 1, 1)),
+        "evolution_s": _seconds(lambda: costs(np.tile(begin, (members, 1)))),
+    }
+    descents, evolutions = [], []
+    for seed in range(runs):
+        with report.working(f"gradient search {seed + 1} of {runs}"):
+            descents.append(gradient(seed))
+        target = (1.0 + min(LEVELS)) * min(one.cost for one in descents)
+        budget = Budget(int(most_times * descents[-1].history[-1].simulations), seconds, target)
+        with report.progress(f"differential evolution {seed + 1} of {runs}", budget.simulations) as advance:
+            shown = _shown(advance, budget.simulations)
+            evolutions.append(evolve(costs, begin, budget, seed=seed, progress=shown))
+    report.values("problem", parameters=len(begin), samples=len(case.log.time), population=members, starts=STARTS)
+    report.values("compiling_before", **compiling)
+    _tell(report, descents, evolutions)
+    best = min(descents, key=lambda one: one.cost)
+    drive, unknowns = residuals.unpack(jnp.asarray(best.y), question.problem)
+    _routes(report, case, with_delay(jax.tree.map(float, drive), float(unknowns.delay)))
+
+
+def _routes(report: Report, case: Case, by_gradient: Drive) -> None:
+    """The two-stage route beside the gradient search: parameters, and the force gap in closed loop."""
+    with report.working("the two-stage route"):
+        staged = two_stage([case.log], emps.reference_drive())
+    for note in staged.notes:
+        report.say(f"two stages: {note}")
+    report.values(
+        "two_stage",
+        stribeck_rms_N=staged.stribeck_rms,
+        hysteresis_rms_N=staged.hysteresis_rms,
+        simulations_of_the_hysteresis=staged.evolution.simulations,
+    )
+    drives = {"believed": emps.reference_drive(), "two stages": staged.drive, "gradient": by_gradient}
+    if case.truth is not None:
+        drives["truth"] = case.truth
+    named = [dict(_numbers(drive)) for drive in drives.values()]
+    rows = [[name, *(one[name] for one in named)] for name in named[0]]
+    gaps = [closed_loop(drive, case.controller, case.log) for drive in drives.values()]
+    rows.append(["force gap in closed loop, %", *(one.force_percent for one in gaps)])
+    report.table("routes", ("SI units", *drives), rows, "What the two routes find")
+
+
+def _numbers(drive: Drive) -> Iterator[tuple[str, float]]:
+    for path, _, value in quantities(drive.plant):
+        if path != "damping":
+            yield path, float(value)
+    for path, _, value in quantities(drive.friction):
+        if path not in ("load_coefficient", "initial_load", "stribeck_exponent"):  # which are given, not looked for
+            yield f"{path} +", float(value.positive)
+            yield f"{path} -", float(value.negative)
+    yield "delay, periods", drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+
+
+def with_delay(drive: Drive, delay: float) -> Drive:
+    """The drive with a delay of control periods; one below zero, a command that was logged late, as none."""
+    whole = max(0, int(np.floor(delay)))
+    fraction = float(np.clip(delay - whole, 0.0, 1.0))
+    actuator = dataclasses.replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)
+    return dataclasses.replace(drive, actuator=actuator)
+
+
+def _shown(advance: Callable[[int, int, float], None], most: int) -> Callable[[Visit], None]:
+    return lambda visit: advance(min(visit.simulations, most), most, visit.cost)
+
+
+def _seconds(work: Callable[[], Any]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def emps_case(folder: Path | None) -> Case:
+    """The estimation file of EMPS; raises `ParameterError` where the folder does not hold it."""
+    found = folder or emps.find_folder()
+    if found is None or not (found / emps.FILES["estimation"]).is_file():
+        where = "shared/data/emps beside this folder" if folder is None else f"--data {folder}"
+        raise ParameterError(
+            f"{where}: no {emps.FILES['estimation']} in it; name its folder with --data, or --synthetic"
+        )
+    record = emps.read(found / emps.FILES["estimation"])
+    return Case(record.log, emps.controller(record), None)
+
+
+def synthetic_drive() -> Drive:
+    """An axis much as EMPS was identified: friction rises from standstill, and differs by direction."""
+    drive = emps.reference_drive()
+    friction = dataclasses.replace(
+        drive.friction,
+        coulomb_screw=Directional(20.0, 23.0),
+        breakaway_gap=Directional(-12.0, -11.0),
+        stribeck_velocity=Directional(0.011, 0.009),
+        viscous=Directional(150.0, 230.0),
+    )
+    return dataclasses.replace(drive, friction=friction, sensor=Sensor(resolution=emps.COUNT))
+
+
+def synthetic_case(speeds: Sequence[float] = SPEEDS, travel: float = 12e-3) -> Case:
+    """That axis under a controller like that of EMPS, there and back over `travel` (m) at each speed (m/s)."""
+    motion = staircase(speeds=speeds, travel=travel, acceleration=4.0, rate=emps.SAMPLING.rate)
+    cascade = Cascade(kp=160.0, kv=8_500.0, velocity_samples=2)
+    run = simulate(synthetic_drive(), cascade, motion, sampling=emps.SAMPLING).require_ok()
+    return Case(run.log("synthetic"), cascade, synthetic_drive())
+
+
+def reached(history: list[Visit], cost: float) -> Visit | None:
+    """The first visit at or below `cost`, or None."""
+    return next((visit for visit in history if visit.cost <= cost), None)
+
+
+def _tell(report: Report, descents: list[Descent], evolutions: list[Evolution]) -> None:
+    best = min(one.cost for one in descents)
+    rows = []
+    for k, (ours, theirs) in enumerate(zip(descents, evolutions, strict=True)):
+        for name, one in (("gradient", ours), ("evolution", theirs)):
+            last = one.history[-1]
+            rows.append([f"{name} {k + 1}", last.simulations, last.seconds, last.cost / best, one.status])
+    report.table("runs", ("search", "simulations", "s", "cost over best", "ended"), rows, "Each search to its end")
+    rows = []
+    for level in LEVELS:
+        cost = (1.0 + level) * best
+        ours = [reached(one.history, cost) for one in descents]
+        theirs = [reached(one.history, cost) for one in evolutions]
+        g, e = _median(ours), _median(theirs)
+        times = [e[k] / g[k] if g and e else None for k in (0, 1)]
+        counts = [f"{sum(one is not None for one in some)} of {len(some)}" for some in (ours, theirs)]
+        rows.append([f"{100 * level:g} %", counts[0], *(g or (None, None)), counts[1], *(e or (None, None)), *times])
+    report.table(
+        "equal_quality",
+        ("within", "gradient", "simulations", "s", "evolution", "simulations ", "s ", "x simulations", "x time"),
+        rows,
+        "Until the cost is so close to the best gradient search's: how many got there, and the median of all "
+        "(- : half of them or more did not within the budget)",
+    )
+    searches = {"gradient": descents, "evolution": evolutions}
+    report.data["history"] = {name: [one.history for one in some] for name, some in searches.items()}
+    figure, axes = new_figure(1, 2, width=9.0, share_x=False)
+    for name, color, some in (("gradient", "C0", descents), ("evolution", "C1", evolutions)):
+        for k, one in enumerate(some):
+            simulations, spent, cost = np.array(one.history).T
+            above = cost / best - 1.0 + FLOOR
+            axes[0].loglog(simulations, above, color, lw=1, label=None if k else name)
+            axes[1].loglog(spent, above, color, lw=1)
+    axes[0].set(xlabel="simulations", ylabel="cost above the best, share", title="One derivative counts as one more")
+    axes[1].set(xlabel="wall time, s", title="Compiled before")
+    axes[0].legend()
+    report.figure("evolution", figure)
+
+
+def _median(visits: list[Visit | None]) -> tuple[float, float] | None:
+    """Median simulations and seconds, those that never got there being the latest; None if that is the median."""
+    table = [(np.inf, np.inf) if one is None else (one.simulations, one.seconds) for one in visits]
+    simulations, spent = np.median(np.array(table, dtype=float), axis=0)
+    return (float(simulations), float(spent)) if np.isfinite(simulations) else None

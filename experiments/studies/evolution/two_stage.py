@@ -1,0 +1,184 @@
+"""The paper's route to a friction model, as a baseline: sliding parameters first, then the bristle (paper, Sec. 4.1).
+
+    cruises -> Stribeck curve -> F_C, F_S, v_s, mu_v per direction, by least squares
+    reversals -> friction over the way since -> sigma_0, sigma_1, by a genetic algorithm
+
+Mass and, where it is told, offset come from inverse dynamics beforehand. Each stage sees a part of the log alone, and
+friction only through the filter that makes an acceleration of a position: what happens within a / (2 f^2) of a reversal
+is blurred. It needs cruises at four speeds or more each way, and knows no delay.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.logs import Log
+from diffdrive.model.friction import steady_friction
+from diffdrive.model.parameters import Drive, as_arrays, check_drive, require_double_precision
+from tuning.identification import inverse_dynamics
+from tuning.identification.curves import stribeck_curves
+from tuning.identification.friction_along import friction_along
+from tuning.identification.inverse_dynamics import DYNAMICS, SLOWEST
+from tuning.identification.measured_friction import MeasuredFriction, measured_friction, passes
+from tuning.identification.regressors import DIRECTIONAL
+from tuning.identification.seed import seed_drive
+from tuning.identification.unknowns import Unknowns, bounds, paths, unknowns_of
+from tuning.optimisation.evolution import BLOCK, Budget, Evolution, Population, evolve, origin_share, point
+from tuning.optimisation.least_squares import levenberg_marquardt
+from tuning.optimisation.space import Free, Space, space_of
+
+SLIDING = ("coulomb", "breakaway", "stribeck_velocity", "viscous")
+FEWEST_SPEEDS = 4  # each way, for four parameters
+REACH = 20.0  # believed bristle lengths F_S / sigma_0 behind a reversal: as far as the hysteresis is looked at
+BUDGET = Budget(simulations=4_000, seconds=60.0)
+POPULATION = 15  # members per parameter: of so few parameters, scipy's default does
+
+
+@dataclass(frozen=True)
+class TwoStage:
+    """The drive that the two stages find, how well it fits what each of them saw, and what was left out."""
+
+    drive: Drive
+    stribeck_rms: float  # N, over the bins of the Stribeck curve
+    hysteresis_rms: float  # N, over the samples behind reversals
+    evolution: Evolution
+    notes: tuple[str, ...]
+
+
+class _Points(NamedTuple):
+    """The Stribeck curve, and the drive whose friction is to pass through it."""
+
+    believed: Drive
+    unknowns: Unknowns
+    origin: Float[np.ndarray, " free"]
+    velocity: Float[np.ndarray, " b"]  # m/s
+    load: Float[np.ndarray, " b"]  # N
+    friction: Float[np.ndarray, " b"]  # N, damping included
+
+
+class _Way(NamedTuple):
+    """A measured motion and the friction along it."""
+
+    velocity: Float[np.ndarray, " n"]  # m/s
+    load: Float[np.ndarray, " n"]  # N
+    friction: Float[np.ndarray, " n"]  # N, damping included
+    counts: Float[np.ndarray, " n"]  # 1 close behind a reversal
+    period: float  # s
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Residuals (N) of the Stribeck curve as a function of y; hashed by value."""
+
+    free: tuple[Free, ...]
+
+    def __call__(self, y: Float[Array, " k"], points: _Points) -> Float[Array, " b"]:
+        drive = Space(self.free, points.origin).insert(points.unknowns, y).drive(points.believed)
+        steady = steady_friction(drive.friction, points.velocity, points.load)
+        return steady + drive.plant.damping.towards(points.velocity) * points.velocity - points.friction
+
+
+def two_stage(
+    logs: Sequence[Log], drive: Drive, *, dynamics: float = DYNAMICS, budget: Budget = BUDGET, seed: int = 0
+) -> TwoStage:
+    """Identify mass and friction of `drive` from `logs` by the paper's route.
+
+    `dynamics` (Hz) sets the filters, as in `tuning.identification.inverse_dynamics`. A direction with fewer than four
+    speeds of cruising keeps the friction of inverse dynamics, and a note says so. Raises `LogError` where the logs have
+    no stretch that can be filtered.
+    """
+    require_double_precision()
+    check_drive(drive)
+    found = inverse_dynamics.identify(list(logs), DIRECTIONAL, dynamics=dynamics, min_speed=SLOWEST)
+    seeded, notes = seed_drive(drive, found)
+    sliding, stribeck_rms, said = _sliding(logs, seeded, dynamics)
+    whole, evolution = _bristle(logs, sliding, dynamics, budget, seed)
+    return TwoStage(
+        jax.tree.map(float, whole),
+        stribeck_rms,
+        evolution.cost,
+        evolution,
+        (*notes, *said, f"bristle: {evolution.status}"),
+    )
+
+
+def _sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Drive, float, list[str]]:
+    """`drive` with the sliding friction of the logs' cruises, and the RMS misfit (N)."""
+    curves = stribeck_curves(list(logs), drive, dynamics=dynamics)
+    rows = [np.stack([c.velocity, np.full_like(c.velocity, c.load), c.friction]) for c in curves.curves]
+    velocity, load, friction = np.concatenate(rows, axis=1) if rows else np.zeros((3, 0))
+    notes, free = list(curves.notes), []
+    unknowns = unknowns_of(drive, 0.0)
+    for side, sign in (("positive", 1.0), ("negative", -1.0)):
+        speeds = int(np.sum(sign * velocity > 0))
+        if speeds < FEWEST_SPEEDS:
+            notes.append(f"{speeds} speeds of cruising in the {side} direction: its Stribeck curve is left as it was")
+            continue
+        for name in SLIDING:
+            path = f"{name}.{side}"
+            value = float(getattr(getattr(unknowns, name), side))
+            free.append(bounds(path, value, float(getattr(unknowns.coulomb, side))))
+    if not free:
+        return drive, float("nan"), notes
+    points = as_arrays(_Points(drive, unknowns, space_of(unknowns, free).origin, velocity, load, friction))
+    search = levenberg_marquardt(_Curve(tuple(free)), np.zeros(len(free)), points, max_steps=200, tolerance=1e-8)
+    fitted = Space(tuple(free), points.origin).insert(unknowns, search.y).drive(drive)
+    return fitted, search.cost / np.sqrt(len(velocity)), notes
+
+
+def _bristle(logs: Sequence[Log], drive: Drive, dynamics: float, budget: Budget, seed: int) -> tuple[Drive, Evolution]:
+    """`drive` with the bristle that fits the friction behind reversals, by differential evolution."""
+    ways = [as_arrays(_way(along, drive)) for along in measured_friction(list(logs), drive, dynamics)[0]]
+    unknowns = unknowns_of(drive, 0.0)
+    free = tuple(
+        bounds(path, float(value.positive), 0.0)
+        for path in paths(unknowns)
+        if path.startswith("bristle") and (value := getattr(unknowns, path.split(".")[0])) is not None
+    )
+    space = space_of(unknowns, free)
+    counted = sum(float(way.counts.sum()) for way in ways)
+
+    def costs(shares: Population) -> Float[np.ndarray, " s"]:
+        points = jnp.asarray(point(space, shares))
+        squares = sum(_misfits(space.free, points, as_arrays(space.origin), drive, unknowns, way) for way in ways)
+        return np.sqrt(np.asarray(squares) / max(counted, 1.0))
+
+    evolution = evolve(costs, origin_share(space), budget, population=POPULATION, seed=seed)
+    return space.insert(unknowns, point(space, evolution.share)).drive(drive), evolution
+
+
+@eqx.filter_jit
+def _misfits(
+    free: tuple[Free, ...],
+    points: Float[Array, "s k"],
+    origin: Float[Array, " k"],
+    drive: Drive,
+    unknowns: Unknowns,
+    way: _Way,
+) -> Float[Array, " s"]:
+    def one(y: Float[Array, " k"]) -> Float[Array, ""]:
+        there = Space(free, origin).insert(unknowns, y).drive(drive)
+        friction = friction_along(there, way.velocity, way.load, way.period).friction
+        return jnp.sum(way.counts * (friction - way.friction) ** 2)
+
+    return lax.map(one, points, batch_size=BLOCK)
+
+
+def _way(along: MeasuredFriction, drive: Drive) -> _Way:
+    friction = drive.friction
+    levels = friction.coulomb_screw, friction.load_coefficient, friction.breakaway_gap, friction.bristle_stiffness
+    screw, slope, gap, stiffness = (float(one.positive) for one in levels)
+    reach = REACH * (screw + slope * (float(friction.initial_load) + float(along.load.mean())) + gap) / stiffness
+    counts = np.zeros_like(along.velocity)
+    for one in passes(along)[1:]:
+        travelled = np.abs(along.position[one] - along.position[one.start])
+        if travelled.max() > reach:  # else the table rests, or creeps
+            counts[one] = travelled <= reach
+    return _Way(along.velocity, along.load, along.friction, counts, 1.0 / along.rate)

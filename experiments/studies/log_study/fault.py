@@ -1,0 +1,80 @@
+"""What was done to a log, as the scorer has to know it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive.logs.log import Log, Signal
+from experiments.studies.log_study.drives import StudyDrive
+from experiments.studies.log_study.sound import Case
+
+ANY: tuple[str, ...] = ()
+COMMAND_SHARE = 0.02  # of its standard deviation: so well is a force constant known, less changes no answer
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A log with something wrong, and the truth about it.
+
+    `causes` are the names under which it is right, `rivals` those that nobody could rule out and that must be named as
+    well; `channels` are those that a finding may be about (none: any). `true` is the log as it should be: the mended
+    one must equal it, but for what the fault itself destroyed; `undo` mends it as far as that is possible.
+    """
+
+    log: Log
+    true: Log
+    amount: str
+    causes: tuple[str, ...]
+    channels: tuple[str, ...] = ANY
+    rivals: tuple[str, ...] = ()
+    undo: Callable[[Log], Log] | None = None
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One kind of fault. `make` draws one, None where this motion cannot show it; `applies` says which axes can."""
+
+    name: str
+    make: Callable[[Case, np.random.Generator], Fault | None]
+    applies: Callable[[StudyDrive], bool] = lambda drive: True
+
+
+def of_channel(
+    case: Case, channel: str, signal: Signal, amount: str, cause: str, *, undo: Callable[[Log], Log] | None = None,
+    also: tuple[str, ...] = (), channels: tuple[str, ...] | None = None, rivals: tuple[str, ...] = (),
+) -> Fault:  # fmt: skip
+    """A fault of one channel."""
+    return Fault(
+        replace(case.log, **{channel: signal}), case.log, amount, (cause, *also),
+        (channel,) if channels is None else channels, rivals, undo,
+    )  # fmt: skip
+
+
+def span(signal: Signal) -> float:
+    """The range of a signal but for its extremes, which one sample could make."""
+    low, high = np.quantile(signal, [0.005, 0.995])
+    return float(high - low)
+
+
+def flutter(signal: Signal) -> float:
+    """Standard deviation of what changes from sample to sample: its noise (second differences of white noise)."""
+    return float(1.4826 * np.median(np.abs(np.diff(signal, 2))) / np.sqrt(6.0))
+
+
+def following_error(log: Log) -> Signal:
+    """Reference minus position (m)."""
+    assert log.reference is not None
+    return log.reference - log.position
+
+
+def moving(log: Log) -> Signal:
+    """Samples at which the reference moves at more than a fifth of its top speed."""
+    assert log.reference is not None
+    speed = np.abs(np.gradient(log.reference))
+    return np.flatnonzero(speed > 0.2 * np.max(speed))
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Uniform in the logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

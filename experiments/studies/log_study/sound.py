@@ -1,0 +1,183 @@
+"""Sound logs: a machine near its drive file, its controller, a motion, simulated with noise and counts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax import lax
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.controllers import Controller
+from diffdrive.effects import acting
+from diffdrive.logs.log import Log
+from diffdrive.loop.run import Run, judged
+from diffdrive.loop.simulate import Inputs, inputs_of, rollout, start, step
+from diffdrive.model.parameters import Directional, Drive, Sampling, as_arrays
+from diffdrive.motion import motion
+from diffdrive.motion.motion import Motion
+from experiments.studies.log_study.drives import StudyDrive
+
+# What a drive file is off by on a sound machine: a CAD mass, and friction that was measured another day.
+MASS_SPREAD, FRICTION_SPREAD = 0.03, 0.1
+MOTOR_NOISE = 3e-9  # m, of an encoder at the motor
+
+# not `simulate`, which asks anew of each motion whether a load estimator converges at its speeds, and compiles for that
+_rollout = eqx.filter_jit(rollout)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A sound log, and what made it, so that another can be made."""
+
+    drive: StudyDrive
+    machine: Drive
+    motion: Motion
+    seed: int
+    log: Log
+
+    @property
+    def description(self) -> DriveDescription:
+        """What the checks are given beside a log."""
+        return self.drive.description
+
+
+def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Motion]]:
+    """By name, motions of one length of this axis, which begin at rest."""
+    count = round(drive.seconds * drive.rate)
+    time = np.arange(count) / drive.rate
+    stroke, speed, acceleration, rate = drive.stroke, drive.speed, drive.acceleration, drive.rate
+
+    def waves(*parts: tuple[float, float]) -> Motion:
+        position = sum(0.5 * size * (1.0 - np.cos(2.0 * np.pi * frequency * time)) for size, frequency in parts)
+        return motion.from_array(time, position - 0.5 * np.ptp(position))
+
+    def two_sines(rng: np.random.Generator) -> Motion:
+        slow = speed / (np.pi * stroke) * rng.uniform(0.5, 0.9)
+        return waves((stroke * rng.uniform(0.6, 0.8), slow), (0.1 * stroke, slow * rng.uniform(3.0, 4.5)))
+
+    def strokes(rng: np.random.Generator) -> Motion:
+        return motion.jerk_limited(
+            distance=stroke * rng.uniform(0.5, 0.9), speed=speed * rng.uniform(0.5, 1.0), acceleration=acceleration,
+            jerk=acceleration / 0.03, dwell=0.15, repeats=20, rate=rate, start=-0.4 * stroke,
+        )  # fmt: skip
+
+    def speeds(rng: np.random.Generator) -> Motion:
+        return motion.staircase(
+            speeds=speed * np.array([0.5, 0.15, 1.0, 0.3]) * rng.uniform(0.7, 1.0), travel=0.25 * stroke,
+            acceleration=acceleration, dwell=0.05, rate=rate,
+        )  # fmt: skip
+
+    def contour(rng: np.random.Generator) -> Motion:
+        low = speed / (np.pi * stroke)
+        return waves(
+            *((stroke * share, low * often * rng.uniform(0.8, 1.2)) for share, often in
+              ((0.4, 0.5), (0.2, 1.1), (0.12, 2.3), (0.05, 4.9)))
+        )  # fmt: skip
+
+    return {
+        name: lambda rng, make=make: _cut(make(rng), count)
+        for name, make in (("two sines", two_sines), ("strokes", strokes), ("speeds", speeds), ("contour", contour))
+    }
+
+
+def sound(drive: StudyDrive, rng: np.random.Generator) -> Case:
+    """A sound log of a machine near its drive file."""
+    name = str(rng.choice(sorted(motions(drive))))
+    made = motions(drive)[name](rng)
+    machine = near(drive.description.drive, rng)
+    seed = int(rng.integers(2**31))
+    return Case(drive, machine, made, seed, replace(logged(drive, machine, made, seed), name=name))
+
+
+def near(drive: Drive, rng: np.random.Generator) -> Drive:
+    """A machine as its drive file has it, but for what no drive file knows better."""
+    return changed(
+        drive, rng.uniform(1 - MASS_SPREAD, 1 + MASS_SPREAD), rng.uniform(1 - FRICTION_SPREAD, 1 + FRICTION_SPREAD, 2)
+    )
+
+
+def changed(drive: Drive, mass: float, friction: Any) -> Drive:
+    """The drive with its mass, and all that friction takes per direction, times these factors."""
+    forward, backward = np.broadcast_to(friction, 2)
+
+    def scaled(value: Directional) -> Directional:
+        return Directional(forward * value.positive, backward * value.negative)
+
+    own = drive.friction
+    rubbing = replace(
+        own,
+        coulomb_screw=scaled(own.coulomb_screw),
+        load_coefficient=scaled(own.load_coefficient),
+        breakaway_gap=scaled(own.breakaway_gap),
+    )
+    return replace(drive, plant=replace(drive.plant, mass=mass * drive.plant.mass), friction=rubbing)
+
+
+def logged(drive: StudyDrive, machine: Drive, made: Motion, seed: int, controller: Controller | None = None) -> Log:
+    """What this machine logs of a motion; raises `DivergenceError` if its loop is unstable."""
+    if controller is None:
+        controller = drive.with_feedback({}).controller
+    before = round(drive.settled * drive.rate)
+    made = _held(made, before)
+    loads = np.full(len(made.time), drive.load)
+    machine, controller, inputs = *as_arrays((machine, controller)), inputs_of(made, loads)
+    sampling, limits, key = drive.description.sampling, drive.description.limits, jax.random.key(seed)
+    run = judged(
+        Run.of(made, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
+    ).require_ok()
+    signals = {name: np.asarray(getattr(run, name)) for name in ("time", "position", "command", "reference")}
+    if drive.load:
+        signals["load"] = np.asarray(run.load)
+    if drive.motor_step is not None:
+        wound_up = _winding(machine, controller, inputs, sampling, key)
+        noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(made.time))
+        shown = run.table_position + np.asarray(wound_up) + noise
+        signals["motor_position"] = drive.motor_step * np.round(shown / drive.motor_step)
+    log = Log(drive.name, **{name: signal[before:] for name, signal in signals.items()})
+    return replace(log, time=log.time - log.time[0])
+
+
+@eqx.filter_jit
+def _winding(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
+    """The motor against the table (m), of a drive whose first effect is its transmission."""
+    drive = acting.altered(drive, drive.effects)
+
+    def body(state: Any, at: Inputs) -> tuple[Any, Any]:
+        return step(drive, controller, sampling, key, state, at)[0], state.effects[0].against.deflection
+
+    return lax.scan(body, start(drive, controller, inputs.reference.position[0]), inputs)[1]
+
+
+def _held(made: Motion, samples: int) -> Motion:
+    """The motion after so many samples at rest."""
+    if not samples:
+        return made
+    still = np.zeros(samples)
+    return Motion(
+        np.arange(samples + len(made.time)) / made.rate,
+        np.concatenate([still + made.position[0], made.position]),
+        np.concatenate([still, made.velocity]),
+        np.concatenate([still, made.acceleration]),
+        made.name,
+    )
+
+
+def _cut(made: Motion, count: int) -> Motion:
+    """The first samples of a motion; where it is shorter, it rests at its end."""
+    if len(made.time) < count:
+        rest = count - len(made.time)
+        time = np.arange(count) / made.rate
+        still = np.zeros(rest)
+        return Motion(
+            time,
+            np.concatenate([made.position, np.full(rest, made.position[-1])]),
+            np.concatenate([made.velocity, still]),
+            np.concatenate([made.acceleration, still]),
+            made.name,
+        )
+    return Motion(
+        *(signal[:count] for signal in (made.time, made.position, made.velocity, made.acceleration)), made.name
+    )

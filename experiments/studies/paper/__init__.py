@@ -1,0 +1,1 @@
+"""Lee et al. 2015, ours beside theirs."""

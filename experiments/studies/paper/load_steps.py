@@ -1,0 +1,60 @@
+"""A load step at constant speed: how far each load estimator is from the truth one second later."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.controllers import Controller, FrictionCompensation
+from diffdrive.controllers.base import paper_tracking
+from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.motion import load
+from diffdrive.motion.motion import Motion, constant_speed
+from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
+from diffdrive.observers.load_estimator import InnovationLoad
+from experiments.studies.paper import scenario as paper
+
+SPEEDS = (0.001, 0.003, 0.010, 0.015, 0.020, 0.040, 0.100)  # m/s
+OFF_GRID = 1.0137  # with the 0.1 um scale: 1 mm/s would be one quantum a period, which flatters every estimator
+STEP_AT, WAIT, LOAD = 0.3, 1.0, 10_000.0  # s, s, N
+
+
+def motion_at(speed: float) -> Motion:
+    """0.1 s to get to `speed` (m/s), then on at that speed."""
+    return constant_speed(speed=speed, ramp=0.1, duration=STEP_AT + WAIT + 0.1, rate=paper.SAMPLING.rate)
+
+
+def estimators(drive: Drive) -> dict[str, Controller]:
+    """The two load estimators with the paper's gains; eq. (20) also allowed at 1 and 3 mm/s, so that both are tried."""
+    tracking = paper_tracking(drive, PAPER_KP, PAPER_KD)
+    printed = InnovationLoad(min_speed=0.0005)
+    return {
+        "eq. (20)": FrictionCompensation(tracking, KalmanObserver(drive.plant, drive.friction, Tuning(), printed)),
+        "load as a state": FrictionCompensation(tracking, LoadStateObserver(drive.plant, drive.friction)),
+    }
+
+
+@eqx.filter_jit
+def _estimate(drive: Drive, controller: Controller, inputs: Any) -> Any:
+    return rollout(drive, controller, inputs, paper.SAMPLING).estimate.load
+
+
+def load_errors() -> list[list[Any]]:
+    """Rows of estimator, scale, and for each speed the largest |What - W| (N) from one second after the step on."""
+    rows = []
+    for scale in ("exact", "0.1 um"):
+        drive = paper_drive(quantised=scale != "exact")
+        factor = 1.0 if scale == "exact" else OFF_GRID
+        for name, controller in estimators(drive).items():
+            row: list[Any] = [name, scale]
+            for speed in SPEEDS:
+                motion = motion_at(factor * speed)
+                weight = load.step(motion.time, at=STEP_AT, to=LOAD)
+                found = np.asarray(_estimate(*as_arrays((drive, controller)), inputs_of(motion, weight)))
+                late = motion.time >= STEP_AT + WAIT
+                row.append(float(jnp.max(jnp.abs(found[late] - LOAD))))
+            rows.append(row)
+    return rows

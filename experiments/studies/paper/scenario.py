@@ -1,0 +1,60 @@
+"""Lee et al. 2015 as a scenario: the canonical reading of what the paper leaves open (docs/paper.md)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive.controllers import DOBVSC, PD, Controller, DisturbanceObserver, FrictionCompensation, PDFeedforwardDOB
+from diffdrive.controllers.base import paper_tracking
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.presets import PAPER_KD, PAPER_KP, PAPER_STROKE
+from diffdrive.motion import load
+from diffdrive.motion.motion import Limits, Motion, triangular
+from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
+from diffdrive.observers.load_estimator import InnovationLoad
+
+SAMPLING = Sampling(rate=10_000.0)
+LIMITS = Limits(stroke=(-PAPER_STROKE / 2, PAPER_STROKE / 2))
+AFTER_LOAD = (4.0, 4.2)  # s: the reversal under load, Table 1
+BEFORE_LOAD = (2.0, 2.2)  # s: the same reversal without load
+MAX_LOAD = 12_600.0  # N, the testbed's highest
+
+# Table 1: peak and RMS tracking error in um at 4 to 4.2 s
+TABLE_1 = {
+    "PD": (12.0, 10.2),
+    "DOBVSC": (2.4, 0.9),
+    "PD+FF+DOB": (1.2, 0.6),
+    "PD+FC": (0.7, 0.3),
+    "PD+FC+LE": (0.7, 0.2),
+}
+
+# Table 4: load kN -> friction estimation error N (FC, LE), tracking error um (FC, LE), estimated load kN; all RMS
+TABLE_4 = {10.9: (3.08, 1.18, 1.65, 0.98, 10.9), 12.6: (4.95, 1.05, 2.18, 1.10, 13.1)}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A motion and the load (N, per sample) that goes with it."""
+
+    motion: Motion
+    load: np.ndarray
+
+
+def canonical() -> Scenario:
+    """Fig. 7 as we read it: 10 mm/s, reversals over 0.3 s centred at 2.05 and 4.05 s, 0 to 10 kN from 2.5 to 3.5 s."""
+    motion = triangular(speed=0.010, stroke=0.020, rounding=0.3, duration=4.5, rate=SAMPLING.rate, first_reversal=2.05)
+    return Scenario(motion, load.ramp(motion.time, start=2.5, end=3.5, to=10_000.0))
+
+
+def controllers(drive: Drive, kp: float = PAPER_KP, kd: float = PAPER_KD) -> dict[str, Controller]:
+    """The paper's five controllers, and ours, with a model of exactly this drive."""
+    tracking = paper_tracking(drive, kp, kd)
+    plant, friction = drive.plant, drive.friction
+    return {
+        "PD": PD(tracking),
+        "DOBVSC": DOBVSC(tracking, DisturbanceObserver.of(plant, 240.0)),
+        "PD+FF+DOB": PDFeedforwardDOB(tracking, DisturbanceObserver.of(plant, 3.0), friction),
+        "PD+FC": FrictionCompensation(tracking, KalmanObserver(plant, friction)),
+        "PD+FC+LE": FrictionCompensation(tracking, KalmanObserver(plant, friction, Tuning(), InnovationLoad())),
+        "PD+FC+LS": FrictionCompensation(tracking, LoadStateObserver(plant, friction)),
+    }

@@ -1,0 +1,1 @@
+"""How well identification recovers what is known."""

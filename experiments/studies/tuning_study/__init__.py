@@ -1,0 +1,1 @@
+"""The gradient tuner against derivative-free searches."""

@@ -1,0 +1,258 @@
+"""Derivative-free baselines of gain tuning, on the very ensemble, requirements, bounds and start of a gradient search.
+
+    cma_es           covariance matrix adaptation (Hansen and Ostermeier 2001, in cma)
+    nelder_mead      the simplex (Nelder and Mead 1965, in scipy)
+    random_search    points drawn evenly
+
+All share one interface: they begin at y = 0, minimise one penalised number
+(`tuning.gains.constrained.Point.penalised`), keep to one budget, and return the best point in any case.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jax import lax
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from tuning.gains.constrained import Gains, Problem
+from tuning.gains.sequential import KEPT
+from tuning.optimisation.evolution import WORST, Budget
+
+STEP = 0.5  # in y: the first spread of CMA-ES, the edges of the first simplex
+SIMPLEX = 1e-4  # in y: the size of a simplex that has collapsed
+DRAWN = 10  # points of random search at a time
+BLOCK = 32  # points that one call of the compiled program holds at most
+
+Points = Float[np.ndarray, "s k"]
+
+
+class Costs(NamedTuple):
+    """What points of the search are worth, [s] each."""
+
+    penalised: Float[np.ndarray, " s"]  # what is minimised
+    objective: Float[np.ndarray, " s"]
+    missed: Float[np.ndarray, " s"]  # by how much the requirement that is missed most is missed
+
+
+Cost = Callable[[Points], Costs]
+
+
+class Visit(NamedTuple):
+    """The lowest cost after so many simulations of the whole ensemble, as in `tuning.optimisation.evolution.Visit`,
+    and one more.
+    """
+
+    simulations: int
+    seconds: float
+    cost: float  # penalised
+    feasible: float  # the lowest objective where nothing is missed by more than `KEPT`; infinite where none is yet
+
+
+Visited = Callable[[Visit], None]
+NONE_YET = Visit(0, 0.0, np.inf, np.inf)
+
+
+def silent(visit: Visit) -> None:
+    """Show nothing."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a baseline ended: its best point, why it stopped, and the lowest costs along the way."""
+
+    y: Float[np.ndarray, " k"]  # of the lowest penalised cost
+    cost: float
+    feasible: Float[np.ndarray, " k"] | None  # of the lowest objective among those that keep the requirements
+    status: str
+    history: list[Visit]  # batch by batch
+
+    @property
+    def simulations(self) -> int:
+        """How many, of the whole ensemble."""
+        return self.history[-1].simulations if self.history else 0
+
+
+class _SpentError(Exception):
+    """The budget is spent."""
+
+
+@dataclass
+class _Trail:
+    """The cost function as a search sees it: counts, keeps the best, and ends the search when its budget is spent."""
+
+    cost: Cost
+    budget: Budget
+    visited: Visited
+    y: Float[np.ndarray, " k"]
+    feasible: Float[np.ndarray, " k"] | None = None
+    last: Visit = NONE_YET
+    history: list[Visit] = field(default_factory=list)
+    began: float = field(default_factory=time.perf_counter)
+
+    def __call__(self, points: Points) -> Float[np.ndarray, " s"]:
+        """Penalised costs, all of them finite. Of a batch that exceeds the budget only the first points are tried."""
+        left = self.budget.simulations - self.last.simulations
+        if left < 1:
+            raise _SpentError(self._spent())
+        points = points[:left]
+        penalised, objective, missed = self.cost(points)
+        penalised = np.where(np.isfinite(penalised), penalised, WORST)
+        kept = np.where(np.isfinite(objective) & (missed <= KEPT), objective, np.inf)
+        self._keep(points, penalised, kept)
+        self.visited(self.last)
+        if self._spent():
+            raise _SpentError(self._spent())
+        return penalised
+
+    def _keep(self, points: Points, penalised: Float[np.ndarray, " s"], kept: Float[np.ndarray, " s"]) -> None:
+        least, best = int(np.argmin(penalised)), int(np.argmin(kept))
+        if penalised[least] < self.last.cost:
+            self.y = np.array(points[least])
+        if kept[best] < self.last.feasible:
+            self.feasible = np.array(points[best])
+        self.last = Visit(
+            self.last.simulations + len(points),
+            time.perf_counter() - self.began,
+            min(self.last.cost, float(penalised[least])),
+            min(self.last.feasible, float(kept[best])),
+        )
+        self.history.append(self.last)
+
+    def _spent(self) -> str:
+        """Why the search must end; empty: it need not."""
+        if self.last.cost <= self.budget.cost:
+            return "good enough"
+        if self.last.simulations >= self.budget.simulations:
+            return f"stopped after {self.last.simulations} simulations"
+        return f"stopped after {self.last.seconds:.0f} s" if self.last.seconds >= self.budget.seconds else ""
+
+
+Tried = Callable[[Points], Float[np.ndarray, " s"]]
+
+
+def _follow(search: Callable[[Tried], str], cost: Cost, k: int, budget: Budget, visited: Visited) -> Found:
+    """The search, and what is left of it when it converges, has spent its budget or is interrupted."""
+    trail = _Trail(cost, budget, visited, np.zeros(k))
+    try:
+        status = search(trail)
+    except _SpentError as spent:
+        status = str(spent)
+    except KeyboardInterrupt:
+        status = f"interrupted after {trail.last.simulations} simulations"
+    return Found(trail.y, trail.last.cost, trail.feasible, status, trail.history)
+
+
+def cma_es(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> Found:
+    """CMA-ES with the package's default population, 4 + 3 ln k, and its default rules of convergence."""
+
+    def search(tried: Tried) -> str:
+        import cma  # a second to load, and pyplot with it: only where it is used
+
+        strategy = cma.CMAEvolutionStrategy(np.zeros(k), STEP, _quiet(seed))
+        tried(np.zeros((1, k)))
+        while not strategy.stop():
+            points = strategy.ask()
+            strategy.tell(points, list(tried(np.array(points))))
+        return f"converged: {', '.join(strategy.stop())}"
+
+    return _follow(search, cost, k, budget, visited)
+
+
+def _quiet(seed: int) -> dict[str, object]:
+    """Options with which cma prints, reads and writes nothing, and draws from its own generator."""
+    rng = np.random.default_rng(seed)
+    # its option `seed` would seed numpy's global generator
+    return {"verbose": -9, "signals_filename": "", "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan}
+
+
+def nelder_mead(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> Found:
+    """Nelder-Mead. The first simplex has a corner in the start; `seed` draws whether its edges go up or down."""
+    edges = STEP * np.random.default_rng(seed).choice([-1.0, 1.0], k)
+    options = {
+        "initial_simplex": np.vstack([np.zeros(k), np.diag(edges)]),
+        "xatol": SIMPLEX,
+        "fatol": np.inf,  # the size of the simplex alone tells: costs have any scale
+        "maxiter": budget.simulations + 1,  # never reached
+        "maxfev": budget.simulations + 1,
+    }
+
+    def search(tried: Tried) -> str:
+        scipy.optimize.minimize(lambda y: float(tried(y[None])[0]), np.zeros(k), method="Nelder-Mead", options=options)
+        return "converged: the simplex has collapsed"
+
+    return _follow(search, cost, k, budget, visited)
+
+
+def random_search(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> Found:
+    """The start and random points: even between the bounds where the start is in their middle (`space.around`).
+
+    The sigmoid of a logistic variable is uniform.
+    """
+    rng = np.random.default_rng(seed)
+
+    def search(tried: Tried) -> str:
+        tried(np.zeros((1, k)))
+        while True:
+            tried(rng.logistic(size=(DRAWN, k)))
+
+    return _follow(search, cost, k, budget, visited)
+
+
+@eqx.filter_jit
+def _worths(
+    gains: Gains, problem: Problem, points: Float[Array, "b k"], counts: Int[Array, " devices"]
+) -> Float[Array, "b three"]:
+    """Of the points of each device the first `counts`: so one program serves batches of all sizes."""
+    arrays, rest = eqx.partition(problem, eqx.is_array)
+
+    def share(points: Float[Array, "p k"], counts: Int[Array, " one"], arrays: Problem) -> Float[Array, "p three"]:
+        problem = eqx.combine(arrays, rest)
+
+        def one(row: Int[Array, ""], found: Float[Array, "p three"]) -> Float[Array, "p three"]:
+            point = gains.at(points[row], problem)
+            return found.at[row].set(jnp.stack([point.penalised, point.objective, point.missed]))
+
+        return lax.fori_loop(0, counts[0], one, jnp.full((len(points), 3), jnp.nan))
+
+    shared, everywhere = PartitionSpec("points"), PartitionSpec()
+    return jax.shard_map(
+        share,
+        mesh=Mesh(np.array(jax.devices()), ("points",)),
+        in_specs=(shared, shared, everywhere),
+        out_specs=shared,
+        check_vma=False,
+    )(points, counts, arrays)
+
+
+def costs_of(gains: Gains, problem: Problem, block: int = BLOCK) -> Cost:
+    """`Gains.at` for a batch of points, one after the other on each of the program's devices.
+
+    Points side by side in one vectorised program, as in `tuning.optimisation.evolution`, are slower: the lanes of one
+    ensemble fill the vectors already. With eight lanes on two cores: 25 ms per point, against 18 ms.
+    """
+    devices = len(jax.devices())
+    each = -(-block // devices)
+
+    def some(points: Points) -> Float[np.ndarray, "s three"]:
+        """Point i goes to device i modulo devices."""
+        counts = np.array([len(points[device::devices]) for device in range(devices)])
+        held = np.zeros((devices, each, points.shape[1]))
+        for device, count in enumerate(counts):
+            held[device, :count] = points[device::devices]
+        found = _worths(gains, problem, held.reshape(devices * each, -1), counts)
+        return np.asarray(found).reshape(devices, each, 3).swapaxes(0, 1).reshape(-1, 3)[: len(points)]
+
+    def cost(points: Points) -> Costs:
+        most = devices * each
+        found = [some(points[first : first + most]) for first in range(0, len(points), most)]
+        return Costs(*np.concatenate(found).T)
+
+    return cost

@@ -1,0 +1,132 @@
+"""Machines and motions drawn at random: what an engineer believes, what is true, and what was done to it."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from diffdrive.model.parameters import Directional, Drive
+from experiments.studies.withheld.axes import AXES, Axis
+from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, Fault, between
+from experiments.studies.withheld.machine import Faults, Kind, Told
+from experiments.studies.withheld.motions import ROOM, told
+
+OFF = 0.03  # the most that a true parameter is off nominal, by its logarithm
+FAINT, STRONG = 0.3, 4.0  # sizes against that which is clear
+
+
+class Case(NamedTuple):
+    """One machine: believed, true, and its two logs' instructions."""
+
+    nominal: Drive
+    true: Drive
+    gains: tuple[float, float]
+    rate: float
+    faults: tuple[Fault, ...]
+    told: tuple[Told, Told]
+    noise: float
+    resolution: float  # m
+    pitfall: bool  # the effect is such that other parameters absorb much of it
+
+
+def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
+    """The drive with parameters times factors; `name+` and `name-` are the two directions."""
+
+    def pair(owner: Any, name: str) -> Directional:
+        value = getattr(owner, name)
+        return Directional(
+            float(value.positive) * factors.get(f"{name}+", 1.0) * factors.get(name, 1.0),
+            float(value.negative) * factors.get(f"{name}-", 1.0) * factors.get(name, 1.0),
+        )
+
+    friction, plant = drive.friction, drive.plant
+    names = [one for one in vars(friction) if isinstance(getattr(friction, one), Directional)]
+    bent = factors.get("stribeck_exponent", 1.0)
+    return dataclasses.replace(
+        drive,
+        plant=dataclasses.replace(
+            plant, mass=float(plant.mass) * factors.get("mass", 1.0), damping=pair(plant, "damping")
+        ),
+        friction=dataclasses.replace(
+            friction,
+            initial_load=float(friction.initial_load) * factors.get("initial_load", 1.0),
+            stribeck_exponent=friction.stribeck_exponent if bent == 1.0 else float(friction.exponent) * bent,
+            **{name: pair(friction, name) for name in names},
+        ),
+    )
+
+
+def draw(room: ROOM, effects: tuple[str, ...], axis: Axis = AXES["paper"]) -> Case:
+    """A machine with these effects, of sizes drawn at random."""
+    base, apart = axis.drive, room.spawn(1)[0]
+    varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
+    varied |= {name: float(np.exp(room.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
+    varied["initial_load"] = float(np.exp(apart.normal(0, 0.2)))
+    nominal = _scaled(base, varied)
+    nominal = dataclasses.replace(nominal, sensor=dataclasses.replace(base.sensor, noise=0.0))
+    names = ("mass", "coulomb_screw+", "coulomb_screw-", "load_coefficient+", "load_coefficient-", "breakaway_gap+",
+             "breakaway_gap-", "stribeck_velocity+", "stribeck_velocity-", "viscous+", "viscous-", "damping",
+             "bristle_stiffness", "bristle_damping")  # fmt: skip
+    off = {name: float(np.exp(room.choice([-1, 1]) * room.uniform(0.3, 1.0) * OFF)) for name in names}
+    sizes = np.exp(room.uniform(np.log(FAINT), np.log(STRONG), len(effects)))
+    if len(effects) > 1:
+        sizes = np.maximum(sizes, 1.5)
+    makers = KNOWN | OUTSIDE | PITFALLS
+    drawn = [makers[name](room, float(size)) for name, size in zip(effects, sizes, strict=True)]
+    faults = tuple(_of_size(fault, axis) for fault in drawn)
+    true = _scaled(nominal, off)
+    for fault in faults:
+        true = _scaled(true, fault.scaled)
+    rate = float(room.choice(axis.rates, p=axis.often))
+    bandwidth = between(room, axis.bandwidth)  # rad/s
+    kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
+    noise = float(room.uniform(*axis.noise))
+    traces = {name: scale for fault in faults for name, scale in fault.traces.items()}
+    way = (rate, noise, traces, axis.length, axis.load)
+    logs = told(room, apart, *way), told(room, apart, *way)
+    faults = tuple(_placed(fault, logs) for fault in faults)
+    pitfall = any(name in PITFALLS for name in effects)
+    return Case(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
+
+
+def _of_size(fault: Fault, axis: Axis) -> Fault:
+    """The fault as large for this axis as it was drawn for the paper's; shares of the way stay shares."""
+    sizes = axis.sizes() | {name: 1.0 for effect, name in PLACED.items() if effect == fault.effect}
+
+    def brought(numbers: dict[str, Any]) -> dict[str, Any]:
+        return {
+            name: tuple(sizes.get(name, 1.0) * one for one in value)
+            if isinstance(value, tuple)
+            else sizes.get(name, 1.0) * value
+            for name, value in numbers.items()
+        }
+
+    return fault._replace(faults=brought(fault.faults), traces=brought(fault.traces))
+
+
+def _placed(fault: Fault, logs: tuple[Told, Told]) -> Fault:
+    """With its place in metres: a share of the longer way of the two logs."""
+    name = PLACED.get(fault.effect)
+    if name is None:
+        return fault
+    low, high = max(((float(log.reference.min()), float(log.reference.max())) for log in logs), key=np.ptp)
+    return fault._replace(faults=fault.faults | {name: low + fault.faults[name] * (high - low)})  # type: ignore[operator]
+
+
+def without(case: Case, number: int) -> Case:
+    """The machine without one of its faults."""
+    undone = {name: 1.0 / factor for name, factor in case.faults[number].scaled.items()}
+    faults = (*case.faults[:number], *case.faults[number + 1 :])
+    return case._replace(true=_scaled(case.true, undone), faults=faults)
+
+
+def of_log(case: Case, log: int, peak: float | None = None) -> tuple[Faults, Kind]:
+    """Faults of one log; a limit is set below the `peak` (N) of the command without it, and not without a peak."""
+    values: dict[str, float] = {}
+    kind: dict[str, bool] = {}
+    for fault in case.faults:
+        values |= {name: value[log] if isinstance(value, tuple) else value for name, value in fault.faults.items()}
+        kind |= fault.kind
+    if values.get("limit", 1.0) < 0.0:
+        values["limit"] = 1e9 if peak is None else (1.0 + values["limit"]) * peak
+    return Faults(**values), Kind(**kind)

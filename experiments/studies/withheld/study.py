@@ -1,0 +1,180 @@
+"""`diffdrive withheld`: draw machines, have them diagnosed by a process that cannot see the key, score the answers."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.errors import ParameterError
+from diffdrive.support.atomic_write import atomic_write
+from diffdrive.support.resources import counted, require_disk, require_memory
+from experiments.reports.report import Report
+from experiments.studies.withheld import again
+from experiments.studies.withheld.answer import ATTENDED, machines, unanswered
+from experiments.studies.withheld.axes import axes_named
+from experiments.studies.withheld.generate import generate, write_key
+from experiments.studies.withheld.score import read_answers, read_key, score
+
+SHOWN = (
+    "cases", "errors", "clear_single", "named_clear", "exact_clear", "top1_clear", "declared_clear", "top2_clear",
+    "drawn_clear", "named_drawn_clear", "faint_single", "named_faint", "top1_faint", "top2_faint",
+    "confidently_wrong_faint", "confidently_wrong", "none", "said_none", "false_alarms", "outside", "unknown_recall",
+    "compounds", "both_found", "both_named", "pitfalls", "pitfall_named", "calibration_error", "median_parameter_error",
+    "median_shrink_held_out", "quarter_shrink_held_out", "median_shrink_of_oracle", "quarter_shrink_of_oracle",
+    "shrinks_of_oracle", "oracle_asked", "interval_coverage", "intervals_told", "declared_at_once", "most_declared",
+    "declared_clear_of_few",
+)  # fmt: skip
+CASE, PROCESS = 2e5, 2e9  # bytes at least: of a case's logs on the disk, and of a process that diagnoses
+ANSWERING = ("-m", "experiments.studies.withheld.answer")
+CODE = Path(__file__).resolve().parents[3]
+
+
+def require_workers(workers: int) -> None:
+    """Raise `ParameterError` for more processes than fit into memory."""
+    request = f"--workers {counted(workers)}: as many processes"
+    require_memory(ParameterError, request, PROCESS * (workers - 1), "give fewer")
+
+
+def withheld(
+    out: Path, count: int, seed: int, workers: int = 1, twice: bool = False, axes: tuple[str, ...] = ("paper",)
+) -> dict[str, Any]:
+    """Run the check, or what is left of it, in the folder `out`, on machines of these axes in turn.
+
+    The answering process is given copies of logs and drive files in a folder of their own; the key is written once all
+    answers are there.
+    """
+    on = axes_named(axes)
+    require_workers(workers)
+    above = next(one for one in (out, *out.resolve().parents) if one.is_dir())
+    require_disk(ParameterError, f"--cases {counted(count)}: their logs", above, CASE * float(count), "give fewer")
+    with Report(f"withheld-effect check: {count} machines of {', '.join(axes)}, seed {seed}", out) as report:
+        cases, parts = out / "cases", out / "key_parts"
+        with report.stages() as progress:
+            for done, _ in enumerate(generate(cases, parts, seed, count, on), start=1):
+                progress("drawing machines", done, count)
+        _ask(report, cases, out / "answers", workers)
+        return _tell(report, cases, write_key(out / "key.json", parts), workers, twice)
+
+
+def examined(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
+    """The same on machines that are there, such as a bench's: a folder for each, and the key to all."""
+    require_workers(workers)
+    told = _checked_key(cases, key)
+    with Report(f"withheld-effect check: {cases.name}", out) as report:
+        _ask(report, cases, out / "answers", workers)
+        return _tell(report, cases, told, workers, twice)
+
+
+def _checked_key(cases: Path, path: Path) -> dict[str, dict[str, Any]]:
+    """The key of machines that are there; hours later would be late to learn that it does not fit."""
+    key = read_key(path)
+    there = {place.name for place in machines(cases)}
+    if not there:
+        raise ParameterError(f"{cases}: no machine in it; each is a folder with a drive.toml and log-*.parquet")
+    if there != key.keys():
+        odd = ", ".join(sorted(there ^ key.keys()))
+        raise ParameterError(f"{path}: names other machines than there are in {cases}; they differ in {odd}")
+    return key
+
+
+def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict[str, list[str]] | None = None) -> None:
+    """Have those cases diagnosed that are not yet, in a process that is given them and nothing else."""
+    wanted = unanswered(cases, answers, without)
+    if not wanted:
+        return
+    report.say(f"diagnosing into {answers.name}, in a process that has neither key nor seed ...")
+    with tempfile.TemporaryDirectory(prefix="machines-") as folder:
+        room = Path(folder)
+        for place in wanted:
+            (room / "cases" / place.name).mkdir(parents=True)
+            for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
+                shutil.copyfile(path, room / "cases" / place.name / path.name)
+        (room / "without.json").write_text(json.dumps(without), encoding="utf-8")
+        command = [sys.executable, *ANSWERING, "cases", "answers", str(workers), "without.json", ATTENDED]
+        paths = os.pathsep.join([str(CODE), *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = os.environ | {"PYTHONPATH": paths}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen(command, cwd=room, env=environment, text=True, **pipes) as process:
+            assert process.stdout is not None
+            try:
+                for line in process.stdout:
+                    print(line, end="", flush=True)
+                    _bring(room / "answers", answers)  # one by one: an interrupted run goes on from there
+            except BaseException:
+                process.terminate()
+                raise
+            finally:
+                _bring(room / "answers", answers)
+        if process.returncode:
+            raise subprocess.CalledProcessError(process.returncode, command)
+    if odd := [place.name for place in unanswered(cases, answers, without)]:
+        raise ParameterError(
+            f"{answers}: {', '.join(odd)} were answered by other sources than those that asked: the code was changed "
+            "meanwhile; start again from a copy of it that stays as it is"
+        )
+
+
+def _bring(there: Path, here: Path) -> None:
+    """Bring the answers that are `there` over, those that are not `here` yet."""
+    for path in there.glob("*/diagnosis.json"):
+        place, text = here / path.parent.name / path.name, path.read_bytes()
+        if place.exists() and place.read_bytes() == text:
+            continue
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(place) as file:
+            file.write(text)
+
+
+def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> again.Answers:
+    assert report.out is not None
+    _ask(report, cases, report.out / name, workers, wanted)
+    told = read_answers(report.out / name)
+    return {case: told[case] for case in wanted if case in told}  # not what an earlier edition was asked
+
+
+def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool) -> dict[str, Any]:
+    assert report.out is not None
+    answers = read_answers(report.out / "answers")
+    oracle: again.Answers | None = None
+    if twice:
+        oracle = _asked_again(report, cases, "oracle", again.oracle(answers, key), workers)
+        removed = again.removed(answers, key)
+        without = _asked_again(report, cases, "removed", removed, workers)
+        report.table(
+            "removed",
+            ("effect", "case", "verdict without it", "found", "declared before", "as it must be"),
+            again.without_it(answers, without, removed),
+            "The catalogue without the true effect: unknown, or a declared rival",
+        )
+        unseen = sorted(set(EFFECTS) - {effect for (effect,) in removed.values()})
+        if unseen:
+            report.say(f"Believed alone in no case, and so not removed: {', '.join(unseen)}.")
+    card = score(answers, key, oracle)
+    report.values("scorecard", **{name: card[name] for name in SHOWN})
+    report.table(
+        "answers",
+        ("case", "true", "size", "visibility", "verdict", "found", "confidence", "seconds"),
+        [
+            [
+                row["case"],
+                " + ".join(row["true"]) or "none",
+                ", ".join(map(str, row["size"])),
+                row["visibility"],
+                row["verdict"],
+                " + ".join(row["found"]),
+                ", ".join(f"{confidence:.2f}" for _, confidence, _ in row["sure"]),
+                row["seconds"],
+            ]
+            for row in card["rows"]
+        ],
+        "Answers",
+    )
+    report.table("reliability", ("confidence", "causes", "right"), card["reliability"], "What the confidences meant")
+    for name in ("confusion", "intervals", "rows", "without_ratio"):
+        report.data[name] = card[name]
+    return card

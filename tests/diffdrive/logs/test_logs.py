@@ -1,0 +1,289 @@
+"""Logs: what is written is read back, which column is which channel in which unit, and the real logs at hand."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from pymatreader import read_mat
+
+from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.controllers import PD
+from diffdrive.controllers.base import Gains, Tracking
+from diffdrive.errors import DriveFileError, LogError
+from diffdrive.logs import Log, Mapping, read_log, read_logs, write_log
+from diffdrive.logs.log import CHANNELS
+from diffdrive.loop.simulate import simulate
+from diffdrive.model.parameters import Sampling
+from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.motion import motion
+from diffdrive.motion.motion import Limits
+from experiments.reports.simulation import write_run
+
+DATA = (Path(__file__).parents[3] / "../shared/data").resolve()
+EMPS, BENCH = DATA / "emps/DATA_EMPS.mat", DATA / "bench"
+needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS files are not here")
+needs_bench = pytest.mark.skipif(not BENCH.exists(), reason="the bench logs are not here")
+OPTIONAL = [name for name, channel in CHANNELS.items() if not channel.required and name != "command"]
+SHORT = np.arange(10) * 1e-3
+
+
+def assert_same(one: Log, other: Log) -> None:
+    assert one.name == other.name
+    assert one.gaps == other.gaps
+    assert list(one.channels) == list(other.channels)
+    for name, values in one.channels.items():
+        np.testing.assert_array_equal(values, other.channels[name], err_msg=name)
+
+
+@st.composite
+def logs(draw) -> Log:
+    count, rate = draw(st.integers(3, 40)), draw(st.sampled_from([250.0, 1000.0, 10_000.0, 3333.0]))
+    places = draw(st.sets(st.integers(2, count - 1), max_size=3)) if count > 12 else set()
+    steps = np.ones(count - 1, dtype=int)
+    for place in places:
+        steps[place - 1] += draw(st.integers(1, 1000))
+    time = draw(st.sampled_from([0.0, -2.5, 1e5])) + np.concatenate(([0], np.cumsum(steps))) / rate
+    signal = arrays.arrays(np.float64, count, elements=st.floats(-1e300, 1e300))
+    held = draw(st.sets(st.sampled_from(OPTIONAL)))
+    signals = {name: draw(signal) for name in ("position", "command", *sorted(held))}
+    return Log("round trip", time, **signals, gaps=tuple(sorted(places)))
+
+
+@pytest.mark.parametrize("extension", [".csv", ".parquet", ".mat", ".73.mat"])
+@given(log=logs())
+@settings(max_examples=40)
+def test_what_is_written_is_read_back(log, extension, tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / f"{log.name}{extension}"
+    write_log(path, log)
+    assert_same(dataclasses.replace(read_log(path), name=log.name), log)
+
+
+def test_units_are_written(tmp_path):
+    log = Log("log", SHORT, SHORT, SHORT, temperature=SHORT)
+    for extension in (".csv", ".parquet", ".mat", ".73.mat"):
+        write_log(tmp_path / f"log{extension}", log)
+    header = (tmp_path / "log.csv").read_text().splitlines()[0]
+    assert header == "time [s],position [m],command [N],temperature [degC]"
+    assert pq.read_schema(tmp_path / "log.parquet").field("position").metadata == {b"unit": b"m"}
+    assert scipy.io.loadmat(tmp_path / "log.mat", simplify_cells=True)["units"]["command"] == "N"
+    assert read_mat(tmp_path / "log.73.mat")["units"]["command"] == "N"
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    log = Log("log", SHORT, SHORT, SHORT)
+    with pytest.raises(LogError, match=r"cannot write '\.xlsx'; known: \.csv, \.parquet, \.73\.mat, \.mat"):
+        write_log(tmp_path / "log.xlsx", log)
+    with pytest.raises(LogError, match="cannot be written"):
+        write_log(tmp_path / "absent" / "log.csv", log)
+
+
+@pytest.fixture(scope="module")
+def run():
+    move = motion.triangular(speed=0.01, stroke=0.002, rounding=0.1, duration=0.05, rate=10_000.0)
+    return simulate(paper_drive(), PD(Tracking(Gains(PAPER_KP, PAPER_KD))), move, load=500.0 * jnp.ones(len(move.time)))
+
+
+def test_a_simulated_run_is_a_log(run, tmp_path):
+    log = run.log("simulated")
+    assert list(log.channels) == ["time", "reference", "position", "command", "load"]
+    np.testing.assert_array_equal(log.position, run.position)
+    assert log.rate == pytest.approx(10_000.0)
+    write_run(tmp_path / "simulated.csv", run)
+    for mapping in (Mapping(), Mapping(force_per_volt=35.0), Mapping(force_per_ampere=10.0)):
+        assert_same(read_log(tmp_path / "simulated.csv", mapping, rate=10_000.0), log)
+
+
+# --- which column, in which unit --------------------------------------------------------------------------------------
+
+RAW = {"t": np.arange(10.0), "qg": np.arange(10.0), "qm": np.arange(10.0) + 0.5, "u": np.arange(10.0) - 4.0}
+NAMED = {"time": "t", "reference": "qg", "position": "qm", "command": "u"}
+
+
+@pytest.fixture
+def raw(tmp_path):
+    path = tmp_path / "raw.mat"
+    scipy.io.savemat(path, RAW)
+    return path
+
+
+UNITS = {
+    "SI": ({}, {}, (1.0, 1.0)),
+    "millimetres": ({"position": "mm"}, {}, (1e-3, 1.0)),
+    "counts": ({"position": "50 nm"}, {}, (5e-8, 1.0)),
+    "sign": ({"command": "-0.1 N", "position": "-um"}, {}, (-1e-6, -0.1)),
+    "volts": ({"command": "V"}, {"force_per_volt": 35.0}, (1.0, 35.0)),
+    "millivolts, reversed": ({"command": "-mV"}, {"force_per_volt": 35.0}, (1.0, -0.035)),
+    "amperes": ({"command": "2 A"}, {"force_per_ampere": 10.0}, (1.0, 20.0)),
+    "newtons although the gain is known": ({"command": "kN"}, {"force_per_volt": 35.0}, (1.0, 1e3)),
+}
+
+
+@pytest.mark.parametrize(("units", "gains", "factors"), UNITS.values(), ids=UNITS.keys())
+def test_units(units, gains, factors, raw):
+    log = read_log(raw, Mapping(NAMED, units, **gains))
+    np.testing.assert_allclose(log.position, factors[0] * RAW["qm"], rtol=1e-14)
+    np.testing.assert_allclose(log.command, factors[1] * RAW["u"], rtol=1e-14)
+    log = read_log(raw, Mapping(NAMED, {"time": "ms"}))
+    np.testing.assert_allclose(log.time, 1e-3 * RAW["t"], atol=1e-18)
+
+
+@pytest.mark.parametrize(("unit", "celsius"), [("degC", 10.0), ("K", -263.15), ("degF", -12.2222222)])
+def test_temperatures(unit, celsius, tmp_path):
+    scipy.io.savemat(tmp_path / "t.mat", RAW | {"temp": np.full(10, 10.0)})
+    log = read_log(tmp_path / "t.mat", Mapping(NAMED | {"temperature": "temp"}, {"temperature": unit}))
+    assert log.temperature[0] == pytest.approx(celsius)
+
+
+BAD_MAPPINGS = {
+    "channel": (lambda: Mapping({"positon": "qm"}), r"\[columns\] positon: no such channel; did you mean 'position'"),
+    "unit of none": (lambda: Mapping(units={"force": "N"}), r"\[units\] force: no such channel"),
+    "number": (lambda: Mapping({"position": 3}), r"\[columns\] position: must be a text, such as \"qm\", got 3"),
+    "empty": (lambda: Mapping({"position": " "}), r"\[columns\] position: must be a text"),
+    "twice": (lambda: Mapping({"position": "x", "reference": "x"}), r"reference: 'x' is the position already"),
+    "length in N": (lambda: Mapping(units={"command": "mm"}), r"\[units\] command: 'mm' is no unit of the command"),
+    "force in m": (lambda: Mapping(units={"position": "N"}), r"\[units\] position: 'N' is no unit of the position"),
+    "counts": (lambda: Mapping(units={"position": "counts"}), "what one count of the column is, such as '0.05 m'"),
+    "angle": (lambda: Mapping(units={"position": "deg"}), "'deg' is no unit of the position"),
+    "zero": (lambda: Mapping(units={"position": "0 mm"}), "'0 mm' is zero"),
+    "temperature": (lambda: Mapping(units={"temperature": "mm"}), "write degC, K or degF"),
+    "no gain": (lambda: Mapping(units={"command": "V"}), "needs force_per_volt in .units., such as force_per_volt = "),
+    "other gain": (lambda: Mapping(units={"command": "A"}, force_per_volt=3.0), "needs force_per_ampere"),
+    "gain of nothing": (lambda: Mapping(force_per_volt=0.0), "force_per_volt: must be a finite number of N/V other"),
+    "option": (lambda: Mapping().overridden(["position"]), "--column position: write CHANNEL=VALUE, such as reference"),
+    "option twice": (lambda: Mapping().overridden((), ["time=s", "time=ms"]), "--unit time=ms: time is given twice"),
+    "option's gain": (lambda: Mapping().overridden((), ["force_per_volt=3 m"]), "--unit force_per_volt: '3 m' has the"),
+}
+
+
+@pytest.mark.parametrize(("build", "says"), BAD_MAPPINGS.values(), ids=BAD_MAPPINGS.keys())
+def test_a_bad_mapping_is_refused(build, says):
+    with pytest.raises(LogError, match=says):
+        build()
+
+
+def test_a_mapping_that_does_not_fit_the_file_is_refused(raw, tmp_path):
+    with pytest.raises(LogError, match=r"'qmm': no such column; did you mean 'qm'\? the file has 't', 'qg', 'qm', 'u'"):
+        read_log(raw, Mapping(NAMED | {"position": "qmm"}))
+    with pytest.raises(LogError, match=r"'soll': no such column.*a log needs no reference: leave that line out"):
+        read_log(raw, Mapping(NAMED | {"reference": "soll"}))
+    with pytest.raises(LogError, match=r"nothing says whether the command .* \[units\] .* or give --unit command=N"):
+        read_log(raw, Mapping(NAMED, force_per_volt=3.0))
+    scipy.io.savemat(tmp_path / "two.mat", RAW | {"a": {"pos": RAW["t"]}, "b": {"pos": RAW["t"]}})
+    with pytest.raises(LogError, match=r"position = 'pos' fits 'a\.pos', 'b\.pos'; write one of them in full"):
+        read_log(tmp_path / "two.mat", Mapping(NAMED | {"position": "pos"}))
+
+
+def test_the_command_line_goes_over_the_file():
+    base = Mapping({"time": "t", "position": "x"}, {"position": "mm"})
+    over = base.overridden(["position=qm"], ["command=V", "force_per_volt=35.2"])
+    assert over == Mapping({"time": "t", "position": "qm"}, {"position": "mm", "command": "V"}, 35.2)
+    assert base.overridden((), ["force_per_ampere=0.5 kN/A"]).force_per_ampere == pytest.approx(500.0)
+
+
+def test_the_mapping_wins_over_the_header_and_says_so(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,position [mm],command\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
+    assert read_log(path).position[-1] == pytest.approx(9e-3)
+    log = read_log(path, Mapping(units={"position": "um"}))
+    assert log.position[-1] == pytest.approx(9e-6)
+    assert log.notes == ("position: the file says mm, [units] says um, which was taken",)
+    assert read_log(path, Mapping(units={"position": "0.001 m"})).notes == ()
+    exact = read_log(path, Mapping({"position": "Position"}, {"position": "mm"}))
+    assert exact.position[-1] == pytest.approx(9e-3)
+
+
+# --- drive files ------------------------------------------------------------------------------------------------------
+
+MAPPINGS = [
+    Mapping(),
+    Mapping({"position": "qm"}),
+    Mapping(units={"time": "ms", "position": "50 nm"}),
+    Mapping(NAMED | {"load": "rig.Y.load"}, {"command": "-V", "temperature": "K"}, force_per_volt=35.15065),
+    Mapping(units={"command": "A"}, force_per_ampere=-3.25),
+]
+
+
+def described(mapping) -> DriveDescription:
+    controller = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
+    return DriveDescription(paper_drive(), controller, Sampling(1000.0), Limits(), mapping)
+
+
+@pytest.mark.parametrize("mapping", MAPPINGS)
+def test_drive_files_carry_the_mapping(mapping, tmp_path):
+    write_drive(tmp_path / "drive.toml", described(mapping))
+    assert read_drive(tmp_path / "drive.toml").mapping == mapping
+    held = set(tomllib.loads((tmp_path / "drive.toml").read_text())) & {"columns", "units"}
+    assert held == {
+        name for name in ("columns", "units") if getattr(mapping, name) or (name == "units" and mapping.force_per)
+    }
+
+
+BAD_TABLES = {
+    "unknown channel": ({"columns": {"pos": "x"}}, r"drive: \[columns\] pos: no such channel"),
+    "no table": ({"units": "mm"}, r"drive: \[units\] must be a table"),
+    "bad unit": ({"units": {"position": "N"}}, r"drive: \[units\] position: 'N' is no unit"),
+    "bad gain": ({"units": {"force_per_volt": True}}, r"drive: \[units\] force_per_volt: must be a number in N/V"),
+    "gain in another unit": (
+        {"units": {"force_per_volt": "3 N/A"}},
+        r"\[units\] force_per_volt: '3 N/A' has the wrong",
+    ),
+}
+
+
+@pytest.mark.parametrize(("tables", "says"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
+def test_a_drive_file_with_a_bad_mapping_is_refused(tables, says):
+    with pytest.raises(DriveFileError, match=says):
+        parse_drive(drive_tables(described(Mapping())) | tables)
+
+
+def test_a_gain_may_have_a_unit():
+    tables = drive_tables(described(Mapping())) | {"units": {"command": "V", "force_per_volt": "0.035 kN/V"}}
+    assert parse_drive(tables).mapping.force_per_volt == pytest.approx(35.0)
+
+
+# --- real logs --------------------------------------------------------------------------------------------------------
+
+EMPS_MAPPING = Mapping({"time": "t", "reference": "qg", "position": "qm", "command": "vir"}, {"command": "V"}, 35.15065)
+
+
+@needs_emps
+def test_emps_is_read_right():
+    log = read_log(EMPS, EMPS_MAPPING, rate=1000.0)
+    data = scipy.io.loadmat(EMPS)
+    np.testing.assert_array_equal(log.position, data["qm"].ravel())
+    np.testing.assert_allclose(log.command, 35.15065 * data["vir"].ravel(), rtol=1e-14)
+    np.testing.assert_allclose(log.time, np.arange(24841) * 1e-3, atol=1e-14)
+    assert log.gaps == ()
+    assert log.notes == ("time stamps are rounded by up to 0.0321 us: replaced by uniform ones",)
+    with pytest.raises(LogError, match="the file has 'qg', 'qm', 't', 'vir'"):
+        read_log(EMPS)
+
+
+@needs_emps
+def test_emps_pulses_are_volts_whatever_their_name_says():
+    mapping = EMPS_MAPPING.overridden(["disturbance=pulses_N"], ["disturbance=1.0139 V"])
+    log = read_log(EMPS.with_name("DATA_EMPS_PULSES.mat"), mapping, rate=1000.0)
+    assert np.max(log.disturbance) == pytest.approx(5 * 1.0139 * 35.15065)
+    assert "disturbance: the file says N, [units] says 1.0139 V, which was taken" in log.notes
+
+
+@needs_bench
+@pytest.mark.parametrize("case", ["01", "17", "34"])
+def test_bench_logs_are_read_as_they_are(case, tmp_path):
+    description = read_drive(BENCH / case / "drive.toml")
+    paths = [BENCH / case / f"log-{letter}.parquet" for letter in "ab"]
+    for path, log in zip(paths, read_logs(paths, description.mapping, description.sampling.rate), strict=True):
+        table = pq.read_table(path)
+        for name, values in log.channels.items():
+            np.testing.assert_array_equal(values, table[name].to_numpy(), err_msg=name)
+        assert log.notes == ()
+        write_log(tmp_path / path.name, dataclasses.replace(log, notes=()))
+        assert_same(read_log(tmp_path / path.name), log)

@@ -1,0 +1,379 @@
+"""The command line as a user meets it."""
+
+import errno
+import inspect
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+import warnings
+from importlib import metadata
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.errors import DiffdriveError, LoadEstimatorWarning, ParameterError
+from diffdrive.logs import Mapping, read_log
+from diffdrive.motion.text import numbers as numbers_of
+from experiments.cli.main import app
+from experiments.cli.main import main as cli
+from experiments.reports.report import Report
+
+SHORT = "triangular:speed=10mm/s,stroke=2mm,rounding=0.05s,duration=0.3s"
+
+
+@pytest.fixture
+def drive_file(tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(CliRunner().invoke(app, ["template"]).output, encoding="utf-8")
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+
+
+def numbers(folder):
+    return json.loads((folder / "result.json").read_text())
+
+
+def test_help_names_every_command():
+    shown = run("--help").output
+    commands = "demo simulate check identify diagnose tune sweep replay convergence reproduce bench template keys"
+    for command in commands.split():
+        assert command in shown
+        assert run(command, "--help").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("0.5", [0.5]),
+        ("0;1.5", [0.0, 1.5]),
+        ("0;1e-3", [0.0, 1e-3]),
+        ("5;10.5 ms", [5e-3, 10.5e-3]),
+        ("5 ms;1.5", [5e-3, 1.5]),
+        ("1;.5s", [1.0, 0.5]),
+    ],
+)
+def test_a_list_of_numbers_has_the_unit_behind_its_last_one(text, found):
+    assert numbers_of(text, "s", "times") == pytest.approx(found)
+
+
+def test_the_version_is_that_of_the_package():
+    assert run("--version").output == f"diffdrive {metadata.version('diffdrive')}\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "known"),
+    [
+        ("bench", "part", re.compile("known: (.*)")),
+        ("simulate", "motion", re.compile("motions (.*)")),
+        ("simulate", "load", re.compile("known: (.*)")),
+        ("sweep", "method", re.compile("known: (.*)")),
+        ("tune", "aggregation", re.compile("known: (.*)")),
+    ],
+)
+def test_the_help_of_an_option_names_all_that_it_takes(drive_file, tmp_path, command, option, known):
+    files = () if command == "bench" else (drive_file,)
+    told = refused(command, *files, f"--{option}", "foo:bar=1")
+    shown = run(command, "--help").output
+    for name in known.search(told)[1].split(", "):
+        assert name == "constant" or re.search(rf"\b{name}\b", shown), name  # a bare number is a constant load
+
+
+def test_the_keys_are_all_that_a_drive_file_may_hold(drive_file):
+    shown = run("keys").output
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines()]
+    known = {(row[0], row[2]) for row in rows}
+    for table, values in tomllib.loads(drive_file.read_text()).items():
+        for key, value in values.items():
+            if isinstance(value, dict):
+                assert {(f"[{table}.{key}]", below) for below in value} <= known
+            elif table not in ("columns", "units") or key.startswith("force_per"):
+                assert (f"[{table}]", key) in known
+    assert {("[sampling]", "substeps"), ("[controller]", "velocity_samples"), ("[actuator]", "delay_samples")} <= known
+
+
+def test_the_template_is_a_drive_file(drive_file):
+    assert float(read_drive(drive_file).drive.plant.mass) == 100.0
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_simulate_writes_what_it_prints(drive_file, tmp_path):
+    out = tmp_path / "out"
+    assert run("simulate", drive_file, "--motion", SHORT, "--load", "2kN", "--out", out).exit_code == 0
+    written = numbers(out)
+    assert written["run"]["status"] == "ok"
+    assert 0 < written["result"]["rms_error_um"] < 1
+    assert (out / "run.png").is_file()
+    header, first = (out / "run.csv").read_text().splitlines()[:2]
+    assert header.startswith("time,reference,position")
+    assert len(first.split(",")) == len(header.split(","))
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_simulate_says_what_diverged_and_ends_with_3(drive_file):
+    drive_file.write_text(drive_file.read_text().replace("kd = 15959.29", "kd = 1.6e7"))
+    result = run("simulate", drive_file, "--motion", SHORT)
+    assert result.exit_code == 3
+    assert "diverged: " in result.output
+    assert "t = 0.0" in result.output
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_simulate_a_machine_that_differs_from_the_model(drive_file, tmp_path):
+    machine = tmp_path / "machine.toml"
+    machine.write_text(drive_file.read_text().replace("mass = 100.0 ", "mass = 130.0 "))
+    for name, extra in (("same", ()), ("other", ("--machine", machine))):
+        assert run("simulate", drive_file, "--motion", SHORT, *extra, "--out", tmp_path / name).exit_code == 0
+    assert numbers(tmp_path / "other")["result"] != numbers(tmp_path / "same")["result"]
+
+
+def test_convergence_ends_with_3_where_eq_20_diverges(drive_file, tmp_path):
+    good = run("convergence", drive_file, "--speeds", "10;40 mm/s", "--out", tmp_path / "good")
+    bad = run("convergence", drive_file, "--speeds", "10;15 mm/s")
+    assert (good.exit_code, bad.exit_code) == (0, 3)
+    assert "DIVERGES" in bad.output
+    assert numbers(tmp_path / "good")["tables"]["convergence"]["rows"][0][1] == pytest.approx(0.0174, rel=0.01)
+
+
+def test_a_warning_of_eq_20_names_the_kind_that_mends_it(drive_file):
+    with pytest.warns(LoadEstimatorWarning, match=r'does not converge at .*15 mm/s.*kind = "pd\+fc\+ls"'):
+        run("simulate", drive_file, "--motion", SHORT.replace("10mm/s", "15mm/s"))
+
+
+def test_an_expected_error_is_one_line_and_code_2(drive_file):
+    drive_file.write_text(drive_file.read_text().replace("mass = 100.0", 'mass = "100 mm"'))
+    command = [sys.executable, "-c", "from experiments.cli.main import main; main()", "simulate", str(drive_file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "error: " in done.stderr
+    assert "[plant] mass" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a POSIX signal")
+def test_whoever_is_ended_loses_no_more_than_by_an_interrupt():
+    ended = (
+        "import os, signal, sys; from experiments import cli, drive_reference as keys; "
+        "sys.argv = ['diffdrive', 'keys']; keys.markdown = lambda: os.kill(os.getpid(), signal.SIGTERM); cli.main()"
+    )
+    run = subprocess.run([sys.executable, "-c", ended], capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert "what was written so far stays" in run.stderr
+
+
+def refused(*arguments):
+    """What a command says that ends in one line and code 2."""
+    with pytest.raises(DiffdriveError) as told:
+        run(*arguments)
+    assert "\n" not in str(told.value)
+    return str(told.value)
+
+
+REFUSED = {
+    "a motion beyond the stroke": (
+        "simulate",
+        ("--motion", SHORT.replace("stroke=2mm", "stroke=2m,start=1")),
+        "stroke",
+    ),
+    "a motion that settles for ever": ("simulate", ("--motion", SHORT, "--settle", 5), "--settle: 5 s leaves nothing"),
+    "a shape of load that there is not": (
+        "simulate",
+        ("--motion", SHORT, "--load", "stepp:to=3"),
+        "--load: no shape 'stepp'; known: constant, step, ramp, piecewise, material_removal",
+    ),
+    "a motion that there is not": ("simulate", ("--motion", "zigzag:speed=1"), "--motion: 'zigzag:speed=1' is neither"),
+    "an aggregation that there is not": (
+        "tune",
+        ("--aggregation", "avg"),
+        "--aggregation: no aggregation 'avg'; known: mean, worst, cvar",
+    ),
+    "a load that lifts": ("tune", ("--max-load", "-3kN"), "--max-load -3kN: must be 0 or more"),
+    "noise below none": ("tune", ("--pareto", "5;-3 N"), "--pareto 5;-3 N: each limit must be above 0"),
+    "speeds without a unit": ("convergence", ("--speeds", "10;20"), "--speeds 10;20: give the unit behind the last"),
+    "a first speed without a unit": ("convergence", ("--speeds", "10 mm/s;20"), "give the unit behind the last"),
+    "no speed": ("convergence", ("--speeds", " ; "), "--speeds is empty"),
+    "speeds in kg": ("convergence", ("--speeds", "10;20 kg"), "--speeds: '10 kg' has the wrong unit"),
+}
+
+
+@pytest.mark.parametrize(("command", "options", "says"), REFUSED.values(), ids=REFUSED.keys())
+def test_a_command_that_is_refused_leaves_its_folder_as_it_was(drive_file, tmp_path, command, options, says):
+    good = tmp_path / "good"
+    good.mkdir()
+    (good / "result.json").write_text("an earlier one")
+    assert says in refused(command, drive_file, *options, "--out", good)
+    assert {path.name: path.read_text() for path in good.iterdir()} == {"result.json": "an earlier one"}
+    refused(command, drive_file, *options, "--out", tmp_path / "new" / "below")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_full_disk_ends_in_one_line_and_leaves_the_last_result_whole(monkeypatch, capsys, tmp_path):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(cli, "app", full)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert "no room is left on the disk" in capsys.readouterr().err
+    with Report("first", tmp_path) as report:
+        report.values("kept", number=1)
+    before = (tmp_path / "result.json").read_bytes()
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    with pytest.raises(OSError, match="No space"), Report("second", tmp_path) as report:
+        report.values("lost", number=2)
+    assert (tmp_path / "result.json").read_bytes() == before
+
+
+def test_a_log_that_cannot_be_read_leaves_the_folder_as_it_was(drive_file, tmp_path):
+    (tmp_path / "nolog.csv").write_text("a,b\n1,2\n")
+    assert "nolog.csv" in refused("identify", tmp_path / "nolog.csv", "--drive", drive_file, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["simulate", "tune", "convergence", "sweep", "template"])
+def test_a_folder_that_cannot_be_written_to_is_named_before_anything_is_computed(drive_file, command, monkeypatch):
+    computed = []
+    for name in (
+        "experiments.reports.simulation.simulate", "experiments.reports.tuning.tune",
+        "experiments.reports.simulation.convergence_gains", "experiments.reports.sweep.sweep.run",
+    ):  # fmt: skip
+        monkeypatch.setattr(name, lambda *_, **__: computed.append(command))
+    below = drive_file / "x"
+    options = () if command == "template" else (drive_file,)
+    assert f"--out {below}: cannot be written to" in refused(command, *options, "--out", below)
+    assert f"--out {drive_file}: is a file" in refused(command, *options, "--out", drive_file)
+    assert not computed
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="permissions that bind")
+def test_a_folder_that_may_not_be_looked_into_is_named(drive_file, tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o000)
+    assert "cannot be written to" in refused("template", "--out", closed)
+    assert "cannot be written to" in refused("template", "--out", closed / "below")
+
+
+def test_what_was_found_before_an_error_is_kept_and_said_to_be_a_part(tmp_path, capsys):
+    def work():
+        with Report("title", tmp_path) as report:
+            report.values("first", done=1)
+            raise ValueError("late")
+
+    with pytest.raises(ValueError, match="late"):
+        work()
+    assert numbers(tmp_path)["stopped_by"] == "ValueError: late"
+    printed = capsys.readouterr().out
+    assert "stopped; what was found by then is in" in printed
+    assert "written to" not in printed
+
+
+def test_a_table_prints_the_names_of_a_files_tables(capsys):
+    """Square brackets are no markup."""
+    with Report("title", None) as report:
+        report.table("findings", ["mend"], [["where [units] says so"]])
+    assert "where [units] says so" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
+def test_a_run_is_the_motion_that_it_was_asked_for_and_not_the_one_that_was_measured(drive_file, tmp_path):
+    first = run("simulate", drive_file, "--motion", SHORT, "--out", tmp_path / "first")
+    again = run("simulate", drive_file, "--motion", tmp_path / "first" / "run.csv", "--out", tmp_path / "again")
+    assert first.exit_code == again.exit_code == 0
+    assert "run.csv (column reference)" in again.output
+    ours, theirs = (
+        read_log(tmp_path / name / "run.csv", Mapping(units={"command": "N"})) for name in ("first", "again")
+    )
+    np.testing.assert_array_equal(ours.reference, theirs.reference)
+    assert not np.array_equal(ours.reference, ours.position)
+
+
+HOSTILE = "[red]:on: \x1b[31mfire\x1b[0m\x07 [/bold]"
+SHOWN = r"[red]:on: \x1b[31mfire\x1b[0m\x07 [/bold]"
+
+
+def test_what_a_file_says_is_printed_as_it_is_and_never_obeyed(capsys):
+    """Neither markup nor emoji nor the codes of a terminal, wherever a name of a file or a key comes to be printed."""
+    with Report(HOSTILE, None) as report:
+        report.say(HOSTILE)
+        report.values(HOSTILE, **{HOSTILE: HOSTILE})
+        report.table(HOSTILE, [HOSTILE], [[HOSTILE]])
+        with report.working(HOSTILE), report.stages() as stages, report.counted(HOSTILE, 1) as done:
+            stages(HOSTILE, 1, 1)
+            done(1)
+    printed = capsys.readouterr().out.replace("\n", "")
+    assert "\x1b" not in printed
+    assert "\x07" not in printed
+    assert printed.count(SHOWN) >= 7
+
+
+def test_errors_and_warnings_show_the_codes_that_they_quote(monkeypatch, capsys):
+    def failing():
+        warnings.warn(HOSTILE, LoadEstimatorWarning, stacklevel=1)
+        raise ParameterError(HOSTILE)
+
+    monkeypatch.setattr(cli, "app", failing)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(SystemExit):
+            cli.main()
+    assert capsys.readouterr().err == f"warning: {SHOWN}\nerror: {SHOWN}\n"
+
+
+def test_a_folder_needs_a_name_and_a_link_needs_its_folder(drive_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for empty in ("", " "):
+        answer = run("simulate", drive_file, "--out", empty)
+        assert answer.exit_code == 2
+        assert "is empty; name a folder" in answer.output + answer.stderr
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    assert "--out link: is a link to a folder that is not there" in refused("template", "--out", "link")
+    assert {path.name for path in tmp_path.iterdir()} == {"drive.toml", "link"}
+
+
+NUMBERS = {float: ["nan", "inf", "-inf", "1e400"], int: ["9" * 400, "-" + "9" * 400, str(10**22)]}
+
+
+def numeric_options():
+    """Every option of every command that takes a number, with what no number may be."""
+    groups = [app, *(group.typer_instance for group in app.registered_groups)]
+    found = []
+    for command in (one for group in groups for one in group.registered_commands):
+        hints = get_type_hints(command.callback)
+        needed = [
+            ("--" + key if get_args(hints[key]) == () and key == "out" else None)
+            for key, one in inspect.signature(command.callback).parameters.items()
+            if one.default is inspect.Parameter.empty
+        ]
+        files = [text for option in needed for text in ([option, "x"] if option else ["x"])]
+        for key, hint in hints.items():
+            kinds = set(NUMBERS) & {hint, *get_args(hint)}
+            name = command.name or command.callback.__name__
+            found += [(name, files, f"--{key.replace('_', '-')}", value) for kind in kinds for value in NUMBERS[kind]]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("command", "files", "option", "value"),
+    [pytest.param(*one, id=f"{one[0]} {one[2]} {one[3][:12]}") for one in numeric_options()],
+)
+def test_no_numeric_option_takes_what_no_number_is(command, files, option, value, tmp_path, monkeypatch):
+    """Not a number, infinite, or of more digits than the libraries count with: refused before a file is looked for."""
+    monkeypatch.chdir(tmp_path)
+    answer = CliRunner().invoke(app, [command, *files, f"{option}={value}"])
+    said = f"{answer.exception} {answer.output}"
+    assert isinstance(answer.exception, ParameterError) or answer.exit_code == 2
+    assert option in said

@@ -1,0 +1,126 @@
+"""An interrupted command ends in time, whatever it computes, and says truly what it leaves."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from experiments.cli.ending import left_in, out_of
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+
+BEGIN = """
+import gc, hashlib, os, sys, threading, time
+from pathlib import Path
+from experiments import ending
+ending.FIRST, ending.SECOND = 1.0, 0.3
+watch = ending.Watch(Path(sys.argv[1]))
+watch.begin()
+def computes():  # minutes in C, without the interpreter's lock and deaf to signals
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
+print("begun", flush=True)
+"""
+
+
+def ended(program, folder, *signals, apart=0.6):
+    """Exit code, what it said, and the seconds that it took from the last of the signals."""
+    with subprocess.Popen(
+        [sys.executable, "-c", BEGIN + program, str(folder)], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout.readline() == "begun\n"
+        time.sleep(0.1)
+        for number, one in enumerate(signals):
+            time.sleep(apart * bool(number))
+            process.send_signal(one)
+        began = time.monotonic()
+        try:
+            said = process.communicate(timeout=20.0)
+        finally:
+            process.kill()
+        return process.returncode, "".join(said), time.monotonic() - began
+
+
+@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM])
+def test_what_stays_in_compiled_code_is_ended_and_says_what_is_there(tmp_path, which):
+    program = "(Path(sys.argv[1]) / 'one.csv').write_text('1'); (Path(sys.argv[1]) / '.two.csv').touch(); computes()"
+    code, said, seconds = ended(program, tmp_path, which)
+    assert code == 130
+    assert said.splitlines()[-1] == f"interrupted, stopped at once; {tmp_path} holds, of this run: one.csv"
+    assert seconds < 3.0
+
+
+def test_a_reader_that_does_not_read_keeps_nothing_alive(tmp_path):
+    """The pipe is full, and the main thread waits in the midst of a write."""
+    program = "ending.FIRST = 0.2\nwhile True: sys.stdout.write('x' * 4096)"
+    with subprocess.Popen(
+        [sys.executable, "-c", BEGIN + program, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
+        assert process.stdout.readline() == b"begun\n"
+        time.sleep(0.3)
+        process.send_signal(signal.SIGTERM)
+        try:
+            assert process.wait(10.0)
+        finally:
+            process.kill()
+
+
+def test_a_second_signal_ends_it_sooner(tmp_path):
+    code, said, seconds = ended("ending.FIRST = 60.0; computes()", tmp_path, signal.SIGTERM, signal.SIGTERM)
+    assert code == 130
+    assert said.endswith("interrupted, stopped at once; it had written nothing\n")
+    assert seconds < 3.0
+
+
+def test_two_signals_together_are_one(tmp_path):
+    """`timeout` sends each process two."""
+    program = "ending.SECOND = 0.0\ntry: time.sleep(60)\nexcept KeyboardInterrupt: time.sleep(0.4); print('written')"
+    code, said, _ = ended(program, tmp_path, signal.SIGTERM, signal.SIGTERM, apart=0.05)
+    assert (code, said) == (0, "written\n")
+
+
+def test_an_interrupt_that_a_callback_swallows_comes_again(tmp_path):
+    program = """
+def swallows(*_):
+    gc.callbacks.clear()
+    threading.Thread(target=os.kill, args=(os.getpid(), 15)).start()
+    time.sleep(0.2)
+gc.callbacks.append(swallows)
+try:
+    gc.collect()
+    for _ in range(200): time.sleep(0.01)
+except KeyboardInterrupt: print("interrupted")
+"""
+    code, said, _ = ended(program, tmp_path)
+    assert (code, said) == (0, "interrupted\n")
+
+
+def test_results_are_written_in_peace_after_the_first_interrupt(tmp_path):
+    program = """
+ending.SECOND = 30.0
+try: time.sleep(60)
+except KeyboardInterrupt: time.sleep(1.5); print("written")
+"""
+    code, said, _ = ended("ending.FIRST = 60.0" + program, tmp_path, signal.SIGTERM, signal.SIGINT)
+    assert (code, said) == (0, "written\n")
+
+
+def test_what_is_left_is_of_this_run(tmp_path):
+    (tmp_path / "parts").mkdir()
+    for name in ("old.csv", "parts/old", "new.csv", "parts/new", "parts/.half"):
+        (tmp_path / name).touch()
+    for name in ("old.csv", "parts/old"):
+        os.utime(tmp_path / name, (1.0, 1.0))
+    assert left_in(tmp_path, 10.0) == (
+        f"{tmp_path} holds, of this run: new.csv, parts (1 file); the same command continues from parts"
+    )
+    assert left_in(tmp_path / "none", 10.0) == left_in(None, 10.0) == "it had written nothing"
+
+
+@pytest.mark.parametrize("words", [["tune", "a.toml", "--out", "b"], ["tune", "--out=b", "a.toml"]])
+def test_the_folder_is_that_of_the_option(words):
+    assert out_of(words) == Path("b")
+    assert out_of(words[:1]) is None

@@ -1,0 +1,382 @@
+"""`diffdrive identify` as a user meets it: from log files to a drive file, with what it says and what it refuses."""
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive.axis_file.drive_file import read_drive, write_drive
+from diffdrive.errors import LogError, MotionError, ParameterError
+from diffdrive.logs import read_log, write_log
+from diffdrive.logs.write import write_csv
+from experiments.cli import interruption
+from experiments.cli.interruption import at_next_step
+from experiments.cli.main import app
+from experiments.reports.checked_logs import read_checked
+from experiments.reports.identification.identification import parse_bounds
+from experiments.reports.report import Report
+from experiments.studies.emps import axis as emps
+from experiments.studies.recovery.excitation import joined, resting, strokes
+from tests.support.sound_log import RATE, described, logged
+from tuning.identification.identify import COARSE_STEPS
+from tuning.sweeps.machines import machines
+from tuning.sweeps.samples import correlated, root_of, shares
+from tuning.sweeps.varied import parse_varied
+from tuning.sweeps.varying import varying
+
+TRUE = described()
+# distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
+STROKES = (
+    (2e-5, 4e-4, 0.05, 20.0),
+    (2e-4, 1.5e-3, 0.05, 20.0),
+    (1e-3, 5e-3, 0.3, 30.0),
+    (2e-3, 2e-2, 0.5, 50.0),
+    (4e-3, 0.08, 2.0, 200.0),
+    (1e-3, 3e-3, 0.3, 30.0),
+)
+# the same question wherever one is asked in full, so that it is compiled once
+QUESTION = ("--starts", 2, "--fix", "stribeck_velocity", "--bound", "mass=70kg:150")
+MOTION = joined([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two logs of one machine, and a drive file that takes its mass for a quarter too large."""
+    folder = tmp_path_factory.mktemp("identify")
+    for name, seed in (("lap", 1), ("other", 2)):
+        write_log(folder / f"{name}.csv", logged(TRUE, MOTION, seed=seed))
+    heavy = dataclasses.replace(TRUE.drive, plant=dataclasses.replace(TRUE.drive.plant, mass=125.0))
+    write_drive(folder / "drive.toml", dataclasses.replace(TRUE, drive=heavy))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def identified(folder):
+    """One identification for all who look at its result."""
+    out = folder / "out"
+    result = run(
+        folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--held-out", folder / "other.csv",
+        "--out", out,
+    )  # fmt: skip
+    return result, out, json.loads((out / "result.json").read_text())
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["identify", *(str(one) for one in arguments)], catch_exceptions=False)
+
+
+def estimates(written):
+    return {row[0]: dict(zip(written["tables"]["estimates"]["columns"], row, strict=True)) for row in records(written)}
+
+
+def records(written):
+    return written["tables"]["estimates"]["rows"]
+
+
+def test_it_finds_the_machine_and_writes_everything(identified):
+    result, out, written = identified
+    assert result.exit_code == 0, result.output
+    mass = estimates(written)["mass"]
+    assert mass["drive_file"] == 125.0
+    assert mass["low"] < mass["identified"] < mass["high"]
+    assert mass["identified"] == pytest.approx(100.0, rel=1e-3)
+    assert mass["status"] == "fitted"
+    assert written["search"]["status"] == "converged"
+    figures = {f"{name}.png" for name in ("stribeck", "hysteresis", "missing_force", "parameters", "innovations")}
+    assert set(written["figures"]) == figures
+    for name in {*figures, "identified.toml", "estimates.csv", "gaps.csv", "findings.csv"}:
+        assert (out / name).stat().st_size > 100, name
+    assert "stopped_by" not in written
+
+
+def test_what_is_printed_is_in_the_json(identified):
+    result, _, written = identified
+    assert f"{estimates(written)['viscous.positive']['identified']:.6g}" in result.output
+    for sentence in written["notes"]:
+        assert sentence in result.output
+    assert {"inverse_dynamics", "search", "accuracy", "adequacy", "starts"} <= set(written)
+    assert {"findings", "findings_held_out", "estimates", "correlated", "gaps"} <= set(written["tables"])
+    assert f"force_error_percent {written['inverse_dynamics']['force_error_percent']:.4g}" in result.output
+    assert any(said.startswith("Nothing is missing that these logs would show") for said in written["notes"])
+
+
+def test_fixed_parameters_stay_and_undetermined_ones_are_named(identified):
+    _, _, written = identified
+    found = estimates(written)
+    for side in ("positive", "negative"):
+        held = found[f"stribeck_velocity.{side}"]
+        assert (held["status"], held["low"]) == ("fixed", None)
+        assert held["identified"] == pytest.approx(held["drive_file"])
+        assert found[f"load_coefficient.{side}"]["status"] == "not determined"
+    assert any("do not determine load_coefficient.positive" in said for said in written["notes"])
+
+
+def test_the_gap_closes_also_on_the_held_out_log(identified):
+    _, _, written = identified
+    rows = written["tables"]["gaps"]["rows"]
+    assert {(row[0], row[1]) for row in rows} == {("lap", "identified from"), ("other", "held out")}
+    for _, _, gap, before, after in rows:
+        assert after < 0.3 * before, gap
+    step = {row[0]: row[4] for row in rows if row[2] == "one-step prediction, um"}
+    assert step["other"] == pytest.approx(step["lap"], rel=0.1)
+
+
+def test_the_identified_drive_file_reads_back_and_simulates(identified, folder):
+    _, out, written = identified
+    believed, found = read_drive(folder / "drive.toml"), read_drive(out / "identified.toml")
+    assert float(found.drive.plant.mass) == estimates(written)["mass"]["identified"]
+    for part in ("sampling", "limits", "mapping"):
+        assert getattr(found, part) == getattr(believed, part)
+    assert found.controller.tracking.gains == believed.controller.tracking.gains
+    motion = "sine:amplitude=2mm,frequency=2Hz,duration=0.5s"
+    simulated = CliRunner().invoke(app, ["simulate", str(out / "identified.toml"), "--motion", motion])
+    assert simulated.exit_code == 0
+    assert "status ok" in simulated.output
+
+
+FAULTS = {
+    "no such parameter": (("--fix", "mas"), r"--fix mas: no such parameter; known: mass, constant_force"),
+    "no such bound": (("--bound", "mas=1:2"), r"--bound mas: no such parameter"),
+    "half a bound": (("--bound", "mass=80"), r"--bound mass=80: write NAME=LOW:HIGH"),
+    "bounds reversed": (("--bound", "mass=120:80"), r"--bound mass=120:80: the lower end must be below"),
+    "bounded twice": (("--bound", "mass=8:9", "--bound", "mass=9:10"), r"mass is bounded twice"),
+    "load of no log": (("--load", "lop.csv=8kN"), r"--load lop.csv=8kN: write LOG=FORCE, such as lap.csv=8kN"),
+    "load without a number": (("--load", "lap.csv=heavy"), r"--load lap.csv=heavy: "),
+    "loaded twice": (("--load", "lap.csv=8kN", "--load", "lap.csv=9kN"), r"lap.csv is not one log, or is named twice"),
+    "no such channel": (("--column", "positon=qm"), r"positon: no such channel; did you mean 'position'"),
+    "no such column": (("--column", "position=qm"), r"qm"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_bad_options_are_refused_in_one_line(name, folder):
+    options, said = FAULTS[name]
+    with pytest.raises((ParameterError, LogError, MotionError), match=said) as caught:
+        run(folder / "lap.csv", "--drive", folder / "drive.toml", *options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
+    with Report("loads", tmp_path) as report:
+        given = {"other.csv": 8e3}
+        paths = [folder / "lap.csv", folder / "other.csv"]
+        lap, other = read_checked(paths, TRUE, report, name="findings", force=False, loads=given)
+        assert lap.load is None
+        assert np.all(other.load == 8e3)
+        write_log(tmp_path / "loaded.csv", other)
+        with pytest.raises(LogError, match="has a load of its own"):
+            read_checked([tmp_path / "loaded.csv"], TRUE, report, name="more", force=False, loads={"loaded.csv": 1.0})
+
+
+def test_a_bound_may_carry_its_unit():
+    assert parse_bounds(["bristle_stiffness=20 N/um:50N/um"], TRUE.drive) == {"bristle_stiffness": (2e7, 5e7)}
+    assert parse_bounds(["delay=0:2"], TRUE.drive) == {"delay": (0.0, 2.0)}
+
+
+def test_a_log_that_is_none_is_refused(folder):
+    (folder / "empty.csv").write_text("time,position\n")
+    with pytest.raises(LogError, match=r"empty\.csv"):
+        run(folder / "empty.csv", "--drive", folder / "drive.toml")
+    with pytest.raises(LogError, match=r"nowhere\.csv: no such file"):
+        run(folder / "nowhere.csv", "--drive", folder / "drive.toml")
+
+
+def test_a_log_at_another_rate_is_refused(folder, tmp_path):
+    log = logged(TRUE, MOTION)
+    slower = {name: values[::2] for name, values in log.channels.items()}
+    write_log(tmp_path / "slow.csv", dataclasses.replace(log, **slower))
+    with pytest.raises(LogError, match=r"slow\.csv: is sampled at 1000 Hz, .* runs at 2000 Hz: log every sample"):
+        run(tmp_path / "slow.csv", "--drive", folder / "drive.toml")
+
+
+def test_a_log_that_is_given_twice_is_refused(folder, tmp_path):
+    drive = ("--drive", folder / "drive.toml")
+    copy = tmp_path / "another_day.csv"
+    copy.write_bytes((folder / "lap.csv").read_bytes())
+    with pytest.raises(LogError, match=r"lap\.csv: is given twice; give each log once"):
+        run(folder / "lap.csv", folder / "other.csv", tmp_path / ".." / folder.name / "lap.csv", *drive)
+    with pytest.raises(LogError, match=r"another_day\.csv: holds the same samples as lap; give each log once"):
+        run(folder / "lap.csv", copy, *drive)
+    for again in (folder / "lap.csv", copy):
+        with pytest.raises(LogError, match=rf"{again.name}: holds the same samples as lap; .* hold out one of another"):
+            run(folder / "lap.csv", *drive, "--held-out", again)
+
+
+def cut(folder, name, rows):
+    """A log of the first rows, in SI units."""
+    log = logged(TRUE, MOTION)
+    write_log(folder / name, dataclasses.replace(log, **{k: values[:rows] for k, values in log.channels.items()}))
+    return folder / name
+
+
+def test_too_short_a_log_is_told_how_long_it_must_be(folder, tmp_path):
+    """No --force helps: fewer samples in a row than that are never used."""
+    short = cut(tmp_path, "short.csv", 199)
+    told = r"short\.csv: has at most 199 samples in a row without a gap; at least 200 are needed, 0\.1 s at 2000 Hz"
+    for logs in ([short], [folder / "lap.csv", "--held-out", short]):
+        with pytest.raises(LogError, match=told) as refused:
+            run(*logs, "--drive", folder / "drive.toml", "--force")
+        assert "force" not in str(refused.value)
+        assert "log a longer motion" in str(refused.value)
+    with Report("long enough", None) as report:
+        read_checked([cut(tmp_path, "enough.csv", 200)], TRUE, report, name="findings", force=True)
+
+
+def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path):
+    drive = tmp_path / "volts.toml"
+    drive.write_text((folder / "drive.toml").read_text() + "\n[units]\nforce_per_volt = 159.593\n")
+    motion = "sine:amplitude=2mm,frequency=2Hz,duration=0.5s"
+    simulate = ["simulate", str(drive), "--motion", motion, "--out", str(tmp_path / "run")]
+    assert CliRunner().invoke(app, simulate).exit_code == 0
+    with Report("simulated", None) as report:
+        (log,) = read_checked([tmp_path / "run" / "run.csv"], read_drive(drive), report, name="findings", force=False)
+    assert np.array_equal(log.command, read_log(tmp_path / "run" / "run.csv").command)
+
+
+@pytest.fixture
+def in_volts(folder, tmp_path):
+    """A log whose command is in volts of 159.6 N, and says newtons."""
+    log = logged(TRUE, MOTION)
+    path = tmp_path / "volts.csv"
+    write_log(path, dataclasses.replace(log, command=log.command / 159.6))
+    return path
+
+
+def test_a_fatal_finding_ends_with_one_line_and_code_2(folder, in_volts, tmp_path):
+    code = "from experiments.cli.main import main; main()"
+    arguments = ["identify", in_volts, "--drive", folder / "drive.toml", "--out", tmp_path / "out"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "error: volts: command: " in done.stderr
+    assert "--force" in done.stderr
+    assert "fatal" in done.stdout  # the table with all that was found
+    assert not (tmp_path / "out" / "identified.toml").exists()
+
+
+def test_force_goes_on_over_a_fatal_finding_and_says_so(in_volts, capsys):
+    with Report("forced", None) as report:
+        read_checked([in_volts], TRUE, report, name="findings", force=True)
+    assert "FORCED over fatal findings" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkeypatch):
+    monkeypatch.setattr(interruption, "TOGETHER", 0.0)
+    steps, said = [], []
+    handler = signal.getsignal(signal.SIGINT)
+    with at_next_step(lambda *step: steps.append(step), said.append) as progress:
+        progress(1, 9, 1.0)
+        signal.raise_signal(signal.SIGINT)  # no exception here, in the midst of a computation
+        with pytest.raises(KeyboardInterrupt):
+            progress(2, 9, 1.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert [step[0] for step in steps] == [1, 2]
+    assert "best so far is written" in said[0]
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3_and_continues(
+    identified, folder, monkeypatch, tmp_path
+):
+    def interrupted(self, what, total):
+        return _interrupting()
+
+    monkeypatch.setattr(Report, "progress", interrupted)
+    out = tmp_path / "out"
+    command = (folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--out", out)
+    result = run(*command)
+    assert result.exit_code == 3
+    written = json.loads((out / "result.json").read_text())
+    assert written["search"]["status"].startswith("interrupted")
+    assert any("did not converge" in said for said in written["notes"])
+    assert "The same command continues the search from identification.parts." in written["notes"]
+    assert (out / "identified.toml").is_file()
+    monkeypatch.undo()
+    again = run(*command)
+    assert again.exit_code == 0
+    assert "1 finished searches of an interrupted identification were used" in again.output
+    continued = json.loads((out / "result.json").read_text())
+    for name in ("search", "accuracy", "adequacy", "starts"):
+        assert continued[name] == identified[2][name]
+    assert records(continued) == records(identified[2])
+    assert not (out / "identification.parts").exists()
+
+
+class _interrupting:  # noqa: N801
+    """A progress bar whose user presses Ctrl-C once the starts are done."""
+
+    def __enter__(self):
+        self.steps = 0
+
+        def advance(*_):
+            self.steps += 1
+            if self.steps == COARSE_STEPS + 1:
+                signal.raise_signal(signal.SIGINT)
+
+        return advance
+
+    def __exit__(self, *_):
+        return None
+
+
+def test_what_it_left_open_is_what_a_sweep_varies(identified):
+    _, out, written = identified
+    axis = read_drive(out / "identified.toml")
+    texts, together = varying(out / "identified.toml", [], None, out / "uncertainty.toml")
+    found = estimates(written)
+    fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
+    names = [text.partition("=")[0] for text in texts]
+    assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
+    assert sum(map(len, together.values())) == len(names) * (len(names) - 1) / 2  # no pair is left out
+    drawn = correlated(shares("sobol", len(texts), 0, 0, 4096), root_of(together, names))
+    machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
+    for name, value in values.items():
+        row = found[name.split(".", 1)[1]]
+        near = 0.02 * (row["high"] - row["low"])
+        assert np.quantile(value, [0.025, 0.975]) == pytest.approx([row["low"], row["high"]], abs=near), name
+    assert len(np.ravel(machine.plant.mass)) == 4096
+    for one, other, r in written["tables"]["correlated"]["rows"]:
+        if f"friction.{one}" in names and f"friction.{other}" in names:
+            normal = np.corrcoef(values[f"friction.{one}"], values[f"friction.{other}"])[0, 1]
+            assert normal == pytest.approx(r, abs=0.02)
+
+
+FOLDER = emps.find_folder()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(FOLDER is None, reason="the EMPS log is not in ../shared/data/emps")
+def test_the_emps_axis_end_to_end(tmp_path):
+    """The file with pulses is held out, they being taken out of the command and given as the disturbance."""
+    from experiments.studies.demo import PAPER_DRIVE
+
+    pulses = emps.read(FOLDER / emps.FILES["pulses"]).log
+    mapping = read_drive(PAPER_DRIVE.parent / "emps.toml").mapping
+    columns = {mapping.columns.get(channel, channel): values for channel, values in pulses.channels.items()}
+    columns["vir"] = columns["vir"] / mapping.force_per_volt
+    write_csv(tmp_path / "pulses.csv", columns, {"disturbance": "N"})
+    out = tmp_path / "out"
+    result = run(
+        FOLDER / emps.FILES["estimation"], "--drive", PAPER_DRIVE.parent / "emps.toml", "--starts", 3,
+        "--held-out", tmp_path / "pulses.csv", "--out", out,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    written = json.loads((out / "result.json").read_text())
+    assert written["search"]["status"] == "converged, but structure remains"
+    assert any(said.startswith("Structure remains") for said in written["notes"])
+    found = estimates(written)
+    assert found["mass"]["identified"] == pytest.approx(95.1, rel=0.01)
+    gaps = {(row[1], row[2]): row[3:] for row in written["tables"]["gaps"]["rows"]}
+    for role, before in (("identified from", 4.46), ("held out", 5.04)):  # as docs/emps.md has them
+        assert gaps[role, "closed loop: command, %"][0] == pytest.approx(before, rel=0.1)
+        for gap in ("one-step prediction, um", "missing force, N", "closed loop: command, %"):
+            assert gaps[role, gap][1] < gaps[role, gap][0], (role, gap)
+    assert read_drive(out / "identified.toml").mapping.columns["reference"] == "qg"

@@ -1,0 +1,103 @@
+"""What `diffdrive diagnose` makes of logs that the checks find a fatal fault in."""
+
+import dataclasses
+import json
+import re
+from html import escape
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.logs import write_log
+from diffdrive.logs.checks.examine import Finding
+from experiments.reports.diagnosis import diagnosis as command
+from experiments.studies.withheld import answer
+from tests.support import tilted_log
+from tests.support.sound_log import DRIVE, SOUND, moved
+
+
+def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
+    fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
+    monkeypatch.setattr(command, "read", lambda *_: ((), [], fatal))
+    monkeypatch.setattr(command, "draw", lambda *_: None)
+    told, _ = told_of(tilted)
+    assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
+
+
+def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
+    """A rejected search of minutes, and a drive file that nobody should run."""
+    path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"
+    write_log(path, dataclasses.replace(SOUND, command=-moved(SOUND.command, 1)))  # late as well, which is said first
+    write_drive(drive, DRIVE)
+    out.mkdir()
+    for stale in ("augmented.toml", "causes.csv"):
+        (out / stale).write_text("of an earlier diagnosis")
+    told = command.diagnose_logs([path], drive, out)
+    assert told["verdict"] == "unknown"
+    assert told["causes"] == []
+    assert told["says"].startswith("no cause was looked for: the log checks say of reversed")
+    assert "--unit command=-N" in told["next_experiment"]["says"]
+    assert "reversed" in told["says"]
+    assert not (out / "augmented.toml").exists()
+    assert not (out / "causes.csv").exists()
+    assert "No cause was looked for" in (out / "report.html").read_text()
+
+
+def test_a_fatal_finding_lowers_the_confidence_and_is_told(tilted, told_of, capsys):
+    assert told_of(tilted)[0]["findings"] == []
+    late = dataclasses.replace(tilted_log.log(), command=moved(tilted_log.log().command, 1))
+    told, out = told_of(tilted, late)
+    printed = capsys.readouterr().out
+    assert "FORCED" not in printed
+    assert "1 fatal" in printed
+    finding = told["findings"][0]
+    assert (finding["severity"], finding["channel"]) == ("fatal", "command")
+    assert told["verdict"] == "unknown"
+    assert finding["found"] in told["says"]
+    assert all(one["confidence"] <= 0.5 for one in told["causes"])
+    page = (out / "report.html").read_text()
+    assert f"<td>{escape(finding['mend'])}</td>" in page
+    assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
+
+
+def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_path, monkeypatch):
+    late = dataclasses.replace(tilted_log.log(), command=moved(tilted_log.log().command, 1))
+    told, _ = told_of(tilted, late)
+    place = tmp_path / "case"
+    place.mkdir()
+    write_log(place / "log-a.parquet", late)
+    write_drive(place / "drive.toml", DRIVE)
+    monkeypatch.setattr(command, "diagnose", lambda *_, **__: tilted)
+    answered = answer.answer(place)
+    assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
+    assert answered["verdict"] == told["verdict"] == "unknown"
+    assert answered["says"] == re.sub(r"\blap:", "log-a:", told["says"])
+    assert answered["causes"] == told["causes"]
+
+
+@pytest.mark.parametrize(
+    ("resembles", "amount", "verdict"),
+    [
+        ("loop_delay", -1.0, "effect"),
+        ("loop_delay", -2.0, "unknown"),
+        ("loop_delay", 1.0, "unknown"),
+        ("force_gain", 1.0, "unknown"),
+        (None, None, "unknown"),
+    ],
+)
+def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps(tilted, resembles, amount, verdict):
+    """In kind and in size: what the log's fault would not look like is another matter."""
+    finding = Finding("fatal", "command", "one sample late", "shift it", "shifted", resembles=resembles, amount=amount)
+    fatal = [("lap", finding)]
+    late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
+    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
+    found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
+    doubted = command.doubted(found, fatal).verdict
+    assert doubted.verdict == verdict
+    assert "one sample late" in doubted.says
+    assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
+    assert command.doubted(tilted, fatal).verdict.verdict == "unknown"
+    assert command.doubted(tilted, []) is tilted
+    assert "mend lap: shift it" in command._mended_first(found, fatal).says

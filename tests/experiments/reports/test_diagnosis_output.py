@@ -1,0 +1,255 @@
+"""What `diffdrive diagnose` tells: JSON, page, figures and augmented drive agree, and leave nothing out."""
+
+import dataclasses
+import json
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.effects.forces import ConstantForce
+from experiments.reports.diagnosis import diagnosis as command
+from experiments.reports.diagnosis.as_json import as_json
+from experiments.reports.diagnosis.figures import _ladder
+from experiments.reports.report import Report
+from tests.support import tilted_log
+from tests.support.sound_log import DRIVE, described
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.candidates import candidates
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import LoopGap
+from tuning.diagnosis.model import Member, Model
+from tuning.diagnosis.setting import setting
+
+MASS = float(DRIVE.drive.plant.mass) * np.exp(tilted_log.OFF[NAMES.index("mass")])  # kg, the machine's
+
+
+def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tmp_path):
+    given = described("pd+fc+ls")
+    heavier = dataclasses.replace(given.drive.plant, mass=123.0)
+    found = dataclasses.replace(given.drive, plant=heavier, effects=(ConstantForce(6.0),))
+    monkeypatch.setattr(command, "augmented_drive", lambda _: found)
+    with Report("augmented", tmp_path, Console(quiet=True)) as report:
+        doubted = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", says="much\nis left"))
+        assert command._write(report, given, doubted, "Write more noise.") == "augmented.toml"
+    begins = (tmp_path / "augmented.toml").read_text().splitlines()[:2]
+    assert begins == ["# the verdict of the diagnosis was unknown: much is left", "# Write more noise."]
+    written = read_drive(tmp_path / "augmented.toml")
+    assert float(written.drive.effects[0].force) == 6.0
+    assert float(written.controller.observer.plant.mass) == 123.0
+    assert float(written.controller.tracking.feedforward.mass) == 123.0
+    assert written.controller.tracking.gains == given.controller.tracking.gains
+
+
+def with_rung(found, number, **changes):
+    rungs = list(found.rungs)
+    rungs[number] = rungs[number]._replace(**changes)
+    return dataclasses.replace(found, rungs=rungs)
+
+
+def with_second(found):
+    """The same with a second effect, which the catalogue has before the first one, fitted together with it."""
+    alone, logged = found.found, found.logged
+    other = next(
+        one
+        for one in candidates(setting(logged.drive, logged.lanes, logged.sampling.period))
+        if one.name == "friction_asymmetry"
+    )
+    model = Model(logged, (*alone.model.members, Member(other)), alone.model.tolerance)
+    u = np.r_[alone.u[:-1], alone.u[-1] + 0.5, 0.3, -0.2]
+    joint = Fitter(logged).fit(model, u, alone.process, alone.track.course, most=0)
+    first = found.verdict.beliefs[0]
+    beliefs = [first, first._replace(effect=other.name, round=1, fitted=joint)]
+    return dataclasses.replace(
+        found,
+        explanation=found.explanation._replace(best=joint),
+        verdict=found.verdict._replace(beliefs=beliefs),
+        rungs=[*found.rungs, found.rungs[-1]._replace(name=f"+ {other.name}", fitted=joint)],
+    )
+
+
+def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_drive_has_them(tilted, told_of):
+    told, out = told_of(with_second(tilted))
+    written = {one.name: one for one in read_drive(out / "augmented.toml").drive.effects}
+    assert set(written) == {"friction_asymmetry", "constant_force"}
+    alone = as_json(tilted, tilted_log.UNASKED)["causes"][0]["parameters"]["force"]
+    for cause in told["causes"]:
+        for name, value in cause["parameters"].items():
+            assert float(getattr(written[cause["effect"]], name)) == pytest.approx(value)
+            low, high = cause["intervals"][name]
+            assert low < value < high
+    assert told["causes"][0]["parameters"]["force"] != pytest.approx(alone, abs=1.0)
+    shown = re.findall(r"<td>force (\S+) \(\S+ to \S+\) N</td>", (out / "report.html").read_text())
+    assert [float(one) for one in shown] == pytest.approx([float(written["constant_force"].force)], rel=0.01)
+
+
+def section(page, begin):
+    """The text of the page's section whose heading begins so."""
+    return next(part for part in page.split("<h2>") if part.startswith(begin))
+
+
+def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
+    nominal = tilted.rungs[0]  # as if recalibration had explained nothing
+    told, out = told_of(with_rung(tilted, 1, force=nominal.force, interval=nominal.interval))
+    last, (low, high) = told["ladder"][-1], told["closed"]["interval"]
+    assert last["force_floor_N"] == tilted.floor
+    assert last["position_floor_m"] == pytest.approx(last["position_rms_m"], rel=0.3)
+    assert last["command_floor_N"] == pytest.approx(last["command_rms_N"], rel=0.3)
+    assert 0.9 < low <= told["closed"]["share"] <= high <= 1.0
+    text = section((out / "report.html").read_text(), "4.")
+    for number in (last["force_rms_N"], *last["force_interval_N"], tilted.floor, 1e6 * last["position_rms_m"]):
+        assert f"<td>{number:.4g}</td>" in text
+    for share in (last["shrink"], *last["shrink_interval"]):
+        assert f"<td>{100 * share:.4g}</td>" in text
+    ((said, *ends),) = re.findall(r"(\S+) % \((\S+) to (\S+)\) of what was left beyond the floor", text)
+    assert float(said) == pytest.approx(100 * told["closed"]["share"], abs=0.5)
+    assert [float(one) for one in ends] == pytest.approx([100 * low, 100 * high], abs=0.5)
+    assert "held out" in text
+
+
+def test_where_recalibration_hides_the_gap_it_is_said(tilted):
+    told = as_json(tilted, tilted_log.UNASKED)
+    closed, last = told["closed"], told["ladder"][-1]
+    assert f"{1e6 * last['position_rms_m']:.3g} um with what was found" in closed["says"]
+    assert closed["share"] is None
+    assert "Recalibration hides the gap" in closed["says"]
+
+
+GAINS = {"phase_deg": 31.0, "gain_up_dB": 7.0, "gain_down_dB": 8.0, "command_noise_N": 9.0, "worst_peak_um": 5.0}
+
+
+def paid(*_):
+    return {
+        name: GAINS | {"mean_rms_um": rms, "requirements_kept_where_tuned": True, "runs_ok": True}
+        for name, rms in (("given", 3.0), ("tuned on nominal", 2.0), ("tuned on augmented", 1.5))
+    }
+
+
+def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(tilted, told_of, monkeypatch):
+    monkeypatch.setattr(command, "payoff", paid)
+    told, out = told_of(tilted, tuned=True)
+    assert json.loads((out / "diagnosis.json").read_text())["payoff"] == told["payoff"]
+    assert told["payoff"]["gains"]["tuned on augmented"]["mean_rms_um"] == 1.5
+    text = section((out / "report.html").read_text(), "4.")
+    assert "-25 %" in text
+    assert "<td>tuned on augmented</td><td>1.5</td>" in text
+
+
+def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(tilted, told_of, monkeypatch):
+    monkeypatch.setattr(
+        command, "payoff", lambda *_: paid() | {"tuned on nominal": paid()["given"] | {"runs_ok": False}}
+    )
+    told, _ = told_of(dataclasses.replace(tilted, verdict=tilted.verdict._replace(verdict="unknown")), tuned=True)
+    says = told["payoff"]["says"]
+    assert says.startswith("The verdict is unknown")
+    assert "Simulations fail with the gains tuned on nominal." in says
+
+
+def test_the_diagnosis_is_there_whatever_fails_after_it(tilted, told_of, monkeypatch, tmp_path):
+    def fails(*_):
+        raise RuntimeError("no drawing")
+
+    monkeypatch.setattr(command, "tell", fails)
+    with pytest.raises(RuntimeError):
+        told_of(tilted)
+    kept = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert kept["verdict"] == "effect"
+    assert kept["next_experiment"]["says"].startswith("not looked for")
+
+
+def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_of, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "payoff", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        told_of(tilted, tuned=True)
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["verdict"] == "effect"
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):
+    told, out = told_of(tilted)
+    rows = {one["parameter"]: one for one in told["recalibrated"]}
+    assert set(NAMES) - {"bristle_stiffness", "bristle_damping"} < set(rows)
+    mass, drive = rows["mass"], read_drive(out / "augmented.toml").drive
+    assert (mass["drive_file"], mass["unit"]) == (float(DRIVE.drive.plant.mass), "kg")
+    low, high = mass["with_effects_interval"]
+    assert low < mass["with_effects"] < high
+    assert mass["with_effects"] == pytest.approx(MASS, rel=1e-3)
+    assert float(drive.plant.mass) == pytest.approx(mass["with_effects"])
+    stiffness = rows["bristle_stiffness.negative"]
+    assert float(drive.friction.bristle_stiffness.negative) == pytest.approx(stiffness["with_effects"])
+    assert rows["mass"]["recalibrated"] == pytest.approx(float(tilted.explanation.base.own.plant.mass))
+    text = section((out / "report.html").read_text(), "3.")
+    row = re.search(r"<td>mass</td><td>kg</td><td>100</td>((<td>[^<]+</td>){3})", text)
+    shown, *ends = re.findall(r"[\d.]+", row.group(1))
+    half = 0.5 * (mass["recalibrated_interval"][1] - mass["recalibrated_interval"][0])
+    assert float(shown) == pytest.approx(mass["recalibrated"], abs=0.051 * half)
+    assert [float(one) for one in ends] == pytest.approx(mass["recalibrated_interval"], abs=0.051 * half)
+
+
+def test_a_simulation_that_runs_away_is_told_with_its_reason(tilted, told_of):
+    away = LoopGap(np.inf, np.inf, np.inf, np.inf, "lap: the simulation in closed loop runs away")
+    found = with_rung(tilted, 0, loop=away)
+    told, out = told_of(found)
+    first = json.loads((out / "diagnosis.json").read_text())["ladder"][0]
+    assert (first["position_rms_m"], first["command_rms_N"], first["loop_says"]) == (None, None, away.says)
+    assert told["gap"]["position_rms_m"] is None
+    assert f"nominal: {away.says}" in (out / "report.html").read_text()
+    assert len(_ladder(found).axes) == 3  # the others are drawn all the same
+
+
+def test_a_force_that_a_lost_filter_saw_is_not_told(tilted, told_of):
+    """Neither of the nominal drive nor of the recalibrated one; with what was found the filter follows."""
+    lost = [tilted.rungs[k].force._replace(lost=0.9) for k in range(2)]
+    told, out = told_of(with_rung(with_rung(tilted, 0, force=lost[0]), 1, force=lost[1]))
+    written = json.loads((out / "diagnosis.json").read_text())
+    assert [one["force_rms_N"] for one in written["ladder"]] == [None, None, told["ladder"][2]["force_rms_N"]]
+    assert [one["force_interval_N"][0] is None for one in written["ladder"]] == [True, True, False]
+    assert [one["shrink"] for one in written["ladder"]] == [None] * 3
+    assert (written["gap"]["force_rms_N"], written["gap"]["recalibrated_force_rms_N"]) == (None, None)
+    assert written["gap"]["noise_floor_force_N"] == tilted.floor
+    assert (written["causes"][0]["gap_before"], written["causes"][0]["held_out"]["shrink"]) == (None, None)
+    assert "lost with the recalibrated drive" in written["closed"]["says"]
+    page = (out / "report.html").read_text()
+    assert "too far from the logs" in section(page, "1.")
+    assert "<td>nominal</td><td>-</td><td>-</td><td>-</td>" in section(page, "1.")
+
+
+def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(tilted, told_of):
+    lost = tilted
+    for number, rung in enumerate(tilted.rungs):
+        lost = with_rung(lost, number, force=rung.force._replace(lost=0.9))
+    told, out = told_of(lost)
+    assert told["gap"]["noise_floor_force_N"] is None
+    assert told["closed"]["share"] is told["causes"][0]["held_out"]["shrink"] is None
+    assert "lost with what was found" in told["closed"]["says"]
+    assert (out / "ladder.png").exists()
+
+
+def test_what_is_no_finite_number_is_null(tilted, told_of):
+    """Of a filter that ran away, and of a parameter that the logs leave open."""
+    away = tilted.rungs[0].force._replace(force=np.full_like(tilted.rungs[0].force.force, np.nan))
+    found = with_rung(tilted, 0, force=away, interval=(np.nan, np.nan), shrink=(np.nan,) * 3)
+    rival = found.verdict.beliefs[0]._replace(gain=-np.inf)
+    found = dataclasses.replace(found, verdict=found.verdict._replace(beliefs=[rival]))
+    told, out = told_of(with_rung(found, 1, unlikely=np.full(12, np.inf)))
+    text = (out / "diagnosis.json").read_text()
+    assert not any(name in text for name in ('"nan"', '"inf"', '"-inf"'))
+    written = json.loads(text)
+    assert written["ladder"][0]["force_rms_N"] is written["ladder"][1]["deviance"] is None
+    assert written["ladder"][0]["force_interval_N"] == [None, None]
+    assert written["causes"][0]["evidence"] is None
+    assert told["causes"][0]["evidence"] is None  # nor is it another in Python
+
+
+def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_of):
+    found = dataclasses.replace(tilted, rungs=[one._replace(loop=None) for one in tilted.rungs])
+    told, out = told_of(found)
+    assert "controller" in told["ladder"][0]["loop_says"]
+    assert told["ladder"][0]["loop_says"] in (out / "report.html").read_text()
+    assert len(_ladder(found).axes) == 1

@@ -1,0 +1,61 @@
+"""What `diffdrive identify` draws and looks along, piece by piece."""
+
+import dataclasses
+
+import jax
+import numpy as np
+
+from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.loop.simulate import simulate
+from experiments.reports.identification.forest import forest
+from experiments.reports.identification.modelled_friction import friction_on, stretches_of
+from experiments.studies.demo import PAPER_DRIVE
+from experiments.studies.emps import axis as emps
+from experiments.studies.recovery.excitation import joined, resting, strokes
+from tests.support.sound_log import RATE, described, logged
+from tuning.identification.estimates import Estimate
+from tuning.identification.problem import lanes_of
+
+TRUE = described()
+# distance m, speed m/s, acceleration m/s^2, jerk m/s^3
+STROKES = ((2e-4, 1.5e-3, 0.05, 20.0), (1e-3, 3e-3, 0.3, 30.0), (2e-3, 2e-2, 0.5, 50.0), (4e-3, 0.08, 2.0, 200.0))
+MOTION = joined([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
+
+
+def test_friction_along_a_motion_is_that_of_the_simulation():
+    drive = TRUE.drive
+    run = simulate(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
+    found = friction_on(drive, run.log(), run.velocity)
+    damping = np.where(run.velocity >= 0, drive.plant.damping.positive, drive.plant.damping.negative) * run.velocity
+    assert np.sqrt(np.mean((found - run.friction - damping) ** 2)) < 0.5  # of 100 N
+
+
+def test_stretches_are_those_of_the_lanes():
+    log = dataclasses.replace(logged(TRUE, MOTION), gaps=(1000, 1100, 3000))
+    lanes, pieces = lanes_of([log]), stretches_of([log])
+    assert [len(one.time) for one in pieces] == np.asarray(lanes.counts).sum(axis=1).tolist()
+    assert [one.position[0] for one in pieces] == np.asarray(lanes.position)[:, 0].tolist()
+
+
+def test_a_forest_plot_draws_every_kind_of_row():
+    rows = [
+        Estimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, "fitted"),
+        Estimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, "at its bound"),
+        Estimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, "fitted"),
+        Estimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, "fitted"),
+        Estimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, "not determined"),
+    ]
+    figure = forest(rows)
+    low, high = figure.axes[0].get_xlim()
+    assert low < 0.8
+    assert 30.0 < high < 100.0
+    figure.draw_without_rendering()
+
+
+def test_the_emps_drive_file_holds_the_published_parameters():
+    held = read_drive(PAPER_DRIVE.parent / "emps.toml")
+    published = emps.reference_drive()
+    assert jax.tree.leaves((held.drive.plant, held.drive.friction)) == jax.tree.leaves(
+        (published.plant, published.friction)
+    )
+    assert held.sampling.rate == emps.SAMPLING.rate

@@ -1,0 +1,66 @@
+"""The figures of a sweep show every machine, those that diverged too."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from experiments.reports.sweep import figures
+from tuning.sweeps.summary import Group
+
+TOLERANCE = 3e-6
+
+
+def group(errors, controller="one"):
+    """Machines with these errors (m); of infinite ones the loop diverged."""
+    errors = np.asarray(errors, float)
+    lost = np.isinf(errors)
+    columns = {"machine": np.arange(errors.size), "peak_m": np.where(lost, np.nan, errors), "diverged": lost}
+    return Group(controller, "lap", pa.table(columns | {"load": np.linspace(0.0, 1e4, errors.size)}))
+
+
+SOUND = group(np.linspace(1e-7, 1e-6, 100))
+PARTLY = group(np.r_[np.linspace(1e-7, 1e-6, 80), np.full(20, np.inf)], "partly")
+WILD = group(np.full(100, np.inf), "wild")
+
+
+def told(figure):
+    """The curves with a name, by it."""
+    return {line.get_label(): line for line in figure.axes[0].lines if not line.get_label().startswith("_")}
+
+
+def test_machines_that_diverged_miss_every_tolerance():
+    found = told(figures.exceeded([SOUND, PARTLY, WILD], TOLERANCE, "peak_m"))
+    at, misses = found["partly"].get_data()
+    assert at[-1] > 1e6 * TOLERANCE
+    assert misses[-1] == pytest.approx(20.0)
+    assert found["one"].get_data()[1][-1] == 0.0
+    assert set(found["wild, all diverged"].get_data()[1]) == {100.0}
+
+
+def test_a_distribution_with_machines_that_diverged_ends_below_all_of_them():
+    found = told(figures.distribution([SOUND, PARTLY, WILD], TOLERANCE, "peak_m"))
+    assert found["one"].get_data()[1][-1] == 100.0
+    at, share = found["partly"].get_data()
+    assert (at[-1] > 1e6 * TOLERANCE, share[-1]) == (True, 80.0)
+    assert set(found["wild, all diverged"].get_data()[1]) == {0.0}
+
+
+@pytest.mark.parametrize("tolerance", [None, TOLERANCE])
+def test_an_axis_that_holds_still_has_no_error_and_is_drawn(tolerance):
+    still = group(np.zeros(100), "still")
+    for groups in ([still], [still, SOUND]):
+        misses = told(figures.exceeded(groups, tolerance, "peak_m"))["still"].get_data()[1]
+        assert set(misses) == {0.0}
+        assert told(figures.distribution(groups, tolerance, "peak_m"))["still"].get_data()[1][-1] == 100.0
+        figures.against(groups, "load", "N", tolerance, "peak_m").canvas.draw()
+
+
+def test_machines_that_diverged_are_marked_and_count_in_the_slices():
+    figure = figures.against([PARTLY, WILD], "load", "N", TOLERANCE, "peak_m")
+    found = told(figure)
+    assert found["partly: diverged"].get_data()[0] == pytest.approx(np.linspace(0.0, 10.0, 100)[80:])
+    assert len(found["wild: diverged"].get_data()[0]) == 100
+    medians = found["partly: median"].get_data()[1]
+    assert np.isfinite(medians[0])
+    assert np.isnan(medians[-1])  # most of those there diverged
+    figure.canvas.draw()

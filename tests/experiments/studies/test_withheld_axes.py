@@ -1,0 +1,118 @@
+"""The axes of the withheld-effect check: faults are as large for each as for the paper's."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.loop.simulate import simulate
+from diffdrive.model.friction import coulomb
+from diffdrive.model.parameters import Sampling
+from diffdrive.motion.motion import from_array
+from experiments.cli.main import main as cli
+from experiments.studies.withheld import generate
+from experiments.studies.withheld.axes import AXES
+from experiments.studies.withheld.draw import draw, of_log
+from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PLACED
+from experiments.studies.withheld.machine import Faults, Kind, Told, run
+
+OTHERS = [name for name in AXES if name != "paper"]
+
+
+def drawn(*effects, axis="paper", seed=3):
+    return draw(np.random.default_rng([seed, 1, 0]), effects, AXES[axis])
+
+
+def test_the_papers_axis_is_taken_where_none_is_named():
+    one, same = draw(np.random.default_rng([3, 1, 0]), ("cogging",)), drawn("cogging")
+    assert (one.nominal, one.true, one.faults, one.rate) == (same.nominal, same.true, same.faults, same.rate)
+
+
+@pytest.mark.parametrize("axis", OTHERS)
+@pytest.mark.parametrize("name", [*KNOWN, *OUTSIDE])
+def test_a_fault_is_drawn_for_every_axis(axis, name):
+    case, paper = drawn(name, axis=axis), drawn(name)
+    assert case.faults[0].size == paper.faults[0].size
+    assert case.faults[0].kind == paper.faults[0].kind
+    for log in range(2):
+        faults, _ = of_log(case, log, 200.0)
+        assert np.all(np.isfinite(faults))
+        assert faults != Faults() or case.faults[0].scaled or case.faults[0].traces
+    if name in PLACED:  # somewhere along the way
+        ways = [(one.reference.min(), one.reference.max()) for one in case.told]
+        assert any(low < case.faults[0].faults[PLACED[name]] < high for low, high in ways)
+
+
+@pytest.mark.parametrize("axis", OTHERS)
+def test_a_fault_is_as_large_a_share_of_what_it_spoils(axis):
+    """Forces of the friction, waves of the travel, loads of what presses the guides, resonances in hertz."""
+
+    def friction(case):
+        return float(coulomb(case.nominal.friction, 1.0, 0.0))
+
+    def share(case, name):
+        fault, drive = case.faults[0].faults, case.nominal
+        travel = float(np.ptp(case.told[0].reference))
+        return {
+            "constant_force": lambda: fault["constant"] / friction(case),
+            "position_friction": lambda: fault.get("slope", 0.0) * travel + fault.get("wave_period", 0.0) / travel,
+            "applied_load": lambda: (
+                fault["extra_load"] * float(drive.friction.load_coefficient.positive) / friction(case)
+            ),
+            "compliance": lambda: fault["stiffness"] / float(drive.plant.mass),
+        }[name]()
+
+    for name in ("constant_force", "position_friction", "applied_load", "compliance"):
+        ratio = share(drawn(name, axis=axis), name) / share(drawn(name), name)
+        assert 0.6 < ratio < 1.7, name
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
+    """Two programs and two integrators: they agree to a hundredth of the distance before sliding."""
+    one, rate = AXES[axis], 2000.0
+    time = np.arange(600) / rate
+    reference = one.length * 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
+    bandwidth = float(np.mean(one.bandwidth))
+    mass = float(one.drive.plant.mass)
+    gains = mass * bandwidth**2, 0.6 * mass * bandwidth
+    still = np.zeros_like(time)
+    position, _ = run(one.drive, Faults(), Kind(), gains, 1e-15, Told(reference, still, still, still, still), rate)
+    unquantised = one.drive.__class__(**{**vars(one.drive), "sensor": one.drive.sensor.__class__(None, 0.0)})
+    ours = simulate(
+        unquantised, PD(Tracking(Gains(*gains))), from_array(time, reference), sampling=Sampling(rate, 40)
+    ).position
+    bristle = float(coulomb(one.drive.friction, 1.0, 0.0)) / float(one.drive.friction.bristle_stiffness.positive)
+    assert np.max(np.abs(position - ours)) < 0.01 * bristle
+
+
+def test_machines_of_several_axes_come_in_turn_and_are_no_others(tmp_path, monkeypatch):
+    asked = []
+
+    def followable(seed, number, effects, axis):
+        asked.append(axis)
+        raise KeyboardInterrupt if len(asked) > 3 else StopIteration
+
+    monkeypatch.setattr(generate, "_followable", followable)
+    on = (AXES["gantry"], AXES["linear"])
+    parts = tmp_path / "parts"
+    for number in range(3):
+        with pytest.raises(RuntimeError):  # what a generator makes of it
+            list(generate.generate(tmp_path / "cases", parts, 0, 4, on))
+        parts.mkdir(exist_ok=True)
+        drawn_there = {"drawn": {"seed": 0, "of": 4, "axis": repr(on[number % 2]), "by": generate.drawn_by()}}
+        (parts / f"{number + 1:03d}.json").write_text(json.dumps(drawn_there))
+        place = tmp_path / "cases" / f"{number + 1:03d}"
+        place.mkdir(parents=True)
+        (place / "drive.toml").write_text("")
+    assert asked == [on[0], on[1], on[0]]
+    with pytest.raises(generate.ParameterError, match="axis"):
+        list(generate.generate(tmp_path / "cases", parts, 0, 4, on[::-1]))
+
+
+def test_an_axis_that_is_unknown_is_refused():
+    result = CliRunner().invoke(cli.app, ["withheld", "--out", "nowhere", "--axis", "hexapod"])
+    assert "hexapod" in str(result.exception)
+    assert "gantry" in str(result.exception)

@@ -1,0 +1,47 @@
+"""A log of a tilted machine, its diagnosis, and the command as if it had found what it is given."""
+
+import dataclasses
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.effects.forces import ConstantForce
+from diffdrive.logs import write_log
+from experiments.reports.diagnosis import diagnosis as command
+from tests.support.sound_log import DRIVE, logged, two_sines
+from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.diagnose import diagnose
+from tuning.diagnosis.next_experiment import Experiment
+
+OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+UNASKED = Experiment("", [], 0.0, "not asked")
+
+
+@cache
+def log():
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
+    return logged(
+        dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=(ConstantForce(6.0),))), two_sines()
+    )
+
+
+@cache
+def diagnosis():
+    return diagnose(DRIVE.drive, DRIVE.controller, [log()])
+
+
+def telling(folder, monkeypatch):
+    """The command, as if it had found what it is given in a log, this one or another; and the folder that it wrote."""
+
+    def run(found, given=None, **options):
+        write_log(folder / "lap.parquet", given or log())
+        write_drive(folder / "drive.toml", DRIVE)
+        monkeypatch.setattr(command, "diagnose", lambda *_, **__: found)
+        monkeypatch.setattr(command, "next_experiment", lambda *_: UNASKED)
+        out = folder / "out"
+        return command.diagnose_logs([folder / "lap.parquet"], folder / "drive.toml", out, **options), out
+
+    return run

@@ -1,0 +1,259 @@
+"""What the diagnosis is made of: segments of a log, drives with effects on other logs."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive.effects.actuator import ActuatorLag, LoopDelay
+from diffdrive.effects.forces import Cogging, ConstantForce
+from diffdrive.effects.friction import FrictionDwell, PreslidingHysteresis
+from diffdrive.effects.scale import InterpolationError
+from diffdrive.model.parameters import Directional, Sensor
+from diffdrive.motion.motion import from_array
+from experiments.studies.withheld.machine import Faults, Kind, Told, run
+from experiments.studies.withheld.score import read_key
+from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
+from tuning.diagnosis.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.candidates import candidates
+from tuning.diagnosis.candidates import given as those_given
+from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.intervals import parameters
+from tuning.diagnosis.inverse import force_error
+from tuning.diagnosis.leftover import complete, lacking
+from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.registration import registered
+from tuning.diagnosis.screening import begin, joined
+from tuning.diagnosis.search import recalibrated, standing
+from tuning.diagnosis.segments import segments
+from tuning.diagnosis.setting import setting
+from tuning.diagnosis.trust import lost_samples
+from tuning.identification.prediction import begin_velocity
+from tuning.identification.problem import noise_floor
+
+PUSHES = Cogging(0.0012, 5.0, 3.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 1.3, 7.6])
+def test_a_thinned_command_is_held_back_by_control_periods(delay):
+    """What acts over each sample is the mean of what acts over its control periods, each held back by itself."""
+    fast = described(rate=10_000.0)
+    log = logged(fast, two_sines(0.3, 10_000.0))
+    logs = logged_of(fast.drive, [log])
+    effect = effect_in_lanes(LoopDelay, {"delay": np.array([delay / 5])}, logs.owner)
+    acts = exposed(logs, logs.drive, (effect,), standing(logs))
+    time = np.arange(len(log.time))
+    late = np.interp(time - delay, time, log.command).reshape(-1, 5)
+    count = len(late)
+    np.testing.assert_allclose(np.asarray(acts.force)[0, :count], late.mean(axis=1), atol=1e-9)
+    np.testing.assert_allclose(np.asarray(acts.ripple)[0, :count], late - late.mean(axis=1, keepdims=True), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_noise_in_a_fast_loop_does_not_pass_for_a_missing_force():
+    """The command's noise shakes the table and lets its bristle creep, most of all at rest: thinned, it still does."""
+    stiff = described(kp=7.98e6, kd=15_960.0, noise=4e-8, rate=10_000.0)
+    time = np.arange(24_000) / 10_000.0
+    share = np.clip(time - 0.2, 0.0, 1.0) - np.clip(time - 1.4, 0.0, 1.0)  # rest, there, rest, back
+    there_and_back = from_array(time, 0.02 * (share - np.sin(2 * np.pi * share) / (2 * np.pi)))
+    logs = logged_of(stiff.drive, [logged(stiff, there_and_back)])
+    fitter = Fitter(logs)
+    base = recalibrated(fitter, TOLERANCE)
+    assert complete(fitter, base)
+    even = logs._replace(lanes=logs.lanes._replace(asked=None))
+    blind = recalibrated(Fitter(even), TOLERANCE)
+    assert blind.process[1] > 50.0 * base.process[1]  # a sudden force that nobody exerts
+    assert lacking(Fitter(even), blind) > lacking(fitter, base) + 10.0
+
+
+@given(st.integers(20, 30_000), st.sampled_from([500.0, 1e3, 2e3, 1e4]))
+def test_segments_hold_every_sample_once_and_a_lead_before(count, rate):
+    found = segments(count, rate)
+    signal = np.arange(count)
+    np.testing.assert_array_equal(found.joined(found.cut(signal)), signal)
+    assert np.all(np.diff(found.samples, axis=1) == 1)
+    if len(found.samples) > 1:
+        begins = np.searchsorted(found.segment, np.arange(1, len(found.samples)))
+        assert np.all(found.place[begins] >= 0.09 * rate)
+
+
+@pytest.mark.parametrize("rate", [500.0, 2e3, 1e4])
+def test_the_velocity_at_the_first_sample_is_that_of_a_motion_that_accelerates(rate):
+    time = np.arange(200) / rate
+    position = jnp.asarray(0.3 + 0.02 * time + 0.5 * 15.0 * time**2)
+    assert float(begin_velocity(position, rate)) == pytest.approx(0.02)
+    noise = 5e-8 * np.random.default_rng(0).standard_normal((300, 200))
+    assert np.std(begin_velocity(position + noise, rate)) < 2e-4  # well within what the filter grants it
+
+
+def test_a_filter_of_a_fast_axis_is_nowhere_lost():
+    """Segments that began with the mean velocity of their first 5 ms were 40 mm/s off at 15 m/s^2, and stayed so."""
+    axis = described(mass=20.0, kp=8e5, kd=2_400.0)
+    free = Directional(15.0, 15.0)
+    drive = dataclasses.replace(
+        axis.drive,
+        plant=dataclasses.replace(axis.drive.plant, damping=free),
+        friction=dataclasses.replace(axis.drive.friction, viscous=free),
+    )
+    time = np.arange(6_000) / RATE
+    there = from_array(time, 0.02 * (1.0 - np.cos(2.0 * np.pi * 4.3 * time)))
+    fitter = Fitter(logged_of(drive, [logged(dataclasses.replace(axis, drive=drive), there)]))
+    base = recalibrated(fitter, 0.02)
+    assert lost_samples(base) == 0
+    assert complete(fitter, base)
+
+
+def with_effects(*effects):
+    return dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, effects=effects))
+
+
+def test_inverse_dynamics_know_the_effects_of_a_drive():
+    log = logged(with_effects(PUSHES), two_sines())
+    right, wrong = (force_error(dataclasses.replace(DRIVE.drive, effects=one), log) for one in ((PUSHES,), ()))
+    assert right < 0.5
+    assert wrong > 4.0 * right
+    assert force_error(DRIVE.drive, logged(DRIVE, two_sines())) < 0.5
+
+
+def test_inverse_dynamics_count_presliding_elements_once():
+    """They replace the bristle's force, which the friction along the motion has: mostly a motion of presliding."""
+    elements, reference = PreslidingHysteresis(1.0, 8e-6, 0.2), two_sines()
+    small = from_array(reference.time, 0.01 * reference.position)
+    log = logged(with_effects(elements), small)
+    known, missing = (force_error(with_effects(*one).drive, log) for one in ((elements,), ()))
+    assert known < 0.1 * missing
+
+
+def test_a_session_is_registered_anew():
+    """Another start, so that the cogging has another phase, and another tilt; the period stays the machine's."""
+    elsewhere = Cogging(0.0012, -4.0, 4.2)
+    log = logged(with_effects(elsewhere, ConstantForce(0.6)), two_sines())
+    carried = dataclasses.replace(DRIVE.drive, effects=(PUSHES,))
+    found = registered(carried, log, seconds=2.0)
+    assert force_error(found, log) < 0.2 * force_error(carried, log)
+    cogging, tilt = found.effects
+    assert (float(cogging.cosine), float(cogging.sine)) == pytest.approx((-4.0, 4.2), abs=0.15)
+    assert float(cogging.period) == pytest.approx(0.0012)
+    assert float(tilt.force) == pytest.approx(0.6, abs=0.2)
+
+
+def test_a_wave_far_larger_than_is_usual_is_registered_anew():
+    """Its phase is of the session, however large the wave; only a time far away stays where it is."""
+    elsewhere = InterpolationError(period=5e-4, cosine=0.0, sine=3e-6)
+    log = logged(with_effects(elsewhere), two_sines())
+    carried = dataclasses.replace(DRIVE.drive, effects=(InterpolationError(period=5e-4, cosine=3e-6, sine=0.0),))
+    (wave,) = (one for one in registered(carried, log, seconds=2.0).effects if one.name == "interpolation_error")
+    assert (float(wave.cosine), float(wave.sine)) == pytest.approx((0.0, 3e-6), abs=2e-7)
+
+
+def test_a_delay_that_is_claimed_and_not_there_is_found():
+    log = logged(DRIVE, two_sines())
+    logs = logged_of(described(delay=1).drive, [log])
+    fitter = Fitter(logs)
+    at = setting(logs.drive, logs.lanes, 1.0 / RATE)
+    candidate = next(one for one in candidates(at) if one.name == "loop_delay")
+    model = joined(Model(logs, (), TOLERANCE), candidate)
+    u = np.r_[np.zeros(len(NAMES)), candidate.parameters[0].standard(-0.5)]
+    fit = fitter.fit(model, u, None, standing(logs))
+    assert candidate.parameters[0].value(fit.u[-1]) == pytest.approx(-1.0, abs=0.05)
+    found = drive_of(fit, 0)  # less delay than none is no effect: the drive file claims less
+    assert found.effects == ()
+    assert found.actuator.delay_samples + float(found.actuator.delay_fraction) == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
+    fast = described(rate=10_000.0, delay=3)
+    log = logged(fast, two_sines(2.0, 10_000.0))
+    logs = logged_of(described(rate=10_000.0).drive, [log])
+    assert (logs.thinning, logs.sampling.rate, logs.control.rate) == (5, 2000.0, 10_000.0)
+    assert float(logs.lanes.counts.sum()) == len(log.time) // 5
+    np.testing.assert_array_equal(np.asarray(logs.lanes.position[0, :100]), log.position[:500:5])
+    np.testing.assert_allclose(np.asarray(logs.lanes.command[0, 7]), log.command[35:40].mean())
+    fitter = Fitter(logs)
+    at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
+    candidate = next(one for one in candidates(at) if one.name == "loop_delay")
+    model = joined(Model(logs, (), TOLERANCE), candidate)
+    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), 0.3], None, standing(logs))
+    value, (low, high) = parameters(fit, 0)["delay"]
+    assert value == pytest.approx(3.0, abs=0.02)
+    assert low < value < high < 3.1
+    assert complete(fitter, fit)
+    assert float(drive_of(fit, 0).effects[0].delay) == pytest.approx(value)
+
+
+def test_a_lag_shorter_than_a_thinned_sample_is_measured():
+    fast = described(kp=4e6, kd=12_000.0, noise=4e-8, rate=10_000.0)
+    slow = dataclasses.replace(fast, drive=dataclasses.replace(fast.drive, effects=(ActuatorLag(3e-4),)))
+    logs = logged_of(fast.drive, [logged(slow, two_sines(2.0, 10_000.0))])
+    fitter = Fitter(logs)
+    at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
+    candidate = next(one for one in candidates(at) if one.name == "actuator_lag")
+    model = joined(Model(logs, (), TOLERANCE), candidate)
+    values = {"time_constant": np.array([5e-4])}
+    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, standing(logs))
+    value, (low, high) = parameters(fit, 0)["time_constant"]
+    assert low < value < high
+    assert value == pytest.approx(3e-4, rel=0.03)
+    assert complete(fitter, fit)
+
+
+def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
+    """Two programs, two integrators, one machine: without noise and on a fine scale they move alike."""
+    plain = described(resolution=None, noise=0.0)
+    time = np.arange(600) / RATE
+    motion = from_array(time, 1e-3 * (1 - np.cos(2 * np.pi * 5.0 * time)))
+    ours = logged(plain, motion)
+    flat = np.zeros(600)
+    told = Told(motion.position, flat, flat, flat, flat)
+    gains = (float(plain.controller.tracking.gains.kp), float(plain.controller.tracking.gains.kd))
+    position, command = run(plain.drive, Faults(), Kind(), gains, 1e-12, told, RATE)
+    assert np.abs(position - ours.position).max() < 5e-9
+    assert np.sqrt(np.mean((command - ours.command) ** 2)) < 0.01 * np.abs(command).max()
+
+
+def test_a_key_without_sizes_says_what_is_clear(tmp_path):
+    path = tmp_path / "key.json"
+    path.write_text(
+        '{"1": {"kind": "single", "visibility": "clear", "effects": [{"name": "cogging"}]},'
+        ' "2": {"kind": "unknown", "visibility": "faint", "effects": [{"name": "chip"}]}}'
+    )
+    key = read_key(path)
+    assert [key[name]["effects"][0]["size"] for name in "12"] == [3.0, 0.0]
+    assert [key[name]["effects"][0]["outside"] for name in "12"] == [False, True]
+
+
+def test_less_than_no_delay_is_none_to_the_simulator():
+    assert LoopDelay(-0.5).step((0.0,) * 8, jnp.asarray(3.0), 1e-3)[1].mean == 3.0
+
+
+@pytest.mark.parametrize(("rate", "thinning"), [(4000.0, 2), (8000.0, 4), (10_000.0, 5), (3000.0, 1), (500.0, 1)])
+@pytest.mark.parametrize("off", [0.0, -1e-6, 1e-6])
+def test_a_clock_that_is_a_little_off_thins_a_log_as_a_right_one_does(rate, thinning, off):
+    log = logged(described(rate=rate), two_sines(1.0, rate))
+    log = dataclasses.replace(log, time=log.time / (1.0 + off))
+    assert logged_of(DRIVE.drive, [log]).thinning == thinning
+
+
+def test_a_given_effect_makes_no_hypothesis_coarse():
+    logs = logged_of(DRIVE.drive, [logged(DRIVE, two_sines(1.0))])
+    at = setting(logs.drive, logs.lanes, logs.sampling.period)
+    dwell = next(one for one in candidates(at) if one.name == "friction_dwell")
+    (known,) = those_given([FrictionDwell()], at)
+    assert not Model(logs, (Member(*known),)).coarse
+    assert joined(Model(logs, (Member(*known),)), dwell).coarse
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 5000.0])
+def test_the_noise_of_a_position_is_seen_through_its_motion(rate):
+    """Of 50 nm under a sine of 5 Hz and 3 mm, which shows in third differences at 500 Hz."""
+    time = np.arange(round(6.0 * rate)) / rate
+    position = 3e-3 * np.sin(2 * np.pi * 5.0 * time) + 5e-8 * np.random.default_rng(0).standard_normal(len(time))
+    lanes = SimpleNamespace(position=position[None], counts=np.ones((1, len(time))))
+    silent = dataclasses.replace(DRIVE.drive, sensor=Sensor())
+    assert noise_floor(silent, lanes, rate) == pytest.approx(5e-8, rel=0.08)

@@ -1,0 +1,39 @@
+"""The missing force that a gap is told in: what lasts, what is sudden, and what noise makes of either."""
+
+import numpy as np
+import pytest
+
+from tests.support.off_its_file import OFF, fitter_of
+from tuning.diagnosis.calibration import TOLERANCE
+from tuning.diagnosis.fitting import Fitter
+from tuning.diagnosis.gap import force_floor, force_gap
+from tuning.diagnosis.model import Model
+from tuning.diagnosis.search import standing
+
+SUDDEN = 150.0  # N
+
+
+def shaken(size):
+    """A log in which a force of that size, new in every sample, is missing from the command, and its true fit."""
+    fitter = fitter_of()
+    lanes = fitter.logged.lanes
+    missing = size * np.random.default_rng(2).standard_normal(lanes.command.shape)
+    fitter = Fitter(fitter.logged._replace(lanes=lanes._replace(command=lanes.command - missing)))
+    process = np.array([1e-3, max(size, fitter.least)])
+    return fitter, fitter.fit(Model(fitter.logged), OFF / TOLERANCE, process, standing(fitter.logged), 0), process
+
+
+def test_a_sudden_force_that_the_filter_may_invent_counts_as_missing():
+    fitter, fit, process = shaken(SUDDEN)
+    gap = force_gap(fitter, fit, fit.model, fit.u, process)
+    assert gap.lost == 0.0
+    # of a white force the filter sees what the noise of the scale leaves of it
+    assert 0.5 * SUDDEN < gap.rms < 1.1 * SUDDEN
+    assert force_floor(fitter, fit, gap.counts, process) < 0.5 * gap.rms
+
+
+def test_noise_alone_makes_no_more_of_it_than_the_floor_says():
+    fitter, fit, _ = shaken(0.0)
+    for process in (np.array([2.0, fitter.least]), np.array([2.0, 2.0]), np.array([2.0, 50.0])):
+        gap = force_gap(fitter, fit, fit.model, fit.u, process)
+        assert gap.rms == pytest.approx(force_floor(fitter, fit, gap.counts, process), rel=0.25)

@@ -1,0 +1,101 @@
+"""What is tuned on and what is held out share nothing; the random starts of the study stay in their two decades."""
+
+import json
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+
+from diffdrive.axis_file.drive_file import read_drive
+from experiments.reports.report import Report
+from experiments.studies.demo import PAPER_DRIVE
+from experiments.studies.tuning_study.study import DECADES, _arrivals, _drawn, _trail, benchmark, tuning_study
+from tuning.gains.plan import OFF_GRID, Plan, held_out, machines, reversal, tuned_on
+from tuning.gains.sequential import KEPT
+from tuning.gains.tune import default_space
+
+
+@pytest.fixture(scope="module")
+def description():
+    return read_drive(PAPER_DRIVE)
+
+
+def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(description):
+    on, off = tuned_on(description, Plan()), held_out(description, Plan())
+    assert not {one.seed for one in on} & {one.seed for one in off}
+    assert len({one.seed for one in on + off}) == len(on + off)
+    assert not {one.name for one in on} & {one.name for one in off}
+    for one in off:
+        for other in on:
+            same_load = np.array_equal(np.asarray(one.load), np.asarray(other.load))
+            same_motion = np.array_equal(one.motion.position, other.motion.position)
+            assert not (same_load and same_motion and one.drive == other.drive)
+
+
+def test_the_held_out_machine_was_not_tuned_on(description):
+    on = {tuple(jax.tree.leaves(one.drive)) for one in tuned_on(description, Plan(machines=4))}
+    strangers = {
+        tuple(jax.tree.leaves(one.drive)) for one in held_out(description, Plan(machines=4)) if "other" in one.name
+    }
+    assert len(on) == 4
+    assert not on & strangers
+
+
+def test_machines_lie_within_a_few_spreads_and_begin_with_the_drive_itself(description):
+    drawn = machines(description.drive, 6, 0.03, 1)
+    assert drawn[0] == description.drive
+    masses = np.array([one.plant.mass for one in drawn[1:]])
+    assert np.all(np.abs(masses / drawn[0].plant.mass - 1.0) < 0.15)
+    assert len(set(masses)) == 5
+
+
+def test_a_reversal_turns_once_and_cruises_at_its_speed():
+    motion = reversal(0.010 * OFF_GRID, 10_000.0)
+    speed = np.gradient(motion.position, motion.time)
+    assert np.max(np.abs(speed)) == pytest.approx(0.010 * OFF_GRID, rel=1e-3)
+    moving = np.sign(speed[np.abs(speed) > 1e-3])
+    assert np.count_nonzero(np.diff(moving)) == 1
+
+
+def test_random_starts_of_the_study_span_two_decades_and_stay_inside():
+    space = default_space(benchmark().controller)
+    rng = np.random.default_rng(3)
+    drawn = np.array([np.asarray(space.values(_drawn(space, rng))) for _ in range(200)])
+    given = np.asarray(space.values(np.zeros(len(space.free))))
+    decades = np.log10(drawn / given)
+    assert np.all(np.abs(decades) <= DECADES / 2 + 1e-9)
+    assert np.all(decades.max(axis=0) - decades.min(axis=0) > 0.9 * DECADES)
+    for k, free in enumerate(space.free):
+        assert np.all((drawn[:, k] > free.low) & (drawn[:, k] < free.high))
+
+
+def test_the_trail_of_a_tuning_counts_every_start_and_every_derivative():
+    def found(*history):
+        return SimpleNamespace(standing=SimpleNamespace(history=history))
+
+    # evaluations, linearisations, s, objective, missed: of two searches, after a look at both starts in 0.5 s
+    first = found((1, 1, 1.0, 5.0, 0.0), (2, 2, 2.0, 3.0, 0.2))
+    second = found((1, 1, 0.7, 2.0, 0.0))
+    trail = _trail(SimpleNamespace(starts=np.zeros(2), screening=0.5, searches=[first, second]))
+    assert trail == [(5, 2, 1.5, 5.0), (7, 3, 2.5, np.inf), (10, 5, 3.2, 2.0)]
+    # to within 20 %, 5 % and 1 % of 2: the third alone
+    assert _arrivals(trail, 2.0) == [10, 3.2] * 3
+    assert _arrivals(trail, 4.5) == [5, 1.5, 10, 3.2, 10, 3.2]
+    assert _arrivals(trail, 1.0) == [None] * 6
+
+
+@pytest.mark.slow
+def test_the_study_compares_all_searches_and_writes_what_it_found(tmp_path):
+    """Few evaluations and starts, all of its parts: eight minutes, most of them compilation."""
+    with Report("study", tmp_path) as report:
+        tuning_study(report, evaluations=50, runs=1, starts=1)
+    written = json.loads((tmp_path / "result.json").read_text())
+    assert {"race", "held_out", "starts", "parameters"} <= set(written["tables"])
+    objectives = {row[0]: row[1] for row in written["tables"]["race"]["rows"]}
+    assert objectives["gradient"] == min(objectives.values())
+    assert objectives["gradient"] <= 0.018
+    assert all(row[2] <= 0.07 for row in written["tables"]["held_out"]["rows"])
+    assert written["true_load"]["objective_um"] <= 0.022
+    assert written["true_load"]["worst_nominal_load_error_N"] <= 300.0 * (1 + KEPT)
+    assert written["random_starts"]["unstable_results"] == 0

@@ -1,0 +1,102 @@
+"""A sweep in several processes has the numbers of one, opens no port, and leaves no process behind."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from diffdrive.errors import ParameterError
+from experiments.studies.demo import PAPER_DRIVE
+from tuning.sweeps import workers
+from tuning.sweeps.parts import run
+from tuning.sweeps.spec import Asked
+from tuning.sweeps.workers import on_workers
+
+
+@pytest.fixture(scope="module")
+def wanted():
+    motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.05s"
+    return Asked.of(PAPER_DRIVE, [motion], ("plant.mass=lognormal:3%", "load=uniform:0..10 kN"), 96, most_in_a_part=8)
+
+
+def rows(found):
+    return found.to_table().sort_by("machine")
+
+
+def listening():
+    """The ports on which this process and those that it started listen."""
+    psutil = pytest.importorskip("psutil")
+    here = psutil.Process()
+    return {
+        (one.laddr, process.pid)
+        for process in (here, *here.children(recursive=True))
+        for one in process.net_connections("inet")
+        if one.status == psutil.CONN_LISTEN
+    }
+
+
+def test_workers_open_no_port_and_a_lost_one_changes_nothing(wanted, tmp_path):
+    plan, before, ports, said, killed = wanted.plan(), listening(), set(), [], []
+    alone = rows(run(plan, tmp_path / "alone", lambda done: None))
+
+    def done(count):
+        ports.update(listening())
+        if count and not killed:
+            killed.append(multiprocessing.active_children()[0].pid)
+            os.kill(killed[0], signal.SIGTERM)
+
+    together = rows(run(plan, tmp_path / "together", done, on_workers(wanted, 2), said.append))
+    assert killed
+    assert said == ["a worker was killed; the parts that were under way are run again"]
+    assert together.equals(alone)
+    assert ports - before == set()
+    assert multiprocessing.active_children() == []
+
+
+def test_workers_that_are_killed_again_and_again_are_given_up(wanted, tmp_path, monkeypatch):
+    pools = []
+
+    def broken(*_):
+        pools.append(1)
+        raise workers.BrokenProcessPool
+        yield
+
+    monkeypatch.setattr(workers, "_computed", broken)
+    with pytest.raises(ParameterError, match=r"--workers 2: .* give fewer; the parts that were done are kept"):
+        run(wanted.plan(), tmp_path, lambda done: None, on_workers(wanted, 2))
+    assert len(pools) == workers.MOST_LOSSES
+
+
+PROGRAM = """
+import os, sys
+from tuning.sweeps.workers import _pool
+with _pool(1) as pool:
+    print(pool.submit(os.getpid).result(), flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.slow
+def test_workers_end_when_the_process_that_started_them_is_killed():
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    worker = int(process.stdout.readline())
+    process.kill()
+    process.wait()
+    process.stdin.close()
+    until = time.monotonic() + 30.0
+    while _lives(worker):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    process.stdout.close()
+
+
+def _lives(pid):
+    try:
+        os.kill(pid, 0)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""Which motion would tell what the logs leave open."""

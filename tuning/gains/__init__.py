@@ -1,0 +1,1 @@
+"""Gains within requirements, verified on what they were not tuned on."""

@@ -1,0 +1,70 @@
+"""Searches that survive a kill: where each start stands, in one file that is never half written."""
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from diffdrive.errors import CheckpointError
+from diffdrive.support.atomic_write import write_text
+from tuning.gains.sequential import Standing
+
+
+class Checkpoint:
+    """Standings by start in a JSON file; without a path nothing is kept.
+
+    The file names the problem by the hash of every number and setting in it. Floats are written so that they read back
+    to the last bit, and the file is replaced as a whole.
+    """
+
+    def __init__(self, path: Path | None, problem: Any) -> None:
+        """Read what is at `path`, if anything; raises `CheckpointError` if it is another problem's, or damaged."""
+        self.path = path
+        self.identity = _identity(problem)
+        self.standings: dict[int, Standing] = {}
+        if path is None or not path.exists():
+            return
+        try:
+            held = json.loads(path.read_text(encoding="utf-8"))
+            identity = held["problem"]
+            standings = {int(k): _standing(fields) for k, fields in held["standings"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError) as problem_of_file:
+            raise CheckpointError(f"{path}: is no checkpoint of a tuning ({problem_of_file}): delete it") from None
+        if identity != self.identity:
+            raise CheckpointError(
+                f"{path}: is the checkpoint of another tuning (other drive, scenarios or settings): delete it to begin "
+                "anew, or name another folder"
+            )
+        self.standings = standings
+
+    def standing(self, start: int) -> Standing | None:
+        """Where this start stands; an interrupted one goes on."""
+        return self.standings.get(start)
+
+    def keep(self, start: int, now: Standing) -> None:
+        """Write where this start stands."""
+        self.standings[start] = now
+        if self.path is None:
+            return
+        standings = {str(k): dataclasses.asdict(standing) for k, standing in self.standings.items()}
+        held = {"problem": self.identity, "standings": standings}
+        write_text(self.path, json.dumps(held))
+
+
+def _standing(fields: dict[str, Any]) -> Standing:
+    history = tuple(tuple(entry) for entry in fields["history"])
+    best = None if fields["best"] is None else tuple(fields["best"])
+    return Standing(**{**fields, "y": tuple(fields["y"]), "history": history, "best": best})
+
+
+def _identity(problem: Any) -> str:
+    """A hash of every number and every setting."""
+    leaves, tree = jax.tree.flatten(problem)
+    digest = hashlib.sha256(str(tree).encode())
+    for leaf in leaves:
+        digest.update(np.asarray(leaf).tobytes() if not isinstance(leaf, str) else leaf.encode())
+    return digest.hexdigest()

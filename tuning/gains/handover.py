@@ -1,0 +1,50 @@
+"""Tuned gains as a commissioning engineer types them in: SI and the controller's own units, with what they rest on."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.loop.margins import Margins
+from diffdrive.support.atomic_write import write_text
+from tuning.gains.tune import Tuned
+
+LABELS = {
+    "position": "Q_position", "velocity": "Q_velocity", "bristle": "Q_bristle", "load": "Q_load", "measurement": "R",
+    "gain": "K_w",
+}  # fmt: skip
+PER_VOLT = ("kp", "kd", "kv", "ki", "reach")  # gains in newtons of command per something
+
+
+def handover(
+    description: DriveDescription, tuned: Tuned, margins: Margins, conditions: dict[str, Any]
+) -> dict[str, Any]:
+    """The hand-over as nested tables: gains in SI, in command volts where the drive file says N/V; margins."""
+    gains = {LABELS.get(name, name): float(value) for name, value in zip(tuned.names, tuned.after, strict=True)}
+    per_volt = description.mapping.force_per_volt
+    tables: dict[str, Any] = {"gains_si": gains}
+    if per_volt is not None:
+        volts = {name: value / per_volt for name, value in gains.items() if name in PER_VOLT}
+        tables["gains_in_command_volts"] = {"force_per_volt": per_volt, **volts}
+    tables["margins_worst"] = worst_margins(margins)
+    tables["conditions"] = conditions
+    return tables
+
+
+def worst_margins(margins: Margins) -> dict[str, float]:
+    """The smallest of each over the operating points; infinite ones are left out."""
+    found = {
+        "gain_up_dB": 20.0 * np.log10(float(np.min(margins.gain_up))),
+        "gain_down_dB": 20.0 * np.log10(float(np.min(margins.gain_down))),
+        "phase_deg": float(np.degrees(np.min(margins.phase))),
+        "peak_sensitivity": float(np.max(margins.sensitivity)),
+        "growth_per_s": float(np.max(margins.growth)),
+    }
+    return {name: round(float(value), 6) for name, value in found.items() if np.isfinite(value)}
+
+
+def write_handover(path: Path, tables: dict[str, Any]) -> None:
+    """Write it as TOML."""
+    write_text(path, tomli_w.dumps(tables))

@@ -1,0 +1,156 @@
+"""What a drive is tuned on and what it is verified on: motions, loads, machines and noise, none of them in both."""
+
+import warnings
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.controllers import Controller
+from diffdrive.errors import LoadEstimatorWarning
+from diffdrive.loop import metrics
+from diffdrive.loop.run import Run
+from diffdrive.loop.simulate import simulate
+from diffdrive.model.parameters import Drive, Sampling, as_arrays, quantities
+from diffdrive.motion import load
+from diffdrive.motion.load import require_possible
+from diffdrive.motion.motion import Motion, require_within, triangular
+from diffdrive.numerics.pipeline import require_shorter
+from tuning.gains.scenarios import Scenario
+
+OFF_GRID = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
+HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
+SETTLE = 0.4  # s: load estimators have found their load by then
+DURATION = 1.2  # s
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a tuning is set up; loads in N, speed in m/s, `spread` the relative uncertainty of machine parameters."""
+
+    speed: float = 0.010
+    max_load: float = 12_600.0
+    loads: int = 4
+    spread: float = 0.03
+    machines: int = 2  # nominal, and others drawn within the spread
+    seed: int = 0
+
+
+def reversal(speed: float, rate: float, duration: float = DURATION) -> Motion:
+    """There and back at `speed` (m/s) with one reversal in the middle, rounded over 0.1 s."""
+    return triangular(
+        speed=speed,
+        stroke=speed * duration / 2,
+        rounding=0.1,
+        duration=duration,
+        rate=rate,
+        first_reversal=duration / 2,
+    )
+
+
+def perturbed(drive: Drive, spread: float, rng: np.random.Generator) -> Drive:
+    """A machine whose plant and friction parameters differ from nominal by the relative deviation `spread`.
+
+    Log-normal, so that no parameter changes sign.
+    """
+    machine = as_arrays(drive)
+    declared = quantities(machine)
+    names = [name for name, _, value in declared if name.startswith(("plant.", "friction.")) and value is not None]
+
+    def parts(tree: Drive) -> list[Any]:
+        return [attrgetter(name)(tree) for name in names]
+
+    return eqx.tree_at(
+        parts,
+        machine,
+        [jax.tree.map(lambda x: x * np.exp(spread * rng.standard_normal()), part) for part in parts(machine)],
+    )
+
+
+def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
+    """The drive itself, then others with each parameter off by the relative deviation `spread`."""
+    drawn = [perturbed(drive, spread, np.random.default_rng((seed, k))) for k in range(1, count)]
+    return [drive, *(jax.tree.map(float, one) for one in drawn)]
+
+
+def tuned_on(description: DriveDescription, plan: Plan) -> list[Scenario]:
+    """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
+    motion = reversal(OFF_GRID * plan.speed, description.sampling.rate)
+    constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(0.0, plan.max_load, plan.loads)]
+    found = []
+    for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
+        for name, weight in constant:
+            found.append(Scenario(f"{_machine(m)}, {name}", machine, motion, weight, len(found) + 1))
+    half, time = 0.5 * plan.max_load, motion.time
+    changing = {
+        "load steps on": load.step(time, at=0.5 * SETTLE, to=half),
+        "load ramps on": load.ramp(time, start=0.0, end=DURATION, to=half),
+    }
+    for name, weight in changing.items():
+        found.append(Scenario(f"nominal, {name}", description.drive, motion, weight, len(found) + 1))
+    _require_possible(description, found)
+    return found
+
+
+def held_out(description: DriveDescription, plan: Plan) -> list[Scenario]:
+    """Loads in between, loads that change, other speeds, another machine, other noise."""
+    rate, speed = description.sampling.rate, OFF_GRID * plan.speed
+    motion, drive = reversal(speed, rate), description.drive
+    other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
+    steps = np.linspace(0.0, plan.max_load, plan.loads)
+    between = (steps[1:] + steps[:-1]) / 2
+    half = 0.5 * plan.max_load
+    changing = {
+        "load ramps off": load.ramp(motion.time, start=0.2, end=0.4, before=plan.max_load, to=half),
+        "material removal": load.ramp(motion.time, start=0.1, end=DURATION, before=half, to=0.9 * half),
+    }
+    found = [Scenario(f"nominal, {w / 1e3:.3g} kN", drive, motion, w, 101 + k) for k, w in enumerate(between)]
+    found += [Scenario(f"nominal, {name}", drive, motion, w, 201 + k) for k, (name, w) in enumerate(changing.items())]
+    found += [Scenario(f"other machine, {w / 1e3:.3g} kN", other, motion, w, 301 + k) for k, w in enumerate(between)]
+    for k, factor in enumerate(HELD_OUT_SPEEDS):
+        name = f"{1e3 * factor * speed:.3g} mm/s, {half / 1e3:.3g} kN"
+        found.append(Scenario(name, drive, reversal(factor * speed, rate), half, 401 + k))
+    _require_possible(description, found)
+    return found
+
+
+def _machine(number: int) -> str:
+    return "nominal" if number == 0 else f"machine {number}"
+
+
+def _require_possible(description: DriveDescription, scenarios: list[Scenario]) -> None:
+    for one in scenarios:
+        require_within(one.motion, description.limits)
+        require_shorter(len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines))
+        weights = np.broadcast_to(np.asarray(one.load, float), one.motion.time.shape)
+        require_possible(description.drive, weights, one.motion.time)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One scenario on the exact simulator, after it has settled."""
+
+    run: Run
+    rms: float  # um
+    peak: float  # um
+    command_noise: float  # N
+    load_error: float | None  # kN
+
+
+def judge(controller: Controller, scenario: Scenario, sampling: Sampling) -> Judged:
+    """Run a scenario on the exact (quantised, limited) simulator."""
+    with warnings.catch_warnings():  # the load estimator has its own verdict
+        warnings.simplefilter("ignore", LoadEstimatorWarning)
+        run = simulate(
+            scenario.drive, controller, scenario.motion, scenario.load, sampling=sampling, seed=scenario.seed
+        )
+    part = run.between(SETTLE, np.inf)
+    missed = None
+    if run.load_estimate is not None:
+        missed = 1e-3 * float(metrics.rms((run.load_estimate - run.load)[part]))
+    noise = float(metrics.command_noise(run.command[part]))
+    return Judged(run, 1e6 * run.rms(SETTLE), 1e6 * run.peak(SETTLE), noise, missed)

@@ -1,0 +1,136 @@
+"""What a tuned loop must keep: stability margins, command noise, force limit, a true load estimate.
+
+Every requirement is a number that must not be positive: how far it is exceeded, as a share of what is required.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.controllers import Controller
+from diffdrive.errors import ParameterError
+from diffdrive.loop.linearise import Operating, open_loop
+from diffdrive.loop.margins import NEUTRAL, Margins, margins
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.observers.convergence import convergence_gain, printed_observer
+from diffdrive.observers.friction_observer import KalmanObserver
+from tuning.gains.objective import rms
+from tuning.gains.scenarios import Signals
+
+MOST_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a loop gain of more, 1 is rounding
+UNSTABLE = 20.0  # 1/s of growth that counts as much as a margin that is missed altogether
+
+
+class Limits(NamedTuple):
+    """What is required; None: not required."""
+
+    gain_up: float = 2.0  # factors
+    gain_down: float = 2.0
+    phase: float = float(np.radians(30.0))
+    sensitivity: float | None = None  # peak of |1 / (1 + L)|
+    command_noise: float | None = 20.0  # N, in every lane
+    load_error: float | Float[np.ndarray, " lanes"] | None = None  # N of RMS, in every lane or in each
+    settling: float | None = 2.0  # s, in which an eq. (20) estimator forgets an error of the load to 1/e
+
+
+def check_limits(limits: Limits) -> None:
+    """Raises `ParameterError` for limits that no loop can keep or that mean nothing."""
+    for name, value in limits._asdict().items():
+        least = 1.0 if name in ("gain_up", "gain_down", "sensitivity") else 0.0
+        if value is not None and not np.all(np.asarray(value) >= least):
+            raise ParameterError(f"the limit {name} must be at least {least:g}, got {np.min(np.asarray(value)):g}")
+        if value is not None and not np.all(np.isfinite(np.asarray(value))):
+            raise ParameterError(f"the limit {name} must be finite; None requires nothing")
+    most = 10.0 ** (MOST_GAIN_MARGIN / 20.0)
+    for name in ("gain_up", "gain_down"):
+        if getattr(limits, name) > most:
+            raise ParameterError(
+                f"the limit {name} must be at most {most:.2g}, beyond which gains are lost in rounding"
+            )
+
+
+class Points(NamedTuple):
+    """Operating points at which margins are looked at, [p] each, and the machines there."""
+
+    drives: Drive  # every number [p]
+    velocity: Float[np.ndarray, " p"]  # m/s
+    load: Float[np.ndarray, " p"]  # N
+
+
+def points(drives: Sequence[Drive], speeds: Sequence[float], loads: Sequence[float]) -> Points:
+    """Every machine at every speed (m/s, both directions; 0 is standstill) under every load (N)."""
+    velocities = sorted({sign * speed for speed in speeds for sign in (1.0, -1.0)})
+    grid = [(drive, v, w) for drive in drives for v in velocities for w in loads]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(as_arrays(smooth(drive)) for drive, _, _ in grid))
+    return Points(stacked, np.array([v for _, v, _ in grid]), np.array([w for *_, w in grid], float))
+
+
+class Requirements(eqx.Module):
+    """Limits, and where they are looked at. Every number is an array, so that another limit is no other program."""
+
+    limits: Limits = eqx.field(converter=as_arrays)
+    points: Points
+    sampling: Sampling = eqx.field(static=True)
+
+    def margins(self, controller: Controller) -> Margins:
+        """The margins at every operating point, [p] each; `controller` is the smooth variant."""
+
+        def one(drive: Drive, velocity: Array, load: Array) -> Margins:
+            return margins(open_loop(drive, controller, self.sampling, Operating(velocity, load)))
+
+        return jax.vmap(one)(self.points.drives, jnp.asarray(self.points.velocity), jnp.asarray(self.points.load))
+
+    def of_loop(self, controller: Controller) -> dict[str, Float[Array, " p"]]:
+        """Requirements on the loop alone, by name: no simulation is needed."""
+        found, limits = self.margins(controller), self.limits
+        grows = (found.growth - NEUTRAL) / UNSTABLE
+        stable = found.growth < NEUTRAL
+
+        def asked(excess: Array, at_most: Array | float) -> Array:
+            # an unstable loop has no margins: it misses them by as much as a loop at the brink of instability
+            return jnp.where(stable, excess, at_most)
+
+        kept = {
+            "stability": grows,
+            "gain margin up": asked(limits.gain_up / found.gain_up - 1.0, limits.gain_up - 1.0),
+            "gain margin down": asked(limits.gain_down / found.gain_down - 1.0, limits.gain_down - 1.0),
+            "phase margin": asked(jnp.where(jnp.isinf(found.phase), -1.0, 1.0 - found.phase / limits.phase), 1.0),
+        }
+        if limits.sensitivity is not None:
+            kept["peak sensitivity"] = asked(1.0 - limits.sensitivity / found.sensitivity, 1.0)
+        observer = printed_observer(controller)
+        if observer is not None and limits.settling is not None:
+            kept["load estimator"] = self._settling(observer)
+        return kept
+
+    def _settling(self, observer: KalmanObserver) -> Float[Array, " p"]:
+        """Eq. (20) must forget an error within `settling` wherever it is at work (and G be positive for that)."""
+        estimator, mu = observer.load_estimator, observer.friction.load_coefficient
+        velocity, load = jnp.asarray(self.points.velocity), jnp.asarray(self.points.load)
+        at_work = jnp.abs(velocity) > estimator.min_speed
+        sliding = jnp.where(at_work, velocity, 1.0)
+        found = jax.vmap(lambda v, w: convergence_gain(observer, v, self.sampling.period, w))(sliding, load)
+        per_step = estimator.gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
+        return jnp.where(at_work, 1.0 - per_step * self.limits.settling / self.sampling.period, -1.0)
+
+    def limited(self, signals: Signals) -> dict[str, Float[Array, "lanes n"]]:
+        """Signals whose RMS is limited, by name, in units of their limits; linear in the signals."""
+        limits, found = self.limits, {}
+        if limits.command_noise is not None:
+            found["command noise"] = signals.change / limits.command_noise
+        if limits.load_error is not None and signals.load_error is not None:
+            found["load error"] = signals.load_error / jnp.reshape(limits.load_error, (-1, 1))
+        return found
+
+    def of_signals(self, signals: Signals) -> dict[str, Float[Array, " lanes"]]:
+        """Requirements on the simulated signals, by name."""
+        kept = {name: rms(signal) - 1.0 for name, signal in self.limited(signals).items()}
+        if signals.excess is not None:
+            kept["force limit"] = rms(signals.excess)  # N: any is too much
+        return kept

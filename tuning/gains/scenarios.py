@@ -1,0 +1,113 @@
+"""What a controller is tuned on: motions, loads, machines and noise, side by side as the lanes of one program."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.controllers import Controller
+from diffdrive.effects.acting import force_limit
+from diffdrive.errors import MotionError, ParameterError
+from diffdrive.loop.simulate import Inputs, inputs_of, rollout
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import Drive, Sampling, Sensor, as_arrays
+from diffdrive.motion.motion import Motion
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One motion of one machine under one load (N, one number or one per sample), with one sequence of noise."""
+
+    name: str
+    drive: Drive
+    motion: Motion
+    load: Float[np.ndarray, " n"] | float = 0.0
+    seed: int = 0
+
+
+class Signals(NamedTuple):
+    """What a roll-out shows after it has settled, [lanes, n] each; all of them are better when smaller."""
+
+    error: Float[Array, "lanes n"]  # m, tracking error
+    change: Float[Array, "lanes n"]  # N, of the command from sample to sample, over sqrt 2
+    excess: Float[Array, "lanes n"] | None  # N, of the command over the force limit; None where there is none
+    load_error: Float[Array, "lanes n"] | None  # N; None where no load is estimated
+
+
+class Ensemble(eqx.Module):
+    """Scenarios as lanes, on the smooth variants of their machines."""
+
+    drives: Drive  # every number [lanes]
+    inputs: Inputs  # every signal [lanes, n]
+    seeds: Array  # [lanes]
+    sampling: Sampling = eqx.field(static=True)
+    settled: int = eqx.field(static=True)
+
+    def signals(self, controller: Controller) -> Signals:
+        """Roll every lane. Pure: for use under `jit`, `vmap` and `jacfwd`."""
+
+        def one(drive: Drive, inputs: Inputs, seed: Array) -> Signals:
+            frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
+            late, before = slice(self.settled, None), slice(self.settled - 1, None)
+            limit = force_limit(drive)
+            known = frame.estimate is not None and frame.estimate.load is not None
+            return Signals(
+                error=(inputs.reference.position - frame.position)[late],
+                change=jnp.diff(frame.command[before]) / np.sqrt(2.0),
+                excess=None if limit is None else jnp.maximum(jnp.abs(frame.command[late]) - limit, 0.0),
+                load_error=(frame.estimate.load - inputs.load)[late] if known else None,
+            )
+
+        return jax.vmap(one)(self.drives, self.inputs, self.seeds)
+
+
+def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float) -> Ensemble:
+    """The lanes of these scenarios; what they cost counts from `settle` (s) on.
+
+    The scale's quantiser is replaced by the white noise of the same variance, resolution^2 / 12. Raises
+    `ParameterError` where the machines differ in kind (delay samples, a limit on one alone) and `MotionError` where the
+    motions differ in length or rate.
+    """
+    if not scenarios:
+        raise ParameterError("no scenario to tune on")
+    first = scenarios[0].motion
+    for one in scenarios:
+        if len(one.motion.time) != len(first.time) or abs(one.motion.rate / sampling.rate - 1) > 1e-6:
+            raise MotionError(
+                f"{one.name}: {len(one.motion.time)} samples at {one.motion.rate:g} Hz beside {len(first.time)} at "
+                f"{sampling.rate:g} Hz: scenarios are simulated side by side, so make their motions equally long"
+            )
+    settled = max(1, round(settle * sampling.rate))
+    if settled >= len(first.time) - 1:
+        raise MotionError(f"nothing is left of {first.time[-1]:g} s of motion after {settle:g} s to settle")
+    drives = [as_arrays(smooth(_noisy(one.drive))) for one in scenarios]
+    if len({jax.tree.structure(drive) for drive in drives}) > 1:
+        raise ParameterError(
+            "the machines of the scenarios differ in kind (delay samples, force limit, resolution, Stribeck exponent): "
+            "tune on machines that differ in numbers alone"
+        )
+    loads = [np.broadcast_to(np.asarray(one.load, float), first.time.shape) for one in scenarios]
+    inputs = [inputs_of(one.motion, load) for one, load in zip(scenarios, loads, strict=True)]
+    return Ensemble(
+        drives=_stacked(drives),
+        inputs=_stacked(inputs),
+        seeds=jnp.asarray([one.seed for one in scenarios]),
+        sampling=sampling,
+        settled=settled,
+    )
+
+
+def _stacked(trees: Sequence[object]) -> object:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _noisy(drive: Drive) -> Drive:
+    sensor = drive.sensor
+    rounding = 0.0 if sensor.resolution is None else float(sensor.resolution) ** 2 / 12
+    noise = float(np.sqrt(float(sensor.noise) ** 2 + rounding))
+    return eqx.tree_at(lambda d: d.sensor, drive, Sensor(None, noise), is_leaf=lambda leaf: leaf is sensor)

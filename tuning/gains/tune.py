@@ -1,0 +1,214 @@
+"""The auto-tuner: gains by gradient over an ensemble of scenarios, within stability margins and other requirements.
+
+starts -> unstable ones made stable, side by side -> searched, the most promising first -> the best
+"""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.controllers import DOBVSC, Cascade, Controller, FrictionCompensation, PDFeedforwardDOB
+from diffdrive.errors import ParameterError
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import as_arrays, check, require_double_precision
+from diffdrive.observers.friction_observer import LoadStateObserver
+from diffdrive.observers.load_estimator import InnovationLoad
+from diffdrive.support.resources import counted, require_memory
+from tuning.gains.checkpoint import Checkpoint
+from tuning.gains.constrained import Gains, Point, problem_of, worth
+from tuning.gains.objective import Objective
+from tuning.gains.requirements import Requirements
+from tuning.gains.scenarios import Ensemble
+from tuning.gains.sequential import KEPT, Found, Standing, search
+from tuning.optimisation.least_squares import Progress, silent
+from tuning.optimisation.space import Space, around
+
+FEEDBACK_FACTOR = 30.0  # margins hold kp and kd back, not these bounds
+FILTER_FACTOR = 1e3
+FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
+STARTS = 4
+SCATTER = 1.0  # units of y
+SENSITIVE = 0.05  # share of the objective
+
+
+def default_space(controller: Controller, *, friction: bool = False) -> Space:
+    """The gains that this kind of controller is tuned by, those that are zero left out: they stay."""
+    return around(controller, factors_of(controller, friction=friction))
+
+
+def factors_of(controller: Controller, *, friction: bool = False) -> dict[str, float]:
+    """The gains of this kind of controller, and by what factor each may move from where it is.
+
+    `friction` frees the friction parameters that an observer believes in as well, in each direction.
+    """
+    near, far = FEEDBACK_FACTOR, FILTER_FACTOR
+    if isinstance(controller, Cascade):
+        return {"kp": near, "kv": near, "ki": near}
+    factors = {"tracking.gains.kp": near, "tracking.gains.kd": near}
+    if isinstance(controller, DOBVSC | PDFeedforwardDOB):
+        factors["observer.cutoff"] = 10.0
+    if isinstance(controller, DOBVSC):
+        factors |= {"reach": 10.0, "layer": 10.0, "slope": 10.0}
+    if isinstance(controller, FrictionCompensation):
+        noises = ["position", "velocity", "bristle", "measurement"]
+        if isinstance(controller.observer, LoadStateObserver):
+            noises.append("load")
+        factors |= {f"observer.tuning.{name}": far for name in noises}
+        estimator = getattr(controller.observer, "load_estimator", None)
+        if isinstance(estimator, InnovationLoad):
+            factors["observer.load_estimator.gain"] = far
+        if friction:
+            factors |= {
+                f"observer.friction.{name}.{side}": FRICTION_FACTOR
+                for name in (
+                    "coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous",
+                    "bristle_stiffness", "bristle_damping",
+                )
+                for side in ("positive", "negative")
+            }  # fmt: skip
+    return factors
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A requirement that holds the objective back: what a relaxation of 1 % would gain, in percent of the objective."""
+
+    name: str
+    worth: float
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The tuned controller, each gain before and after, and what stood in the way of better ones."""
+
+    controller: Controller
+    names: list[str]
+    before: Float[np.ndarray, " k"]
+    after: Float[np.ndarray, " k"]
+    at_bound: list[str]
+    point: Point  # the objective, and every requirement
+    began: Point  # the same where the controller was given
+    binding: list[Binding]
+    tolerance: Float[np.ndarray, " k"]  # factor by which each alone may move for 5 % more of the objective; 1000: any
+    found: Found
+    searches: list[Found]  # one from each start, in the order in which they were made
+    starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it kept not what is required
+    screening: float  # s, in which the starts were looked at
+
+    @property
+    def status(self) -> str:
+        """Why the search ended; whether the requirements are kept is `feasible`."""
+        return self.found.standing.status
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every requirement is kept."""
+        return bool(self.point.missed <= KEPT)
+
+    @property
+    def missed(self) -> dict[str, float]:
+        """The requirements that are not kept, and by which share."""
+        return {name: float(jnp.max(v)) for name, v in self.point.kept.items() if not float(jnp.max(v)) <= KEPT}
+
+
+def tune(
+    controller: Controller,
+    scenarios: Ensemble,
+    requirements: Requirements,
+    space: Space | None = None,
+    *,
+    objective: Objective = Objective(),
+    starts: int = STARTS,
+    seed: int = 0,
+    max_steps: int = 40,
+    checkpoint: Path | None = None,
+    progress: Progress = silent,
+) -> Tuned:
+    """Tune `controller` over `scenarios` within `requirements`; verify the result on the exact simulator.
+
+    The first start is the controller as given, the others are drawn about it: the landscape has several valleys of
+    nearly the same depth (docs/tuning.md). An unstable start is first led to where the loop is stable. With a
+    `checkpoint` the search goes on there where it was stopped, by a kill or by Ctrl-C, and takes the same steps as if
+    it had not been. Raises `ParameterError` for parameters out of bounds and
+    `CheckpointError` for a checkpoint of another problem.
+    """
+    require_double_precision()
+    check(controller)
+    require_starts(starts)
+    space = default_space(controller) if space is None else space
+    gains = Gains(space.free, objective)
+    problem = problem_of(as_arrays(smooth(controller)), space, scenarios, requirements)
+    scattered = _scattered(len(space.free), starts, seed)
+    kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
+    clock = time.perf_counter()
+    worths = [jax.block_until_ready(worth(gains, jnp.asarray(point), problem)) for point in scattered]
+    screening = time.perf_counter() - clock
+    order = np.argsort([float(one.penalised) for one in worths])
+    results: list[Found] = []
+    ends = np.full(starts, np.inf)
+    for k in order:
+        standing = kept.standing(int(k)) or Standing(tuple(float(one) for one in scattered[k]))
+        found = search(
+            gains,
+            problem,
+            standing,
+            max_steps=max_steps,
+            progress=progress,
+            keep=lambda now, k=k: kept.keep(int(k), now),
+        )
+        results.append(found)
+        ends[k] = float(found.at.point.objective) if found.at.point.missed <= KEPT else np.inf
+        if found.standing.status.startswith("interrupted"):
+            break
+    best = min(results, key=lambda one: float(one.at.point.penalised))
+    return _tuned(controller, space, best, worths[0], results, ends, screening)
+
+
+START = 1e4  # bytes: what is known of a start before any is searched from
+
+
+def require_starts(starts: int) -> None:
+    """Raise `ParameterError` for more starts than fit into memory; looking at one takes a tenth of a second or more."""
+    require_memory(ParameterError, f"{counted(starts)} starts", START * starts, "give fewer")
+
+
+def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+    others = SCATTER * np.random.default_rng(seed).normal(size=(max(0, starts - 1), count))
+    return np.vstack([np.zeros((1, count)), others])
+
+
+def _tuned(
+    controller: Controller, space: Space, found: Found, began: Point, searches: list[Found],
+    ends: Float[np.ndarray, " s"], screening: float,
+) -> Tuned:  # fmt: skip
+    objective = float(found.at.point.objective)
+    binding = [
+        Binding(name, float(np.sum(prices)) / objective)
+        for name, prices in found.multipliers.items()
+        if float(np.sum(prices)) > 1e-3 * objective
+    ]
+    values = np.asarray(space.values(found.y))
+    # a step of y that moves the logarithm of each value by one, and how far that goes for a share of the objective
+    per_log = 1.0 / np.diag(np.asarray(jax.jacobian(lambda y: jnp.log(space.values(y)))(jnp.asarray(found.y))))
+    curvature = np.diag(np.asarray(found.at.curvature)) * per_log**2
+    reach = np.sqrt(2.0 * SENSITIVE * objective / np.maximum(curvature, 1e-300))
+    return Tuned(
+        controller=jax.tree.map(float, space.insert(as_arrays(controller), found.y)),
+        names=space.names,
+        before=np.asarray(space.values(np.zeros_like(found.y))),
+        after=values,
+        at_bound=space.at_bound(found.y),
+        point=found.at.point,
+        began=began,
+        binding=sorted(binding, key=lambda one: -one.worth),
+        tolerance=np.exp(np.minimum(reach, np.log(FILTER_FACTOR))),
+        found=found,
+        searches=searches,
+        starts=ends,
+        screening=screening,
+    )

@@ -1,0 +1,1 @@
+"""A drive from its logs."""

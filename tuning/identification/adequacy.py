@@ -1,0 +1,90 @@
+"""Whether the model suffices: white innovations, and no force missing.
+
+A filter that is told of a process force whitens its innovations even where the model is wrong, so both are looked at:
+what the past of the innovations foretells, and how large a force the filter had to invent.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from tuning.identification.uncertainty import autocorrelation
+
+LAGS = 100
+FORETOLD = 0.01  # share of the variance
+IMPROBABLE = 1e-3  # p-value
+MISSING = 2e-3  # of the Coulomb friction
+DEVIANCE = 20.0  # a gain beyond any chance
+
+
+class Adequacy(NamedTuple):
+    """What is left when the model has explained what it can."""
+
+    p_value: float  # Ljung-Box: how often white noise would look like these innovations
+    foretold: float  # share of the innovations' variance that an autoregression foretells from their past
+    missing: float  # N, RMS of the force that the filter had to invent
+    share: float  # of the Coulomb friction
+    gain: float  # in deviance, by letting the filter invent it
+
+    @property
+    def structured(self) -> bool:
+        """Structure beyond doubt and large enough to matter."""
+        return self.coloured or self.lacking
+
+    @property
+    def coloured(self) -> bool:
+        """Innovations that their past foretells."""
+        return not self.p_value >= IMPROBABLE and self.foretold > FORETOLD
+
+    @property
+    def lacking(self) -> bool:
+        """A force that the filter had to invent; also where nothing could be judged."""
+        return not self.gain <= DEVIANCE and not self.share <= MISSING
+
+    @property
+    def says(self) -> str:
+        """In plain words."""
+        if np.isnan(self.missing):
+            return "the logs are too short, or too torn, to say whether a force is missing"
+        force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
+        if self.coloured and not self.lacking:
+            return (
+                f"structure remains, though no force is missing ({force}): {100 * self.foretold:.2g} % of the "
+                f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
+                "measuring noise is coloured, as after a filter or between the counts of a coarse scale"
+            )
+        if self.lacking:
+            return (
+                f"structure remains: the model lacks a force of {force}, and {100 * self.foretold:.2g} % of the "
+                f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
+                "parameters are the best compromise of an incomplete model, and so are their intervals"
+            )
+        white = "white" if self.p_value >= IMPROBABLE else "as good as white"  # many samples show the least colour
+        return (
+            f"nothing is missing that these logs would show: the force left over is {force}, the innovations are "
+            f"{white} (p = {self.p_value:.2g}, {100 * self.foretold:.2g} % of their variance foretold)"
+        )
+
+
+def adequacy(
+    innovation: Float[np.ndarray, "lanes n"], gain: float, missing: Float[np.ndarray, "lanes n"], friction: float
+) -> Adequacy:
+    """Judge normalised innovations (zeros, the padding, do not count) and the missing force (N) over `friction` (N).
+
+    Where the missing force is NaN it was not looked at.
+    """
+    counted = int(np.count_nonzero(innovation))
+    lags = min(LAGS, innovation.shape[1] // 10)
+    rho = autocorrelation(innovation, lags)
+    statistic = counted * (counted + 2) * float(np.sum(rho**2 / (counted - np.arange(1, lags + 1))))
+    table = np.r_[1.0, rho]
+    toeplitz = table[np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))]
+    weights = np.linalg.solve(toeplitz + 1e-9 * np.eye(lags), rho)
+    foretold = (
+        float(weights @ rho) - lags / counted
+    )  # what fitting so many weights to white noise would seem to foretell
+    judged = np.isfinite(missing) & (innovation != 0.0)
+    force = float(np.sqrt(np.mean(missing[judged] ** 2))) if judged.any() else float("nan")
+    return Adequacy(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, foretold), force, force / friction, gain)

@@ -1,0 +1,147 @@
+"""Estimates with intervals, in the names and units of the drive file."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.model.parameters import Drive, Scalar
+from tuning.identification.problem import Innovations, Problem
+from tuning.identification.uncertainty import Covariance
+from tuning.identification.unknowns import Unknowns, paths, placed
+from tuning.optimisation.space import Space
+
+
+class Estimate(NamedTuple):
+    """One parameter as found, between `low` and `high` with 95 % confidence.
+
+    Both are `value` where it was not fitted, and NaN where it ended at its bound. The search was free to move it from
+    `lowest` to `highest`, the others as found; both are `value` where it was not free.
+    """
+
+    name: str  # as in the drive file, with .positive or .negative where the directions differ
+    unit: str
+    believed: float
+    value: float
+    low: float
+    high: float
+    lowest: float
+    highest: float
+    status: str  # "fitted", "fixed", "not determined", or "at its bound"
+
+
+class Reported(NamedTuple):
+    """One parameter as it is reported: which unknown it rests on, and its value."""
+
+    key: str
+    side: str  # "positive", "negative", or "" where both directions are one
+    unit: str
+    unknown: str
+    value: Scalar
+
+    @property
+    def name(self) -> str:
+        """Key and side."""
+        return f"{self.key}.{self.side}" if self.side else self.key
+
+    @property
+    def path(self) -> str:
+        """Where the unknown is in the search space."""
+        return f"{self.unknown}.{self.side}" if self.side else self.unknown
+
+
+NORMAL = 1.959964  # half-width of a 95 % interval in standard deviations
+OPEN = 50.0  # half-width in the logarithm, beyond which an interval is simply open
+LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
+
+
+def reported(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list[Reported]:
+    """Every parameter that can be identified; those in `together` have one value for both directions."""
+    friction = drive.friction
+    pairs = (
+        ("coulomb_at_no_load", "N", "coulomb", unknowns.coulomb),
+        ("coulomb_screw", "N", "coulomb", friction.coulomb_screw),
+        ("load_coefficient", "1", "load_coefficient", friction.load_coefficient),
+        ("breakaway_gap", "N", "breakaway", friction.breakaway_gap),
+        ("stribeck_velocity", "m/s", "stribeck_velocity", friction.stribeck_velocity),
+        ("viscous", "N*s/m", "viscous", friction.viscous),
+        ("bristle_stiffness", "N/m", "bristle_stiffness", friction.bristle_stiffness),
+        ("bristle_damping", "N*s/m", "bristle_damping", friction.bristle_damping),
+    )
+    rows = [
+        Reported("mass", "", "kg", "mass", drive.plant.mass),
+        Reported("constant_force", "", "N", "constant_force", drive.plant.constant_force),
+    ]
+    for key, unit, unknown, pair in pairs:
+        if unknown in together:
+            rows.append(Reported(key, "", unit, unknown, pair.positive))
+        else:
+            rows.append(Reported(key, "positive", unit, unknown, pair.positive))
+            rows.append(Reported(key, "negative", unit, unknown, pair.negative))
+    return [*rows, Reported("delay", "", "periods", "delay", unknowns.delay)]
+
+
+def estimates(
+    y: Float[np.ndarray, " k"],
+    innovations: Innovations,
+    problem: Problem,
+    covariance: Covariance,
+    undetermined: set[str],
+) -> tuple[list[Estimate], Float[np.ndarray, "q q"]]:
+    """The table of estimates at y, and their covariance. Positive parameters get the interval of their logarithm."""
+
+    def values(y: Float[Array, " k"]) -> Float[Array, " q"]:
+        drive, unknowns = innovations.unpack(y, problem)
+        return jnp.stack([jnp.asarray(row.value) for row in reported(drive, unknowns, together)])
+
+    together = frozenset(
+        path for path in paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping")
+    )
+    before = reported(problem.believed, problem.believed_unknowns, together)
+    point = jnp.asarray(y)
+    found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
+    scatter = slope @ covariance.matrix @ slope.T
+    widths = covariance.quantile * np.sqrt(np.diag(scatter))
+    ends = _ends(point, innovations, problem, together)
+    at_bound = set(Space(innovations.free, problem.origin).near_bound(y))
+    table = []
+    for row, value, width, direction in zip(before, found, widths, slope, strict=True):
+        if row.path in undetermined:
+            status = "not determined"
+        elif row.path in at_bound or (row.path in ends and not np.any(direction)):
+            status = "at its bound"  # its own, or that of what a drive file can say (no viscous friction below zero)
+        else:
+            status = "fitted" if np.any(direction) else "fixed"
+        if status == "at its bound":
+            low, high = np.nan, np.nan  # the optimum may lie beyond: no interval describes that
+        elif row.key in LINEAR or value <= 0:
+            low, high = value - width, value + width
+        else:
+            factor = np.exp(min(width / value, OPEN))
+            low, high = value / factor, value * factor
+        lowest, highest = ends.get(row.path, {}).get(row.name, (value, value))
+        table.append(
+            Estimate(
+                row.name, row.unit, float(row.value), float(value), float(low), float(high), lowest, highest, status
+            )
+        )
+    return table, scatter * (covariance.quantile / NORMAL) ** 2
+
+
+def _ends(
+    y: Float[Array, " k"], innovations: Innovations, problem: Problem, together: frozenset[str]
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """For each free path the bounds of what is reported of it, by name, the other unknowns as found."""
+    unknowns = innovations.unpack(y, problem)[1]
+
+    def at(path: str, end: float) -> dict[str, float]:
+        there = placed(unknowns, path, end)
+        return {row.name: float(row.value) for row in reported(there.drive(problem.believed), there, together)}
+
+    found = {}
+    for path, low, high in innovations.free:
+        lowest, highest = at(path, low), at(path, high)
+        found[path] = {name: (lowest[name], highest[name]) for name in lowest}
+    return found

@@ -1,0 +1,132 @@
+"""How far to trust the model against the measurement, at every sample: an extended Kalman filter along a log.
+
+It carries the covariance of position, velocity and bristle with the exact derivative of one control period, so that its
+gains rise where the falling Stribeck curve makes the motion unstable and vanish where the table rests. What the model
+lacks is a white force on the table of `process` N (standard deviation per control period); how large it is, the
+likelihood of the innovations tells: nothing for an exact model, newtons for a machine.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.model import plant
+from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.numerics.once import once
+from diffdrive.observers.kalman import Matrix, Triangle, diagonal, gain, predict_covariance, update_covariance
+from tuning.identification.prediction import Gains, Lanes, acting_force, moving
+
+PROCESSES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
+UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
+
+
+class Filtered(NamedTuple):
+    """Gains along the log, and how likely its innovations are."""
+
+    gains: Gains
+    innovation: Float[Array, "lanes n"]  # m
+    deviance: Scalar  # -2 log likelihood of the innovations, up to a constant
+
+
+def _period(drive: Drive, sampling: Sampling) -> Any:
+    """One control period and its derivative with respect to the state before it."""
+
+    def ahead(velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar) -> plant.PlantState:
+        state = plant.PlantState(jnp.zeros_like(velocity), velocity, bristle)
+        return plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
+
+    def both(state: plant.PlantState, force: Scalar, load: Scalar) -> tuple[plant.PlantState, Matrix]:
+        _, velocity, bristle = state
+        one, none = jnp.ones_like(velocity), jnp.zeros_like(velocity)
+
+        def along(direction: tuple[Scalar, Scalar]) -> Any:
+            return jax.jvp(lambda v, z: ahead(v, z, force, load), (velocity, bristle), direction)
+
+        moved, by_velocity = along((one, none))
+        _, by_bristle = along((none, one))
+        rows = zip((1.0, 0.0, 0.0), by_velocity, by_bristle, strict=True)  # nothing depends on the position
+        return moved._replace(position=state.position + moved.position), tuple(rows)
+
+    return both
+
+
+def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes: Lanes, sampling: Sampling) -> Filtered:
+    """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's."""
+    period = _period(drive, sampling)
+    jolt = (process * sampling.period / drive.plant.mass) ** 2
+    measured_variance = noise**2
+
+    def body(carry: tuple[plant.PlantState, Triangle], at: tuple[Scalar, Scalar, Scalar]) -> Any:
+        state, covariance = carry
+        measured, force, load = at
+        innovation = measured - state.position
+        scatter = jnp.sqrt(covariance[0][0] + measured_variance)
+        pull = gain(covariance, measured_variance)
+        state = plant.PlantState(*(value + k * innovation for value, k in zip(state, pull, strict=True)))
+        covariance = update_covariance(covariance, pull, measured_variance)
+        state, covariance = once((state, covariance))
+        state, moved = period(state, force, load)
+        covariance = predict_covariance(covariance, moved, (0.0, jolt, 0.0))
+        return (state, covariance), (Gains(*pull, scatter), innovation)
+
+    def one(lane: Lanes) -> Any:
+        begin = moving(drive, lane)
+        level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
+            drive.friction.initial_load + lane.load[0]
+        )
+        bent = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off at the start
+        spread = diagonal((measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, bent**2))
+        force = acting_force(drive, lane, delay)
+        return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
+
+    gains, innovation = lax.map(one, lanes)
+    counts = lanes.counts
+    weighed = jnp.sum(counts * (innovation / gains.scatter) ** 2) / jnp.sum(counts)
+    deviance = jnp.sum(counts) * jnp.log(weighed) + 2.0 * jnp.sum(counts * jnp.log(gains.scatter))
+    return Filtered(gains, innovation, deviance)
+
+
+@eqx.filter_jit
+def _deviances(
+    drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
+) -> Any:
+    return jax.vmap(lambda one: filtered(drive, delay, one, noise, lanes, sampling).deviance)(processes)
+
+
+@eqx.filter_jit
+def _filtered(*arguments: Any) -> Filtered:
+    return filtered(*arguments)
+
+
+class Likeliest(NamedTuple):
+    """The process force under which a log is likeliest, and what that says about the model."""
+
+    process: float  # N, standard deviation of a white force, one value per control period
+    deviance: float
+    gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
+    track: Filtered
+
+
+def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> Likeliest:
+    """Filter the lanes under the likeliest of `PROCESSES`.
+
+    The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
+    """
+    deviances = np.asarray(
+        _deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling)
+    )
+    found = np.where(np.isfinite(deviances), deviances, np.inf)
+    best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
+    process = float(PROCESSES[best])
+    gains = track(drive, delay, process, noise, lanes, sampling)
+    return Likeliest(process, float(found[best]), float(found[0] - found[best]), gains)
+
+
+def track(drive: Drive, delay: float, process: float, noise: float, lanes: Lanes, sampling: Sampling) -> Filtered:
+    """Filter the lanes under a given process force (N)."""
+    return _filtered(drive, jnp.asarray(delay), jnp.asarray(process), jnp.asarray(noise), lanes, sampling)

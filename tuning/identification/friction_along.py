@@ -1,0 +1,46 @@
+"""The friction that a drive would have shown along a measured motion."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from diffdrive.effects.acting import bent
+from diffdrive.effects.base import Acts
+from diffdrive.model.friction import bristle_at, friction_force, slide
+from diffdrive.model.parameters import Drive, Scalar
+
+
+class Along(NamedTuple):
+    """What resists a motion, sample by sample."""
+
+    friction: Float[Array, " n"]  # N, and damping
+    bristle: Float[Array, " n"]  # m, its deflection
+
+
+def friction_along(
+    drive: Drive,
+    velocity: Float[Array, " n"],
+    load: Float[Array, " n"],
+    period: Scalar,
+    acts: Acts | None = None,
+) -> Along:
+    """Friction and its bristle at these velocities (m/s) and loads (N), the bristle relaxed at the start.
+
+    Between two samples, `period` (s) apart, the bristle moves at their mean velocity. `acts`, [n] each, bend the
+    friction.
+    """
+
+    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, Along]:
+        now, ahead, applied, acts = at
+        friction = bent(drive, acts).friction
+        force = friction_force(bristle_at(friction, now, deflection, applied), now, deflection)
+        mean = 0.5 * (now + ahead)
+        rate = bristle_at(friction, mean, deflection, applied).rate
+        resisting = force + drive.plant.damping.towards(now) * now
+        return slide(deflection, mean, rate, period), Along(resisting, deflection)
+
+    ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
+    nothing = Acts(*(jnp.zeros_like(velocity) for _ in Acts._fields))
+    return lax.scan(body, jnp.zeros(()), (velocity, ahead, load, acts or nothing))[1]

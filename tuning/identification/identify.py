@@ -1,0 +1,222 @@
+"""Friction, mass and delay of a drive from its logs, by gradient.
+
+    logs -> inverse dynamics (a start) -> many starts, coarse -> search and filter in turn -> intervals
+
+A parameter that the logs do not determine is put back to what the drive file says, named, and the rest fitted again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.errors import ParameterError
+from diffdrive.logs import Log
+from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
+from diffdrive.support.resources import counted, require_memory
+from tuning.identification.adequacy import Adequacy, adequacy
+from tuning.identification.estimates import Estimate, estimates
+from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampling_of
+from tuning.identification.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
+from tuning.identification.setup import ask
+from tuning.identification.uncertainty import Covariance
+from tuning.optimisation.least_squares import Progress, Search, many_starts, silent
+from tuning.optimisation.space import Free, Space
+from tuning.store.store import Store, digest
+
+SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
+COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
+COARSE_STEPS = 8
+DELAYS = 19  # that are tried before, over the range of the delay
+UNDETERMINED = 0.25  # standard error in units of belief: the value is not known to a factor of two
+LEAST_DELAY = 0.01  # control periods, below which a delay is none
+INSEPARABLE = 0.95  # correlation
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The drive that the logs tell, how sure each of its parameters is, and whether the model suffices."""
+
+    drive: Drive
+    estimates: list[Estimate]
+    scatter: Float[np.ndarray, "q q"]  # their covariance, as wide as their intervals are
+    adequacy: Adequacy
+    covariance: Covariance
+    correlated: list[tuple[str, str, float]]  # pairs that the logs hardly tell apart
+    noise: float  # m
+    process: float  # N, standard deviation of the force that the model lacks, were it white
+    innovation: Float[np.ndarray, "lanes n"]  # m
+    missing: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
+    velocity: Float[np.ndarray, "lanes n"]  # m/s, as predicted
+    search: Search
+    starts: Float[np.ndarray, " s"]  # cost of each start, over the best
+    simulations: int  # of all logs, forward and with derivatives
+    notes: tuple[str, ...]
+    undetermined: frozenset[str]  # paths in the search space
+    wide: Fit  # with every parameter free, before the undetermined ones were put back
+
+    @property
+    def status(self) -> str:
+        """What to make of it; never just "converged" over structured innovations."""
+        if self.search.status != "converged":
+            return self.search.status
+        return "converged, but structure remains" if self.adequacy.structured else "converged"
+
+
+def identify(
+    logs: Sequence[Log],
+    drive: Drive,
+    *,
+    fixed: Sequence[str] = (),
+    bounded: Mapping[str, tuple[float, float]] | None = None,
+    starts: int = 6,
+    seed: int = 0,
+    store: Store | None = None,
+    progress: Progress = silent,
+) -> Identified:
+    """Identify `drive` from `logs` of one machine (all at one rate), starting from what it says.
+
+    `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
+    in the logs where they differ. Finished searches are kept in the `store`, and taken from there when the
+    identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
+    """
+    require_double_precision()
+    check_drive(drive)
+    question = ask(logs, drive, fixed, bounded or {})
+    problem, free, rate = question.problem, question.free, question.rate
+    coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
+    y, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
+    progress = _stop if stopped else progress
+    wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress, store)
+    lost = _undetermined(wide)
+    fit = wide
+    if lost and not interrupted(wide.search):
+        fit = refined(*narrowed(wide, lost), question.noise, progress, store)
+    if not interrupted(fit.search):
+        fit = sharpened(fit, question.noise, progress, store)
+    found, remark = _drive(fit)
+    missing = missing_force(fit)
+    table, scatter = estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked)
+    return Identified(
+        drive=found,
+        estimates=table,
+        scatter=scatter,
+        adequacy=adequacy(fit.innovation / np.asarray(fit.problem.gains.scatter), fit.gain, missing, friction_of(fit)),
+        covariance=fit.covariance,
+        correlated=_correlated(fit.residuals.free, fit.covariance),
+        noise=question.noise,
+        process=fit.process,
+        innovation=fit.innovation,
+        missing=missing,
+        velocity=fit.velocity,
+        search=fit.search,
+        starts=costs / costs.min(),
+        simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)) + DELAYS,
+        notes=(*question.notes, *remark),
+        wide=wide,
+        undetermined=frozenset(lost | question.unasked),
+    )
+
+
+def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+    """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
+    require_memory(ParameterError, f"{counted(starts)} starts", 8.0 * starts * len(free), "give fewer")
+    loose = np.array([one.path.split(".")[0] in SCATTERED for one in free])
+    noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
+    return np.vstack([np.zeros(len(loose)), noise])
+
+
+def _many_starts(
+    coarse: Innovations, problem: Problem, starts: int, seed: int, progress: Progress, store: Store | None
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
+    """The best of several coarse searches, their costs, and whether they were interrupted.
+
+    The first starts where the problem says, the others around it.
+    """
+    points = scattered(coarse.free, starts, seed)
+    key = "" if store is None else digest("starts", coarse, problem, points)
+    kept = None if store is None else store.read(key)
+    if kept is not None:
+        return kept["y"], kept["costs"], False
+    points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
+    found, costs, stopped = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
+    best = found[int(np.argmin(costs))]
+    if store is not None and not stopped:
+        store.write(key, {"y": best, "costs": costs})
+    return best, costs, stopped
+
+
+def _stop(*_: object) -> None:
+    """A progress that ends a search with its first step, when the starts before it were interrupted."""
+    raise KeyboardInterrupt
+
+
+@eqx.filter_jit
+def _costs(residuals: Innovations, points: Float[Array, "s k"], problem: Problem) -> Float[Array, " s"]:
+    return jax.vmap(lambda y: jnp.linalg.norm(residuals(y, problem)))(points)
+
+
+def _best_delay(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"]:
+    """The start moved to the best delay on the way from one of its bounds to the other.
+
+    From a delay that is a sample off, friction first bends to make up for it, and seldom finds back.
+    """
+    points = np.zeros((1 + DELAYS, len(coarse.free)))
+    for k, free in enumerate(coarse.free):
+        if free.path == "delay":
+            share = np.linspace(0.0, 1.0, DELAYS + 2)[1:-1]
+            points[1:, k] = np.log(share / (1.0 - share)) - problem.origin[k]
+    costs = np.asarray(_costs(coarse, jnp.asarray(points), as_arrays(problem)))
+    return points[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
+
+
+def _undetermined(fit: Fit) -> set[str]:
+    """What the logs hardly narrow; not what they push against its bound, where the search vector has no more effect."""
+    free, errors = fit.residuals.free, fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
+    pushed = Space(free, fit.problem.origin).near_bound(fit.search.y)
+    return {one.path for one, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
+
+
+def _correlated(free: tuple[Free, ...], covariance: Covariance) -> list[tuple[str, str, float]]:
+    found = []
+    for a in range(len(free)):
+        for b in range(a):
+            if abs(covariance.correlation[a, b]) > INSEPARABLE:
+                found.append((free[b].path, free[a].path, float(covariance.correlation[a, b])))
+    return found
+
+
+def _drive(fit: Fit) -> tuple[Drive, tuple[str, ...]]:
+    """The drive found, as a drive file can say it, and what had to be bent for that."""
+    drive, unknowns = jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem))
+    remarks = []
+    delay = unknowns.delay
+    if delay < -LEAST_DELAY:
+        remarks.append(f"the command seems logged {-delay:.3g} samples late; the drive is written without a delay")
+    delay = delay if delay > LEAST_DELAY else 0.0
+    whole = int(delay)
+    fraction = delay - whole
+    actuator = replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)
+    for side in ("positive", "negative"):
+        damping, believed = (getattr(one.plant.damping, side) for one in (drive, fit.problem.believed))
+        if damping < believed:
+            remarks.append(
+                f"damping.{side} lowered from {float(believed):.4g} to {damping:.4g} N s/m: the friction found grows "
+                "less with speed than the file's damping alone"
+            )
+    friction = drive.friction
+    if min(friction.coulomb_screw.positive, friction.coulomb_screw.negative) < 0:
+        slope, level = friction.load_coefficient, unknowns.coulomb
+        most = min(level.positive / slope.positive, level.negative / slope.negative)
+        screw = Directional(level.positive - slope.positive * most, level.negative - slope.negative * most)
+        screw = Directional(max(screw.positive, 0.0), max(screw.negative, 0.0))
+        friction = replace(friction, coulomb_screw=screw, initial_load=most)
+        remarks.append(
+            f"initial_load lowered from {float(drive.friction.initial_load):.4g} to {most:.4g} N, since "
+            "the friction found leaves no room for more"
+        )
+    return replace(drive, actuator=actuator, friction=friction), tuple(remarks)

@@ -1,0 +1,104 @@
+"""The identification problem: stretches of logs, what is free, and residuals in units of the measuring noise."""
+
+from dataclasses import dataclass
+from math import comb
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.errors import LogError
+from diffdrive.logs import Log
+from diffdrive.model.parameters import Drive, Sampling
+from tuning.identification.prediction import Gains, Lanes, Predicted, begin_velocity, predict
+from tuning.identification.unknowns import Unknowns
+from tuning.optimisation.space import Free, Space
+
+SLOW_LOG = 999.0  # Hz, below which motion shows in third differences
+WINDOW = 50
+SHORTEST = 200  # samples of a stretch that is worth a lane
+COARSE_SUBSTEP, FINE_SUBSTEP, FINEST_SUBSTEP = 100e-6, 25e-6, 6.25e-6  # s, at most
+
+
+def lanes_of(logs: list[Log]) -> Lanes:
+    """The gap-free stretches of the logs side by side."""
+    stretches = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= SHORTEST]
+    if not stretches:
+        raise LogError(f"no stretch of {SHORTEST} samples without a gap in {', '.join(log.name for log in logs)}")
+    longest = max(piece.stop - piece.start for _, piece in stretches)
+
+    def padded(signal: np.ndarray | None, log: Log, piece: slice) -> np.ndarray:
+        values = np.zeros(len(log.time)) if signal is None else signal
+        return np.pad(values[piece], (0, longest - (piece.stop - piece.start)), mode="edge")
+
+    def rows(name: str) -> np.ndarray:
+        return np.stack([padded(getattr(log, name), log, piece) for log, piece in stretches])
+
+    counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
+    begins = [begin_velocity(log.position[piece], log.rate) for log, piece in stretches]
+    arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
+    return Lanes(*(jnp.asarray(one) for one in arrays))
+
+
+def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:
+    """Standard deviation (m) of the measured position about the true one; `rate` (Hz) is that of the lanes.
+
+    From the drive's sensor where it states one, and at least what the log itself shows: the scatter of its third
+    differences, which smooth motion leaves alone, in the median stretch of `WINDOW` samples. Of a slow log the fifth:
+    a motion of a few hertz shows in the third there.
+    """
+    resolution = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution)
+    stated = np.hypot(resolution / np.sqrt(12), float(drive.sensor.noise))
+    order = 3 if rate >= SLOW_LOG else 5
+    differences = np.diff(np.asarray(lanes.position), order, axis=1) * np.asarray(lanes.counts)[:, order:]
+    windows = differences[:, : differences.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW)
+    squares = np.mean(windows[np.any(windows != 0.0, axis=1)] ** 2, axis=1)
+    shown = np.sqrt(np.median(squares) / comb(2 * order, order)) if len(squares) else 0.0
+    return float(max(stated, shown, 1e-12))
+
+
+class Problem(NamedTuple):
+    """What is fitted to what."""
+
+    believed: Drive
+    believed_unknowns: Unknowns
+    unknowns: Unknowns  # where the search starts
+    lanes: Lanes
+    gains: Gains
+    origin: Float[np.ndarray, " free"]  # of the search space
+    prior: Float[np.ndarray, " free"]  # how many units of belief (a factor of five) one unit of y is; 1 in usual bounds
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
+
+    Innovations over their expected scatter, each `every`-th, then the distance of y from its start in units of belief.
+    That is a prior of a factor of five: next to nothing where the log says something about a parameter, and what keeps
+    it at its start where the log says nothing.
+    """
+
+    free: tuple[Free, ...]
+    sampling: Sampling
+    every: int = 1
+
+    def unpack(self, y: Float[Array, " k"], problem: Problem) -> tuple[Drive, Unknowns]:
+        """The drive and the unknowns at y."""
+        unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
+        return unknowns.drive(problem.believed), unknowns
+
+    def predict(self, y: Float[Array, " k"], problem: Problem) -> Predicted:
+        """What the drive at y predicts."""
+        drive, unknowns = self.unpack(y, problem)
+        return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
+
+    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
+        innovation = self.predict(y, problem).innovation
+        weighed = (innovation * problem.lanes.counts / problem.gains.scatter)[:, :: self.every] * np.sqrt(self.every)
+        return jnp.concatenate([weighed.ravel(), problem.prior * y])
+
+
+def sampling_of(rate: float, substep: float) -> Sampling:
+    """The sampling at which no substep of the plant is longer than `substep` (s)."""
+    return Sampling(rate, int(np.ceil(round(1.0 / (rate * substep), 6))))

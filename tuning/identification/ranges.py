@@ -1,0 +1,109 @@
+"""Which unknowns a search may move and how far: the user's bounds where given, else those about what was believed."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from diffdrive.errors import ParameterError
+from tuning.identification.problem import Problem
+from tuning.identification.unknowns import bounds, paths, placed, value
+from tuning.optimisation.space import Free, space_of
+
+NAMES = {  # in the drive file -> in the search
+    "mass": "mass",
+    "constant_force": "constant_force",
+    "coulomb_screw": "coulomb",
+    "load_coefficient": "load_coefficient",
+    "breakaway_gap": "breakaway",
+    "stribeck_velocity": "stribeck_velocity",
+    "viscous": "viscous",
+    "bristle_stiffness": "bristle_stiffness",
+    "bristle_damping": "bristle_damping",
+    "delay": "delay",
+}
+BOUNDABLE = NAMES | {"coulomb_at_no_load": "coulomb"}
+EDGE = 0.02  # of its range (of its decades, where it is positive), by which a start is kept off its bounds
+
+
+def free_space(
+    problem: Problem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+) -> tuple[Problem, tuple[Free, ...], list[str]]:
+    """What is free, within bounds about what was believed; the problem with its starts inside them; notes."""
+    given, notes = _given(problem, held, bounded)
+    unknowns, free = problem.unknowns, []
+    for path in paths(unknowns):
+        stem = path.split(".")[0]
+        if stem in held:
+            continue
+        limits = given.get(path) or _usual(problem, path)
+        possible = np.isfinite([limits.low, limits.high]).all() and limits.low < limits.high
+        if not possible or limits.low <= 0 < _usual(problem, path).low:
+            raise ParameterError(
+                f"cannot bound {path} within {limits.low:g} to {limits.high:g}: not a range of its values"
+            )
+        unknowns = placed(unknowns, path, inside(value(unknowns, path), limits))
+        free.append(limits)
+    if not free:
+        raise ParameterError("every parameter is fixed: leave at least one free")
+    prior = np.array([_reach(one) / _reach(_usual(problem, one.path)) for one in free])
+    within = problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin, prior=prior)
+    return within, tuple(free), notes
+
+
+def _reach(limits: Free) -> float:
+    """How far bounds are apart, in the coordinate in which the parameter moves."""
+    return float(np.log(limits.high / limits.low)) if limits.low > 0 else limits.high - limits.low
+
+
+def _usual(problem: Problem, path: str) -> Free:
+    """Bounds about the belief, unless inverse dynamics says that it is far off: the same for like machines."""
+    believed, seeded = value(problem.believed_unknowns, path), value(problem.unknowns, path)
+    trusted = 0.2 < believed / seeded < 5.0 if seeded > 0 else True
+    return bounds(path, believed if trusted else seeded, value(problem.believed_unknowns, "coulomb"))
+
+
+def _given(
+    problem: Problem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+) -> tuple[dict[str, Free], list[str]]:
+    """The user's bounds as bounds of the unknowns, by path, and notes on what that took."""
+    before, friction, found, notes = problem.believed_unknowns, problem.believed.friction, dict[str, Free](), []
+    for name, (low, high) in bounded.items():
+        if name not in BOUNDABLE:
+            raise ParameterError(f"cannot bound '{name}'; known: {', '.join(BOUNDABLE)}")
+        stem = BOUNDABLE[name]
+        if stem in held:
+            raise ParameterError(f"{name} is both bounded and held at the drive file's value: leave out one of the two")
+        if name == "coulomb_screw" and "load_coefficient" not in held and float(friction.initial_load) > 0:
+            raise ParameterError(
+                "cannot bound coulomb_screw while load_coefficient is free, since it is what that leaves of the "
+                "friction at no load: bound coulomb_at_no_load"
+            )
+        if any(one.split(".")[0] == stem for one in found):
+            raise ParameterError(f"{name} is bounded twice, under two names")
+        for path in paths(before):
+            if path.split(".")[0] != stem:
+                continue
+            shift, unit = 0.0, 1.0
+            if name == "viscous":  # only the sum with the damping acts
+                shift = value(problem.believed.plant, path.replace("viscous", "damping"))
+            if name == "coulomb_screw":
+                slope = value(before, path.replace("coulomb", "load_coefficient"))
+                shift = slope * float(friction.initial_load)
+            if name == "breakaway_gap":  # searched as the ratio F_S / F_C
+                shift, unit = 1.0, value(before, path.replace("breakaway", "coulomb"))
+            found[path] = Free(path, low / unit + shift, high / unit + shift)
+        if name == "breakaway_gap" and "coulomb" not in held:
+            notes.append(
+                "the bounds of breakaway_gap are those of F_S / F_C at the drive file's Coulomb friction: they scale "
+                "with the Coulomb friction found"
+            )
+    return found, notes
+
+
+def inside(start: float, limits: Free) -> float:
+    """The start, moved away from a bound, where it would have no gradient."""
+    if limits.low > 0:
+        reach = limits.high / limits.low
+        return float(np.clip(start, limits.low * reach**EDGE, limits.high * reach**-EDGE))
+    edge = EDGE * (limits.high - limits.low)
+    return float(np.clip(start, limits.low + edge, limits.high - edge))

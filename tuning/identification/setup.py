@@ -1,0 +1,130 @@
+"""What is asked of the logs: which parameters are free, within which bounds, and where the search starts."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.errors import DiffdriveError, LogError, ParameterError
+from diffdrive.logs import Log
+from diffdrive.model.friction import steepest_fall
+from diffdrive.model.parameters import Drive, check_drive
+from tuning.identification import inverse_dynamics
+from tuning.identification.inverse_dynamics import LOAD_SPREAD, SLOWEST
+from tuning.identification.prediction import LONGEST_DELAY, constant_gains
+from tuning.identification.problem import Problem, lanes_of, noise_floor
+from tuning.identification.ranges import NAMES, free_space
+from tuning.identification.regressors import DIRECTIONAL
+from tuning.identification.seed import seed_drive
+from tuning.identification.unknowns import paths, unknowns_of
+from tuning.optimisation.space import Free
+
+SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
+ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
+
+
+class Question(NamedTuple):
+    """A problem, the parameters that are free in it, the measuring noise, and what the logs cannot even be asked."""
+
+    problem: Problem
+    free: tuple[Free, ...]
+    rate: float  # Hz
+    noise: float  # m
+    unasked: frozenset[str]  # paths of parameters that no motion of these logs bears on
+    notes: tuple[str, ...]
+
+
+def ask(
+    logs: Sequence[Log], drive: Drive, fixed: Sequence[str], bounded: Mapping[str, tuple[float, float]]
+) -> Question:
+    """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none."""
+    if drive.effects:
+        names = ", ".join(effect.name for effect in drive.effects)
+        raise ParameterError(f"identification does not know the drive file's effects ({names}): take them out")
+    rate = _one_rate(logs)
+    lanes = lanes_of(list(logs))
+    seeded, notes = _seeded(drive, logs)
+    delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+    if delay >= LONGEST_DELAY:
+        raise ParameterError(
+            f"the drive file's delay of {delay:g} samples is beyond the {LONGEST_DELAY} that identification looks at: "
+            "shift the log's command by the whole samples, and lower delay_samples by as many"
+        )
+    noise = noise_floor(drive, lanes, rate)
+    believed = unknowns_of(drive, delay)
+    problem = Problem(
+        believed=drive,
+        believed_unknowns=believed,
+        unknowns=unknowns_of(seeded, delay),
+        lanes=lanes,
+        gains=constant_gains(_rough_bandwidth(drive, rate), noise, lanes, 1.0 / rate),
+        origin=np.zeros(0),
+        prior=np.zeros(0),
+    )
+    held, unasked = _held(fixed), frozenset[str]()
+    if "coulomb" in held and "load_coefficient" not in held and not _one_load(problem):
+        raise ParameterError(
+            "the loads differ between or within the logs: fix coulomb_screw and load_coefficient together, or neither, "
+            "since friction shows only their sum at each load"
+        )
+    if "load_coefficient" not in held and _one_load(problem):
+        held.add("load_coefficient")
+        unasked = frozenset(path for path in paths(believed) if path.startswith("load_coefficient"))
+        notes.append("these logs hold one load: load_coefficient stays as in the drive file")
+    if "load_coefficient" not in held and float(drive.friction.initial_load) > 0:
+        notes.append(
+            "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
+        )
+    problem, free, said = free_space(_without(problem, held), held, bounded)
+    return Question(problem, free, rate, noise, unasked, (*notes, *said))
+
+
+def _one_rate(logs: Sequence[Log]) -> float:
+    if not logs:
+        raise LogError("no log to identify from")
+    for log in logs:
+        if abs(log.rate / logs[0].rate - 1) > SAME_RATE:
+            raise LogError(
+                f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: identify from "
+                "logs of one rate"
+            )
+    return float(round(np.mean([log.rate for log in logs]), 6))
+
+
+def _seeded(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]:
+    """The drive with what inverse dynamics finds; as it is, with a note, where that finds nothing."""
+    try:
+        found = inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST)
+        seeded, notes = seed_drive(drive, found)
+        check_drive(seeded)
+    except DiffdriveError as problem:
+        return drive, [f"inverse dynamics gave no start ({problem}); started from the drive file"]
+    return seeded, list(notes)
+
+
+def _held(fixed: Sequence[str]) -> set[str]:
+    unknown = [name for name in fixed if name not in NAMES]
+    if unknown:
+        raise ParameterError(f"cannot fix '{unknown[0]}'; known: {', '.join(NAMES)}")
+    return {NAMES[name] for name in fixed}
+
+
+def _rough_bandwidth(drive: Drive, rate: float) -> float:
+    """Bandwidth (rad/s) of the first searches: well above the rate at which motion on the Stribeck slope runs away."""
+    friction, mass = drive.friction, float(drive.plant.mass)
+    slopes = (steepest_fall(friction, side) for side in ("positive", "negative"))
+    return float(np.clip(FASTER * max(slopes) / mass, ROUGH_BANDWIDTH, 0.3 * rate))
+
+
+def _one_load(problem: Problem) -> bool:
+    """Whether the load differs too little for friction to show it."""
+    loads = np.asarray(problem.lanes.load)[np.asarray(problem.lanes.counts) > 0]
+    return bool(np.ptp(loads) <= LOAD_SPREAD * np.max(np.abs(loads)))
+
+
+def _without(problem: Problem, held: set[str]) -> Problem:
+    """Held parameters at the believed values; a held gap stays a gap, whatever becomes of the Coulomb friction."""
+    before = problem.believed_unknowns
+    values = {name: getattr(before, name) for name in held} | ({"breakaway": None} if "breakaway" in held else {})
+    return problem._replace(unknowns=dataclasses.replace(problem.unknowns, **values))

@@ -1,0 +1,140 @@
+"""What identification looks for, in coordinates in which every value is possible and the data speak plainly.
+
+Friction at no applied load is told by its levels, Coulomb F_C and breakaway F_S, which the force shows directly; a
+drive file tells the screw's share and the gap F_S - F_C, which follow from them. Of damping and viscous friction only
+the sum acts. So a drive becomes `Unknowns`, these are fitted, and they become a drive again.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from operator import attrgetter
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
+from tuning.identification.prediction import EARLIEST_DELAY, LONGEST_DELAY
+from tuning.optimisation.space import Free
+
+
+class Unknowns(eqx.Module):
+    """Parameters of the machine, shared by all logs."""
+
+    mass: Scalar = quantity("kg", "moving mass", above=0.0)
+    constant_force: Scalar = quantity("N", "constant force on the table")
+    coulomb: Directional = quantity("N", "Coulomb friction at no applied load, F_C", above=0.0, per_direction=True)
+    load_coefficient: Directional = quantity("1", "Coulomb friction per load, mu_LC", above=0.0, per_direction=True)
+    breakaway: Directional | None = quantity(
+        "1", "breakaway over Coulomb friction, F_S / F_C; None: the gap as believed", per_direction=True, optional=True
+    )
+    stribeck_velocity: Directional = quantity("m/s", "Stribeck velocity, v_s", above=0.0, per_direction=True)
+    viscous: Directional = quantity("N*s/m", "damping and viscous friction, B_S + mu_v", above=0.0, per_direction=True)
+    bristle_stiffness: Directional = quantity("N/m", "bristle stiffness, sigma_0", above=0.0, per_direction=True)
+    bristle_damping: Directional = quantity("N*s/m", "bristle damping, sigma_1", above=0.0, per_direction=True)
+    delay: Scalar = quantity("1", "delay from command to force, in control periods")
+
+    def drive(self, believed: Drive) -> Drive:
+        """`believed` with these parameters in place of its own; its delay excepted (see `with_delay`)."""
+        friction, damping = believed.friction, believed.plant.damping
+
+        def each(function: Callable[..., Scalar], *pairs: Directional) -> Directional:
+            positive = function(*(pair.positive for pair in pairs))
+            return Directional(positive, function(*(pair.negative for pair in pairs)))
+
+        gap = friction.breakaway_gap
+        if self.breakaway is not None:
+            gap = each(lambda level, ratio: level * (ratio - 1.0), self.coulomb, self.breakaway)
+        return dataclasses.replace(
+            believed,
+            plant=Plant(
+                mass=self.mass,
+                damping=each(jnp.minimum, damping, self.viscous),
+                constant_force=self.constant_force,
+            ),
+            friction=dataclasses.replace(
+                friction,
+                coulomb_screw=each(
+                    lambda level, slope: level - slope * friction.initial_load, self.coulomb, self.load_coefficient
+                ),
+                load_coefficient=self.load_coefficient,
+                breakaway_gap=gap,
+                stribeck_velocity=self.stribeck_velocity,
+                viscous=each(lambda both, known: jnp.maximum(both - known, 0.0), self.viscous, damping),
+                bristle_stiffness=self.bristle_stiffness,
+                bristle_damping=self.bristle_damping,
+            ),
+        )
+
+
+LEAST = {
+    "load_coefficient": 1e-5,
+    "viscous": 1.0,
+    "bristle_damping": 10.0,
+}  # what moves in a logarithm cannot start at 0
+WIDTH = 30.0  # factor by which a parameter may move from its start, either way
+
+
+def unknowns_of(drive: Drive, delay: float) -> Unknowns:
+    """The unknowns at the values of `drive`, and a delay (control periods)."""
+    plant, friction = drive.plant, drive.friction
+
+    def each(function: Callable[..., float], *pairs: Directional) -> Directional:
+        positive = function(*(float(pair.positive) for pair in pairs))
+        return Directional(positive, function(*(float(pair.negative) for pair in pairs)))
+
+    level = each(
+        lambda screw, slope: screw + slope * float(friction.initial_load),
+        friction.coulomb_screw,
+        friction.load_coefficient,
+    )
+    return Unknowns(
+        mass=float(plant.mass),
+        constant_force=float(plant.constant_force),
+        coulomb=level,
+        load_coefficient=friction.load_coefficient,
+        breakaway=each(lambda screw, gap: (screw + gap) / screw, level, friction.breakaway_gap),
+        stribeck_velocity=friction.stribeck_velocity,
+        viscous=each(lambda b, mu: b + mu, plant.damping, friction.viscous),
+        bristle_stiffness=friction.bristle_stiffness,
+        bristle_damping=friction.bristle_damping,
+        delay=float(delay),
+    )
+
+
+def paths(unknowns: Unknowns) -> list[str]:
+    """Every path that can be free: both directions of friction each, but for a bristle that is the same in both."""
+    found = []
+    for field in dataclasses.fields(unknowns):
+        value = getattr(unknowns, field.name)
+        if value is None:
+            continue
+        together = field.name.startswith("bristle") and float(value.positive) == float(value.negative)
+        if isinstance(value, Directional) and not together:
+            found += [f"{field.name}.positive", f"{field.name}.negative"]
+        else:
+            found.append(field.name)
+    return found
+
+
+def bounds(path: str, start: float, friction: float) -> Free:
+    """How far a parameter may move by default; `friction` is the Coulomb level (N)."""
+    if path == "constant_force":
+        reach = 10.0 * friction + 2.0 * abs(start)
+        return Free(path, -reach, reach)
+    if path == "delay":
+        return Free(path, float(EARLIEST_DELAY), float(LONGEST_DELAY))
+    middle = max(start, LEAST.get(path.split(".")[0], 0.0))
+    return Free(path, middle / WIDTH, middle * WIDTH)
+
+
+def value(unknowns: Unknowns, path: str) -> float:
+    """The value at `path`; of a pair that is the same in both directions, that one."""
+    node = attrgetter(path)(unknowns)
+    return float(node.positive if isinstance(node, Directional) else node)
+
+
+def placed(unknowns: Unknowns, path: str, value: float) -> Unknowns:
+    """The unknowns with `value` at `path`, in both directions where the path names a pair."""
+    node = attrgetter(path)(unknowns)
+    new = Directional(value, value) if isinstance(node, Directional) else value
+    return eqx.tree_at(attrgetter(path), unknowns, new)

@@ -1,0 +1,148 @@
+"""The genetic baseline: differential evolution on the very objective, bounds and start of a gradient search.
+
+Friction is commonly identified by genetic algorithms, as in the paper. Differential evolution (Storn and Price 1997, in
+scipy) stands for them here; a generation is one compiled program of simulations side by side.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+import scipy.stats
+from jax import lax
+from jaxtyping import Array, Float
+
+from tuning.optimisation.least_squares import Residuals
+from tuning.optimisation.space import Space
+
+POPULATION = 3  # members per free parameter: quicker on EMPS than 5 or 15 (docs/identification-baseline.md)
+BLOCK = 32  # simulations side by side
+EDGE = 1e-4  # of each parameter's range, that its sigmoid nears but never reaches
+WORST = 1e30  # the cost of a simulation that is not finite: differential evolution takes no infinity
+
+Population = Float[np.ndarray, "s k"]  # of shares, 0 to 1, of each parameter's range
+Costs = Callable[[Population], Float[np.ndarray, " s"]]
+
+
+class Budget(NamedTuple):
+    """When to stop at the latest (after the generation that passes it), and the cost that is good enough."""
+
+    simulations: int
+    seconds: float
+    cost: float = 0.0
+
+
+class Visit(NamedTuple):
+    """The lowest cost after so many simulations."""
+
+    simulations: int
+    seconds: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class Evolution:
+    """Where a population ended: its best member, why it stopped, and the lowest cost along the way."""
+
+    share: Float[np.ndarray, " k"]
+    cost: float
+    status: str
+    history: list[Visit]  # generation by generation
+
+    @property
+    def simulations(self) -> int:
+        """How many."""
+        return self.history[-1].simulations
+
+
+def evolve(
+    costs: Costs,
+    begin: Float[np.ndarray, " k"],
+    budget: Budget,
+    *,
+    population: int = POPULATION,
+    sample: int = 0,
+    seed: int = 0,
+    progress: Callable[[Visit], None] = lambda visit: None,
+) -> Evolution:
+    """Minimise `costs` over the unit cube; `begin` is one member of the first population, the others fill it evenly.
+
+    With `sample` points, the first population is the best of so many that fill the cube evenly, and of `begin`.
+    Differential evolution with scipy's defaults (best1bin, mutation 0.5 to 1, recombination 0.7), without its final
+    gradient polish. Costs that are not finite count as the worst.
+    """
+    began, history, status = time.perf_counter(), list[Visit](), "converged: the population has collapsed"
+
+    def generation(shares: Float[np.ndarray, "k s"]) -> Float[np.ndarray, " s"]:
+        found = np.nan_to_num(costs(shares.T), nan=WORST, posinf=WORST)
+        simulations, _, least = history[-1] if history else Visit(0, 0.0, np.inf)
+        now = time.perf_counter() - began
+        history.append(Visit(simulations + len(found), now, min(least, float(found.min()))))
+        progress(history[-1])
+        return found
+
+    def stop(intermediate_result: Any) -> None:
+        nonlocal status
+        simulations, seconds, cost = history[-1]
+        if cost <= budget.cost:
+            status = "good enough"
+        elif simulations >= budget.simulations:
+            status = f"stopped after {simulations} simulations"
+        elif seconds >= budget.seconds:
+            status = f"stopped after {seconds:.0f} s"
+        else:
+            return
+        raise StopIteration
+
+    first: Any = "latinhypercube"
+    if sample:
+        points = np.vstack([begin, scipy.stats.qmc.Sobol(len(begin), seed=seed).random(sample)])
+        sampled = np.concatenate([generation(some.T) for some in np.array_split(points, max(1, sample // BLOCK))])
+        first = np.clip(points[np.argsort(sampled)[: population * len(begin)]], 2 * EDGE, 1.0 - 2 * EDGE)
+    found = scipy.optimize.differential_evolution(
+        generation,
+        [(EDGE, 1.0 - EDGE)] * len(begin),
+        x0=np.clip(begin, 2 * EDGE, 1.0 - 2 * EDGE),
+        init=first,
+        popsize=population,
+        maxiter=max(1, budget.simulations),  # never reached: a generation has several members
+        tol=1e-6,
+        seed=np.random.default_rng(seed),
+        callback=stop,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+    )
+    return Evolution(found.x, float(found.fun), status, history)
+
+
+@eqx.filter_jit
+def _norms(residuals: Residuals, points: Float[Array, "s k"], args: Any, block: int) -> Float[Array, " s"]:
+    return lax.map(lambda y: jnp.linalg.norm(residuals(y, args)), points, batch_size=block)
+
+
+def norms(residuals: Residuals, space: Space, args: Any, block: int = BLOCK) -> Costs:
+    """The root of the sum of squares of `residuals(y, args)`, the cost of `tuning.optimisation.least_squares`, over
+    `space`.
+    """
+
+    def costs(shares: Population) -> Float[np.ndarray, " s"]:
+        return np.asarray(_norms(residuals, jnp.asarray(point(space, shares)), args, block))
+
+    return costs
+
+
+def point(space: Space, shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s k"]:
+    """The coordinates y of the gradient search at these shares of each parameter's range."""
+    return np.log(shares / (1.0 - shares)) - space.origin
+
+
+def origin_share(space: Space) -> Float[np.ndarray, " k"]:
+    """The shares at y = 0, where a gradient search starts."""
+    return np.asarray(jax.nn.sigmoid(jnp.asarray(space.origin)))

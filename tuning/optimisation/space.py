@@ -1,0 +1,112 @@
+"""Which parameters are free, and within which bounds: a search space beside the parameter tree, not inside it."""
+
+from collections.abc import Sequence
+from operator import attrgetter
+from typing import NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.errors import ParameterError
+from diffdrive.model.parameters import Directional, quantities
+
+Model = TypeVar("Model")
+
+
+class Free(NamedTuple):
+    """One free parameter: its dotted path in the tree, and the bounds it stays within.
+
+    A path may end at a parameter per direction (both directions move together) or at its `positive` or `negative`.
+    `low` above zero: it moves in its logarithm; otherwise linearly.
+    """
+
+    path: str
+    low: float
+    high: float
+
+
+class Space(NamedTuple):
+    """Free parameters as one unbounded vector: y = 0 is where each started, and no y leaves the bounds.
+
+    Gains are positive and span decades: each moves in its logarithm, through a sigmoid between its bounds.
+    """
+
+    free: tuple[Free, ...]
+    origin: Float[np.ndarray, " k"]
+
+    @property
+    def names(self) -> list[str]:
+        """The last part of each path, with what it is the direction of."""
+        return [_short(one.path) for one in self.free]
+
+    def values(self, y: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Float[Array, " k"]:
+        """The parameters at `y`."""
+        share = jax.nn.sigmoid(jnp.asarray(y) + self.origin)
+        found = []
+        for k, (_, low, high) in enumerate(self.free):
+            if low > 0:
+                found.append(low * jnp.exp(np.log(high / low) * share[k]))
+            else:
+                found.append(low + (high - low) * share[k])
+        return jnp.stack(found)
+
+    def insert(self, model: Model, y: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Model:
+        """The model with its free parameters at `y`."""
+        values = self.values(y)
+        nodes = [attrgetter(one.path)(model) for one in self.free]
+        new = [
+            Directional(values[k], values[k]) if isinstance(node, Directional) else values[k]
+            for k, node in enumerate(nodes)
+        ]
+        return eqx.tree_at(lambda m: [attrgetter(one.path)(m) for one in self.free], model, new)
+
+    def near_bound(self, y: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
+        """Paths of the parameters that ended within 1 % of their range from a bound."""
+        share = np.asarray(jax.nn.sigmoid(jnp.asarray(y) + self.origin))
+        return [free.path for free, s in zip(self.free, share, strict=True) if s < within or s > 1 - within]
+
+    def at_bound(self, y: Float[np.ndarray, " k"]) -> list[str]:
+        """The names of those in `near_bound`."""
+        return [_short(path) for path in self.near_bound(y)]
+
+
+def _short(path: str) -> str:
+    parts = path.split(".")
+    return ".".join(parts[-2:] if parts[-1] in ("positive", "negative") else parts[-1:])
+
+
+def _value(model: object, path: str) -> float:
+    node = attrgetter(path)(model)
+    if not isinstance(node, Directional):
+        return float(node)
+    if float(node.positive) != float(node.negative):
+        raise ParameterError(
+            f"'{path}' differs between the directions: free '{path}.positive' and '{path}.negative' in its place"
+        )
+    return float(node.positive)
+
+
+def space_of(model: object, bounds: Sequence[Free]) -> Space:
+    """The space of these free parameters, started where `model` has them."""
+    known = {name for name, *_ in quantities(model)}
+    origin = []
+    for path, low, high in bounds:
+        if path.removesuffix(".positive").removesuffix(".negative") not in known:
+            raise ParameterError(f"no parameter '{path}' here; known: {', '.join(sorted(known))}")
+        value = _value(model, path)
+        if not low < value < high:
+            raise ParameterError(
+                f"'{path}' starts at {value:g}, which is not inside its bounds {low:g} to {high:g}: widen them"
+            )
+        share = np.log(value / low) / np.log(high / low) if low > 0 else (value - low) / (high - low)
+        origin.append(np.log(share / (1 - share)))
+    return Space(tuple(bounds), np.array(origin))
+
+
+def around(model: object, factors: dict[str, float]) -> Space:
+    """A space in which each named parameter may move by its factor, up or down; those that are zero stay."""
+    values = {path: _value(model, path) for path in factors}
+    return space_of(model, [Free(path, v / factors[path], v * factors[path]) for path, v in values.items() if v > 0])

@@ -1,0 +1,102 @@
+"""The parts of a sweep on many machines, by Dask distributed.
+
+Dask, not Ray: it is Python throughout, a worker is one command on any machine, it runs a lost worker's tasks again by
+itself, and every batch system has a launcher for it. It is the package's extra `cluster`.
+"""
+
+import itertools
+import re
+import time
+from concurrent.futures import CancelledError
+from typing import Any
+
+from diffdrive.errors import ParameterError
+from diffdrive.support.atomic_write import FULL
+from tuning.sweeps.parts import Computed, Engine, Say
+from tuning.sweeps.plan import Plan
+from tuning.sweeps.spec import Asked, to_text
+from tuning.sweeps.workers import run_part
+
+ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
+SELDOM = 2.0  # s, between two looks at who is there
+AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it is given
+
+
+def _client(address: str) -> Any:
+    from distributed import Client
+
+    try:
+        return Client(address, timeout=ANSWERS_WITHIN)
+    except (OSError, ValueError) as problem:  # ValueError: a scheme that Dask does not know
+        raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
+
+
+def _await(client: Any, done: Any, where: str, say: Say) -> None:
+    """Until a part is done, saying once if nobody is there to do it."""
+    said, asked = False, 0.0
+    while not done.has_ready():
+        if time.monotonic() - asked > SELDOM:
+            asked = time.monotonic()
+            if client.nthreads():
+                said = False
+            elif not said:
+                said = True
+                say(f"waiting for workers: {where} has none; start some as `dask worker {client.scheduler.address}`")
+        time.sleep(0.02)
+
+
+def on_cluster(asked: Asked, address: str) -> Engine:
+    """An engine for `parts.run`: the cluster whose scheduler is at `address`.
+
+    A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
+    where nobody answers at the address.
+    """
+    if not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
+        raise ParameterError(f"--cluster {address}: write tcp://host:8786")
+    try:
+        from distributed import as_completed
+    except ImportError:
+        raise ParameterError("--cluster needs Dask: pip install 'diffdrive[cluster]'") from None
+
+    def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
+        text, question = to_text(asked), plan.question()
+        where = f"--cluster {address}"
+        if not wanted:
+            return (part for part in ())
+        client = _client(address)
+
+        def parts() -> Computed:
+            with client:
+                left, number = iter(wanted), {}
+
+                def submitted() -> list[Any]:
+                    """As many as the workers of this moment are short of: some join late, some go."""
+                    short = AHEAD * max(1, len(client.nthreads())) - len(number)
+                    futures = []
+                    for part in itertools.islice(left, max(0, short)):
+                        future = client.submit(run_part, text, question, None, part, pure=False)
+                        number[future] = part
+                        futures.append(future)
+                    return futures
+
+                done = as_completed(submitted())
+                while not done.is_empty():
+                    _await(client, done, where, say)
+                    future = next(done)
+                    yield number.pop(future), future.result()
+                    future.release()
+                    done.update(submitted())
+
+        def reported() -> Computed:
+            try:
+                yield from parts()
+            except (CancelledError, OSError) as problem:
+                if isinstance(problem, OSError) and problem.errno in FULL:
+                    raise  # of this machine's disk: nobody is lost
+                raise ParameterError(
+                    f"{where} is lost ({problem}); the parts that were done are kept: the same command goes on there"
+                ) from None
+
+        return reported()
+
+    return engine

@@ -1,0 +1,120 @@
+"""What each machine of a sweep goes through: a motion and a load, with those of their settings that vary.
+
+A setting varies under the name `motion.stroke` or `load.workpiece`. A sweep without such settings has one course for
+all machines. With them each machine has its own, as long as it is, and rests where it ended until the longest of those
+beside it ends.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.controllers import Reference
+from diffdrive.loop.run import sane_error
+from diffdrive.motion.motion import Limits, Motion
+from diffdrive.motion.text import Recipe, load_recipe, parse_load
+from tuning.sweeps import engine
+from tuning.sweeps.varied import LOAD, Known, Varied
+
+MOST_CORNERS = 6  # settings of which every combination of ends is looked at
+
+
+class Course(NamedTuple):
+    """What one machine goes through."""
+
+    motion: Motion
+    load: Float[np.ndarray, " t"]  # N, beside the ramp that varies
+
+
+def of_a_course(name: str) -> bool:
+    """Whether what varies under this name is a setting of the motion or of the load over time."""
+    return name.startswith(("motion.", "load.")) and name not in LOAD
+
+
+def settings(recipes: Mapping[str, Recipe | None], load: Recipe | None) -> dict[str, Known]:
+    """The settings that may vary: those that every motion has, and those of the load."""
+    told = [{} if recipe is None else recipe.numbers() for recipe in recipes.values()]
+    common = [name for name in (told[0] if told else ()) if all(name in one for one in told)]
+    found = {f"motion.{name}": Known(told[0][name][0], tuple(one[name][1] for one in told)) for name in common}
+    for name, (unit, value) in ({} if load is None else load.numbers()).items():
+        if of_a_course(f"load.{name}"):
+            found[f"load.{name}"] = Known(unit, (value,))
+    return found
+
+
+@dataclass(frozen=True)
+class Courses:
+    """The motions of a sweep by their names, its load over time, and which of their settings vary."""
+
+    motions: Mapping[str, Motion]
+    recipes: Mapping[str, Recipe | None]
+    load: str  # as `scenario.parse_load` takes it
+    rate: float  # Hz
+    varied: tuple[Varied, ...]
+
+    @cached_property
+    def _load(self) -> Recipe | None:
+        return load_recipe(self.load)
+
+    def values(self, name: str, shares: Float[np.ndarray, "n d"]) -> dict[str, Float[np.ndarray, " n"]]:
+        """The values of the settings, with a motion of that name, at shares of the probability of each."""
+        known = settings({name: self.recipes.get(name)}, self._load)
+        return {
+            one.name: np.asarray(one.met(known[one.name].values[0], one.of(shares[:, k])))
+            for k, one in enumerate(self.varied)
+        }
+
+    def of(self, name: str, values: Mapping[str, float]) -> Course:
+        """The course with a motion of that name and such settings. Raises `MotionError` for settings that make none."""
+        motion, recipe = self.motions[name], self.recipes.get(name)
+        of_motion, of_load = (
+            {key.removeprefix(of): float(value) for key, value in values.items() if key.startswith(of)}
+            for of in ("motion.", "load.")
+        )
+        if recipe is not None and of_motion:
+            motion = recipe.made(rate=self.rate, **of_motion)
+        loads = parse_load(self.load, motion.time) if self._load is None else self._load.made(motion.time, **of_load)
+        return Course(motion, loads)
+
+
+def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:
+    """The machines nearest to each combination of ends: what goes wrong between settings goes wrong there first."""
+    count = shares.shape[1]
+    every = list(product((-1.0, 1.0), repeat=count)) if count <= MOST_CORNERS else [*np.eye(count), *-np.eye(count)]
+    return sorted({int(np.argmax(shares @ np.asarray(way))) for way in every})
+
+
+def for_all(course: Course, settle: float, limits: Limits) -> engine.Course:
+    """The course of all machines, as the engine takes it; its first `settle` seconds do not count."""
+    motion, load = course
+    reference = Reference(motion.position, motion.velocity, motion.acceleration)
+    counts = (motion.time >= settle).astype(float)
+    told = engine.Course(reference, load, counts, np.asarray(sane_error(motion.position, limits)))
+    return jax.tree.map(lambda one: jnp.asarray(one, float), told)
+
+
+def for_each(courses: Sequence[Course], settle: float, limits: Limits) -> engine.Course:
+    """The same of several machines side by side, [n, t]; where a shorter course rests does not count."""
+    shape = len(courses), _rounded_up(max(len(one.load) for one in courses))
+    position, velocity, acceleration, loads, counts = (np.zeros(shape) for _ in range(5))
+    for k, (motion, load) in enumerate(courses):
+        end = len(load)
+        position[k, :end], position[k, end:] = motion.position, motion.position[-1]
+        velocity[k, :end], acceleration[k, :end] = motion.velocity, motion.acceleration
+        loads[k, :end], loads[k, end:] = load, load[-1]
+        counts[k, :end] = motion.time >= settle
+    reach = np.array([sane_error(motion.position, limits) for motion, _ in courses])
+    return engine.Course(Reference(position, velocity, acceleration), loads, counts, reach)
+
+
+def _rounded_up(count: int) -> int:
+    """To a number of four binary digits: few lengths to compile for, each at most an eighth too long."""
+    step = 1 << max(0, count.bit_length() - 4)
+    return -(-count // step) * step

@@ -1,0 +1,98 @@
+"""The costs of many machines: lanes side by side in blocks that stay in cache, shared out among the devices."""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Float
+
+from diffdrive.controllers import Controller, Reference
+from diffdrive.loop.simulate import Costs, Inputs, running_costs
+from diffdrive.model.parameters import Drive, Sampling, as_arrays, in_precision_of
+from diffdrive.motion.load import Ramp
+
+Precision = Literal["double", "single"]  # as numpy calls them, too
+
+# Lanes at a time (docs/performance.md): as a processor's first cache holds; as keep a GPU busy, and as its memory holds
+# if each has a course of its own.
+ON_CPU, ON_GPU, ON_GPU_OWN = 64, 65_536, 1024
+LEAST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen cores
+
+
+class Course(NamedTuple):
+    """What a machine goes through, [t] over time; [n, t] where machines differ in it."""
+
+    reference: Reference
+    load: Float[Array, "*n t"]  # N on the guides, beside the lane's ramp
+    counts: Float[Array, "*n t"]  # 1 at the samples that count
+    reach: Float[Array, "*n"]  # m, the tracking error beyond which the loop has diverged
+
+
+class Lanes(NamedTuple):
+    """What differs between machines, [n] each: the leaves of the drive that vary, its load, its noise; its course, or
+    None where all have the same.
+    """
+
+    drive: Any
+    ramp: Ramp
+    key: Array | None
+    course: Course | None = None
+
+
+@eqx.filter_jit
+def _costs(
+    lanes: Lanes, fixed: Drive, controller: Controller, course: Course | None, sampling: Sampling, devices: int
+) -> Costs:
+    def share(lanes: Lanes, fixed: Drive, controller: Controller, course: Course | None) -> Costs:
+        def one(lane: Lanes) -> Costs:
+            drive = eqx.combine(lane.drive, fixed)
+            own = course if lane.course is None else lane.course
+            inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
+            return running_costs(drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, reach=own.reach)
+
+        return jax.lax.map(one, lanes, batch_size=block(lanes.course is not None))
+
+    apart, everywhere = PartitionSpec("lanes"), PartitionSpec()
+    return jax.shard_map(
+        share,
+        mesh=Mesh(np.array(jax.devices()[:devices]), ("lanes",)),
+        in_specs=(apart, everywhere, everywhere, everywhere),
+        out_specs=apart,
+        check_vma=False,
+    )(lanes, fixed, controller, course)
+
+
+def block(own_courses: bool = False) -> int:
+    """How many lanes run side by side on a device; `own_courses`: each with one of its own."""
+    if jax.default_backend() == "cpu":
+        return ON_CPU
+    return ON_GPU_OWN if own_courses else ON_GPU
+
+
+def most_in_a_part() -> int:
+    """How many machines a part should have on this kind of device, a power of two."""
+    return max(LEAST_IN_A_PART, block())
+
+
+def costs_of(
+    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: Course, sampling: Sampling,
+    precision: Precision = "double",
+) -> Costs:  # fmt: skip
+    """Costs of machines whose varied leaves, loads and keys are [n], along one course or [n] of them; [n] each.
+
+    A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
+    """
+    count, of_each = len(ramp.load), block(np.ndim(course.load) == 2)
+    devices = min(len(jax.devices()), -(-count // of_each))
+    total = -(-count // (of_each * devices)) * of_each * devices
+    varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
+    own, common = (None, course) if np.ndim(course.load) == 1 else (course, None)
+    lanes = Lanes(varied, ramp, keys, own)
+    if total > count:  # whole blocks on every device
+        lanes = jax.tree.map(lambda leaf: leaf[np.arange(total) % count], lanes)
+    models = (lanes, fixed, as_arrays(controller), common)
+    found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling, devices)
+    return Costs(*(None if one is None else np.asarray(one)[:count] for one in found))

@@ -1,0 +1,104 @@
+"""A sweep run part by part into a folder: bounded memory, and whatever was done before an interruption stays done."""
+
+import contextlib
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from diffdrive.errors import ParameterError
+from diffdrive.support.atomic_write import atomic_write
+from tuning.sweeps.plan import Plan
+
+QUESTION = b"diffdrive.sweep"
+Done = Callable[[int], None]  # machines that were done by now
+Say = Callable[[str], None]  # what keeps an engine from beginning
+Computed = Generator[tuple[int, pa.Table], None, None]
+Engine = Callable[[Plan, list[int], Say], Computed]  # the wanted parts, in any order
+
+
+def path_of(folder: Path, part: int) -> Path:
+    """Where a part lies."""
+    return folder / f"part-{part:06d}.parquet"
+
+
+def keep(table: pa.Table, path: Path, question: str) -> None:
+    """Write a part, whole or not at all, with the question that it answers."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as file:
+        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), file)
+
+
+def missing(plan: Plan, folder: Path) -> list[int]:
+    """The parts that are not there yet.
+
+    Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
+    """
+    question = plan.question().encode()
+    wanted = {path_of(folder, part): part for part in range(plan.parts)}
+    for path in sorted(folder.glob("part-*.parquet")):
+        asked = _question(path)
+        if asked is None and path in wanted:
+            continue  # damaged: it is run again
+        if asked != question or path not in wanted:
+            raise ParameterError(
+                f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies, number of "
+                "machines or seed, in the edition of diffdrive, jax, numpy or scipy, in processor, GPU or XLA_FLAGS: "
+                "give another folder, or remove this one"
+            )
+        del wanted[path]
+    return sorted(wanted.values())
+
+
+def _question(path: Path) -> bytes | None:
+    """The question that a part answers; None where nothing can be read."""
+    try:
+        return (pq.read_schema(path).metadata or {}).get(QUESTION, b"")
+    except (OSError, pa.ArrowInvalid):
+        return None
+
+
+def here(plan: Plan, wanted: list[int], say: Say) -> Computed:
+    """The parts one after the other, in this process."""
+    for part in wanted:
+        yield part, plan.costs(part)
+
+
+def _unsaid(_: str) -> None:
+    pass
+
+
+def run(plan: Plan, folder: Path, done: Done, engine: Engine = here, say: Say = _unsaid) -> ds.Dataset:
+    """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
+    question, left = plan.question(), missing(plan, folder)
+    plan.require_possible(left)
+    finished = plan.samples - sum(len_of(plan, part) for part in left)
+    done(finished)
+    with contextlib.closing(engine(plan, left, say)) as computed:  # a full disk leaves no workers behind
+        for part, table in computed:
+            keep(table, path_of(folder, part), question)
+            finished += len_of(plan, part)
+            done(finished)
+    return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
+
+
+def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) -> list[float] | None:
+    """RMS and peak error (m) of one run of the sweep in `folder`, and when it diverged (s; NaN if it did not).
+
+    None where it is not there, or of another edition.
+    """
+    path = path_of(folder, number // plan.part_size)
+    if _question(path) != plan.question().encode():
+        return None
+    wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
+    rows = pq.read_table(path, columns=["rms_m", "peak_m", "diverged_at_s"], filters=wanted).to_pylist()
+    return [np.nan if value is None else value for value in rows[0].values()] if rows else None
+
+
+def len_of(plan: Plan, part: int) -> int:
+    """How many machines a part has."""
+    return min(plan.part_size, plan.samples - part * plan.part_size)

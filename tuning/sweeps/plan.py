@@ -1,0 +1,353 @@
+"""A sweep as it was asked for, and the costs of any part of it."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+
+from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.controllers import Controller
+from diffdrive.effects.base import Envelope
+from diffdrive.effects.possible import envelope_of, envelope_within, require_possible
+from diffdrive.errors import MotionError, ParameterError
+from diffdrive.loop.simulate import Costs
+from diffdrive.model.parameters import Drive, require_double_precision
+from diffdrive.motion.load import Ramp, require_resolved
+from diffdrive.motion.motion import Motion, require_within
+from diffdrive.motion.text import SAME_RATE, Recipe, load_recipe, parse_load, require_left
+from diffdrive.runtime import arithmetic
+from diffdrive.support.resources import require_memory
+from tuning.store.edition import edition
+from tuning.sweeps.courses import Course, Courses, at_corners, for_all, for_each, of_a_course, settings
+from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_of
+from tuning.sweeps.machines import Values, lane, machines
+from tuning.sweeps.possible import require_made, require_on_guides, require_ordered
+from tuning.sweeps.samples import Method, correlated, root_of, shares
+from tuning.sweeps.varied import Varied, parse_varied
+
+HELD, MOST_HELD = 160.0, 2e9  # bytes a step of a machine with a course of its own, and of all at once
+
+
+class Outcome(NamedTuple):
+    """What came of machines, [n] each."""
+
+    costs: Costs
+    diverged_at: np.ndarray  # s from the beginning; NaN of a machine that did not
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The machines of a sweep, and what each goes through.
+
+    Every controller follows every motion on the same machines under the same loads and noise (common random numbers).
+    """
+
+    axis: DriveDescription
+    controllers: Mapping[str, Controller]
+    motions: Mapping[str, Motion]
+    varied: tuple[Varied, ...]
+    samples: int
+    method: Method = "sobol"
+    seed: int = 0
+    recipes: Mapping[str, Recipe | None] = field(default_factory=dict)  # of the motions whose settings may vary
+    load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
+    settle: float = 0.0  # s at the start that do not count
+    correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    most_in_a_part: int = LEAST_IN_A_PART  # a power of two
+    precision: Precision = "double"
+
+    @classmethod
+    def of(
+        cls, axis: DriveDescription, controllers: Mapping[str, Controller], motions: Mapping[str, Motion],
+        vary: tuple[str, ...], samples: int, **more: Any,
+    ) -> "Plan":  # fmt: skip
+        """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
+        require_double_precision()
+        recipes = more.get("recipes", {})
+        known = settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
+        varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
+        names = [one.name for one in varied]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ParameterError(f"vary: {', '.join(twice)} is given more than once")
+        both = [name for name in names if {f"{name}.positive", f"{name}.negative"} & set(names)]
+        if both:
+            raise ParameterError(f"vary {both[0]}: stands for both directions, one of which is varied beside it")
+        plan = cls(axis, controllers, motions, varied, samples, **more)
+        if samples < 1:
+            raise ParameterError(f"sweep: at least one machine is needed, got {samples}")
+        if set(names) & {"load.from", "load.to"} and "load.change" not in names:
+            raise ParameterError("vary load.from, load.to: are times of load.change, which does not vary: give it, too")
+        for name, motion in motions.items():
+            if not plan._varies("motion"):  # else none of the machines may run that one
+                require_within(motion, axis.limits)
+                require_left(plan.settle, name, motion)
+            if abs(motion.rate / axis.sampling.rate - 1.0) > SAME_RATE:
+                raise ParameterError(
+                    f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
+                    "make them equal"
+                )
+        if not 0 <= plan.seed < 2**63:
+            raise ParameterError(f"sweep: seed must be from 0 to 2^63 - 1, got {plan.seed}")
+        root_of(plan.correlation, names)
+        return plan
+
+    @cached_property
+    def _settings(self) -> list[int]:
+        """Which of the quantities that vary are settings of the motions and of the load over time."""
+        return [k for k, one in enumerate(self.varied) if of_a_course(one.name)]
+
+    @cached_property
+    def courses(self) -> Courses:
+        """Motions and load over time."""
+        varied = tuple(self.varied[k] for k in self._settings)
+        return Courses(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied)
+
+    def _varies(self, of: str) -> bool:
+        """Whether settings of the motions, or of the load, vary."""
+        return any(one.name.startswith(f"{of}.") for one in self.courses.varied)
+
+    def courses_of(self, numbers: np.ndarray, motion: str) -> list[Course]:
+        """What machines of one part go through. Raises `ParameterError` that names one that cannot."""
+        values = self.courses.values(motion, self._drawn(numbers)[:, self._settings])
+        found = []
+        for k, number in enumerate(numbers):
+            try:
+                course = self.courses.of(motion, {name: value[k] for name, value in values.items()})
+                require_within(course.motion, self.axis.limits)
+                require_left(self.settle, motion, course.motion)
+            except (MotionError, ParameterError) as problem:
+                raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
+            found.append(course)
+        least = np.array([np.min(course.load) for course in found])
+        require_on_guides(numbers, *self._made(numbers), least, lambda k: [found[k]])
+        return found
+
+    def require_possible(self, parts: Iterable[int]) -> None:
+        """Every machine of these parts can be. Raises `ParameterError` that names one that cannot.
+
+        Where settings of motions vary, those machines are looked at that are nearest to their ends.
+        """
+        nominal = self.nominal
+        for part in parts:
+            self.require_machines(self.numbers(part), nominal)
+            for motion in self.motions if self._settings else ():
+                self.corners(motion, part)
+
+    def require_machines(self, numbers: np.ndarray, courses: Sequence[Course]) -> None:
+        """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
+        least = min((float(np.min(course.load)) for course in courses), default=np.inf)
+        made = require_made(numbers, self._made)
+        require_on_guides(numbers, *made, np.full(len(numbers), least), lambda _: courses)
+
+    def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
+        machine, ramp, _, _ = self.machines(numbers)
+        require_ordered(ramp)
+        require_possible(machine, self._envelope)
+        highest = self._highest + ramp.load + np.maximum(ramp.change, 0.0)
+        try:
+            require_resolved(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
+        except MotionError as problem:
+            raise ParameterError(str(problem)) from None
+        return machine, ramp
+
+    @cached_property
+    def _highest(self) -> float:
+        """The highest load over time (N), beside what varies of it."""
+        return max((float(np.max(course.load)) for course in self.nominal), default=0.0)
+
+    @cached_property
+    def _envelope(self) -> Envelope:
+        """Within what the machines move: a motion that varies may go wherever the limits let it."""
+        if self._varies("motion"):
+            return envelope_within(self.axis.limits, self.axis.sampling)
+        position, velocity = (
+            np.concatenate([getattr(one, name) for one in self.motions.values()]) for name in ("position", "velocity")
+        )
+        every = envelope_of(position, velocity, np.zeros(1), self.axis.sampling.period)
+        return every._replace(duration=max(one.duration for one in self.motions.values()))
+
+    @property
+    def nominal(self) -> list[Course]:
+        """What all machines go through but for settings of motions; nothing where the load over time varies."""
+        return [] if self._varies("load") else [Course(one, self.loads(one)) for one in self.motions.values()]
+
+    def corners(self, motion: str, part: int = 0) -> list[Course]:
+        """What the machines nearest to the ends of settings go through."""
+        drawn = self.drawn(part)[:, self._settings]
+        return self.courses_of(self.numbers(part)[at_corners(drawn)], motion)
+
+    def loads(self, motion: Motion) -> np.ndarray:
+        """The load (N) along a motion as --load has it, beside what varies."""
+        return parse_load(self.load, motion.time)
+
+    def extremes(self, motion: str) -> list[Course]:
+        """What comes at worst: the ends of the settings, with the least and the most of the load that varies."""
+        planned = self.motions[motion]
+        courses = self.corners(motion) if self._settings else [Course(planned, self.loads(planned))]
+        ends = {one.name: one.of(np.array([0.0, 1.0])) for one in self.varied}
+        behind = np.append(ends.get("load.change", []), 0.0)
+        more = [load + change for load in ends.get("load", [0.0]) for change in behind]
+        return [Course(one, np.concatenate([load + each for each in more])) for one, load in courses]
+
+    @cached_property
+    def _root(self) -> np.ndarray | None:
+        return root_of(self.correlation, [one.name for one in self.varied])
+
+    @property
+    def part_size(self) -> int:
+        """Machines in a part, a power of two."""
+        return min(self.most_in_a_part, 1 << (self.samples - 1).bit_length())
+
+    @property
+    def parts(self) -> int:
+        """How many parts."""
+        return -(-self.samples // self.part_size)
+
+    def drawn(self, part: int) -> np.ndarray:
+        """Shares of the probability of the machines of a part, [n, d]."""
+        count = len(self.numbers(part))
+        drawn = shares(self.method, len(self.varied), self.seed, part, self.part_size, count)
+        return drawn if self._root is None else correlated(drawn, self._root)
+
+    def numbers(self, part: int) -> np.ndarray:
+        """Numbers of the machines of a part."""
+        return np.arange(part * self.part_size, min(self.samples, (part + 1) * self.part_size))
+
+    def keys(self, numbers: np.ndarray) -> Any:
+        """Keys of the measuring noise of these machines; None where the scale has none."""
+        if not float(self.axis.drive.sensor.noise) > 0.0 and not any(one.name == "sensor.noise" for one in self.varied):
+            return None
+        base = jax.random.key(self.seed)
+        return jax.vmap(lambda number: jax.random.fold_in(base, number))(jnp.asarray(numbers))
+
+    def _drawn(self, numbers: np.ndarray) -> np.ndarray:
+        """Those of some machines of one part."""
+        part = int(numbers[0]) // self.part_size
+        return self.drawn(part)[numbers - part * self.part_size]
+
+    def machines(self, numbers: np.ndarray) -> tuple[Drive, Ramp, Values, Any]:
+        """Machines of one part by their numbers: drives, loads, the values of what varies, the keys of their noise."""
+        own = [k for k in range(len(self.varied)) if k not in self._settings]
+        varied = [self.varied[k] for k in own]
+        return *machines(self.axis.drive, varied, self._drawn(numbers)[:, own]), self.keys(numbers)
+
+    def values(self, numbers: np.ndarray, motion: str) -> Values:
+        """The values of what varies of some machines of one part, [n] each, in the order in which it was given."""
+        drawn, (_, _, found, _) = self._drawn(numbers)[:, self._settings], self.machines(numbers)
+        found |= self.courses.values(motion, drawn)
+        return {one.name: found[one.name] for one in self.varied}
+
+    def costs_of(self, numbers: np.ndarray, motion: str, controllers: Iterable[str]) -> dict[str, Outcome]:
+        """What comes of machines of one part; to the last bit the same whichever others stand beside them."""
+        drives, ramps, _, keys = self.machines(numbers)
+        sampling, limits = self.axis.sampling, self.axis.limits
+
+        def under(controller: str, course: Any, samples: np.ndarray, some: Any = ...) -> Outcome:
+            beside = jax.tree.map(lambda leaf: leaf[some], (ramps, keys))
+            control = self.controllers[controller]
+            found = costs_of(lane(drives, some), *beside, control, course, sampling, self.precision)
+            return _outcome(found, samples, sampling.period)
+
+        if not self._settings:
+            planned = self.motions[motion]
+            course = for_all(Course(planned, self.loads(planned)), self.settle, limits)
+            return {name: under(name, course, np.full(len(numbers), len(planned.time))) for name in controllers}
+        groups: dict[str, list[Outcome]] = {name: [] for name in controllers}
+        for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._at_once(motion))[1:]):
+            courses = self.courses_of(numbers[some], motion)
+            samples, course = np.array([len(one.load) for one in courses]), for_each(courses, self.settle, limits)
+            for name, group in groups.items():
+                group.append(under(name, course, samples, some))
+        return {name: jax.tree.map(lambda *one: np.concatenate(one), *group) for name, group in groups.items()}
+
+    @cached_property
+    def _longest(self) -> dict[str, int]:
+        """Samples of the longest course of each motion, about."""
+        return {motion: max(len(course.load) for course in self.corners(motion)) for motion in self.motions}
+
+    def _at_once(self, motion: str) -> int:
+        """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
+        of_one = HELD * self._longest[motion] * block(own_courses=True)
+        require_memory(
+            ParameterError,
+            f"{motion}: {block(own_courses=True)} machines side by side, each on its own course of up to "
+            f"{self._longest[motion]} samples,",
+            of_one,
+            "shorten the motion, or lower sampling.rate",
+        )
+        blocks = int(MOST_HELD / of_one)
+        return block(own_courses=True) * max(1, min(blocks, len(jax.devices())))
+
+    def costs(self, part: int) -> pa.Table:
+        """The machines of a part under every controller on every motion: one row for each."""
+        numbers, tables = self.numbers(part), []
+        unknown = pa.nulls(len(numbers), pa.float64())
+        for motion in self.motions:
+            values = self.values(numbers, motion)
+            for controller, (found, diverged_at) in self.costs_of(numbers, motion, self.controllers).items():
+                tables.append(
+                    pa.table(
+                        {
+                            "machine": numbers,
+                            "controller": [controller] * len(numbers),
+                            "motion": [motion] * len(numbers),
+                            **values,
+                            "rms_m": found.rms,
+                            "peak_m": found.peak,
+                            "command_noise_N": found.command_noise,
+                            "load_error_N": unknown if found.load_error is None else found.load_error,
+                            "saturated": found.saturated,
+                            "diverged": ~np.isnan(diverged_at),
+                            "diverged_at_s": pa.array(diverged_at, from_pandas=True),
+                        }
+                    )
+                )
+        return pa.concat_tables(tables)
+
+    def axis_of(self, drive: Drive) -> DriveDescription:
+        """The axis with another drive in it: what a machine's drive file says."""
+        return replace(self.axis, drive=drive)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """What varies, with its unit."""
+        return {one.name: one.unit for one in self.varied}
+
+    def question(self) -> str:
+        """What tells this sweep from any other: everything that its numbers hang on."""
+        text = hashlib.sha256(
+            edition(*(one.__module__ for one in (Plan, Courses, costs_of, machines, parse_varied, shares))).encode()
+        )
+        asked = [
+            arithmetic(),
+            self.method,
+            self.seed,
+            self.samples,
+            self.part_size,
+            self.load,
+            self.settle,
+            self.precision,
+            [one.text for one in self.varied],
+        ]
+        asked += [{one: dict(others) for one, others in self.correlation.items()}]
+        asked += [None if one is None else [one.kind, one.settings] for one in self.recipes.values()]
+        text.update(json.dumps(asked).encode())
+        models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
+        text.update(repr(self.axis.limits).encode())  # they say what has diverged
+        text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())
+        for name, motion in self.motions.items():
+            text.update(name.encode() + np.ascontiguousarray(motion.position).tobytes())
+        return text.hexdigest()
+
+
+def _outcome(costs: Costs, samples: np.ndarray, period: float) -> Outcome:
+    """A machine diverged that did not stay to the end of its own course."""
+    return Outcome(costs, np.where(costs.steps_finite >= samples, np.nan, costs.steps_finite * period))

@@ -1,0 +1,60 @@
+"""What keeps a machine of a sweep from being, found before any of them runs: hours later would be late."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from diffdrive.errors import ParameterError
+from diffdrive.model.parameters import Drive
+from diffdrive.motion.load import Ramp
+from tuning.sweeps.courses import Course
+
+Numbers = Int[np.ndarray, " n"]
+
+
+def require_made(numbers: Numbers, make: Callable[[Numbers], Any]) -> Any:
+    """What `make` makes of these machines. Raises `ParameterError` that names the first that it cannot make."""
+    try:
+        return make(numbers)
+    except ParameterError as found:
+        problem = found
+    while len(numbers) > 1:
+        half = len(numbers) // 2
+        try:
+            make(numbers[:half])
+            numbers = numbers[half:]
+        except ParameterError as found:
+            numbers, problem = numbers[:half], found
+    raise ParameterError(f"sweep: machine {numbers[0]} cannot be: {problem}") from None
+
+
+def require_ordered(ramp: Ramp) -> None:
+    """Raises `ParameterError` where a load's change ends before it begins."""
+    if np.any((ramp.begin > ramp.end) & (ramp.change != 0.0)):
+        raise ParameterError("its load.from comes after its load.to: let them vary in ranges that do not overlap")
+
+
+def require_on_guides(
+    numbers: Numbers,
+    drives: Drive,
+    ramps: Ramp,
+    least: Float[np.ndarray, " n"],
+    courses: Callable[[int], Sequence[Course]],
+) -> None:
+    """Raises `ParameterError` that names the first machine whose load lifts its table off the guides.
+
+    `least` are the loads (N) over time at their least, `courses` those of the k-th machine: where the least of all
+    loads at once would be too little, it is looked when each acts.
+    """
+    bounds = -np.broadcast_to(np.asarray(drives.friction.initial_load), len(numbers))
+    for k in np.flatnonzero(np.asarray(least + ramps.load + np.minimum(ramps.change, 0.0)) <= bounds):
+        own = jax.tree.map(lambda leaf, k=k: leaf[k], ramps)
+        every = [np.min(load + np.asarray(own.at(motion.time - motion.time[0]))) for motion, load in courses(int(k))]
+        if every and min(every) <= bounds[k]:
+            raise ParameterError(
+                f"sweep: machine {numbers[k]} cannot be: a load of {min(every):g} N lifts the table off its "
+                f"guides: it must stay above minus the initial load, {bounds[k]:g} N"
+            )

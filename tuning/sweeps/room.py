@@ -1,0 +1,47 @@
+"""What a sweep takes, found before it begins: numbers for its machines, memory for its courses and results, disk."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from diffdrive.errors import ParameterError
+from diffdrive.support.resources import counted, require_disk, require_memory
+from tuning.sweeps.plan import Plan
+
+# the noise of a machine is drawn from its number, of which the generator takes 32 bits; Sobol's sequence has 30
+MOST = {"sobol": 2**30}
+MOST_OF_ANY = 2**32
+NUMBER = 8  # bytes
+COLUMNS = 12  # of a row beside what varies, as they lie in memory with their names
+ARRAYS = 16  # over the samples of a motion: as it is planned, and as the engine takes it
+
+
+def require_room(plan: Plan, folder: Path) -> None:
+    """Raise `ParameterError` for a sweep that cannot be held: its results in memory, its parts on the disk of `folder`.
+
+    A big one that fits goes on.
+    """
+    most = MOST.get(plan.method, MOST_OF_ANY)
+    if plan.samples > most:
+        raise ParameterError(
+            f"--samples {counted(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or "
+            "another --method"
+        )
+    runs = plan.samples * len(plan.controllers) * len(plan.motions)
+    row = NUMBER * (COLUMNS + len(plan.varied))
+    request = f"--samples {counted(plan.samples)}: {counted(runs)} runs, whose results are summed up together,"
+    # the rows, and those of one group once more while they are put into their order
+    require_memory(ParameterError, request, float(row) * (runs + plan.samples), "give fewer")
+    require_disk(ParameterError, request, _there(folder), 0.5 * row * runs, "give fewer, or --out on another disk")
+    samples = sum(len(one.time) for one in plan.motions.values())
+    require_memory(
+        ParameterError,
+        f"motions of {counted(samples)} samples in all",
+        float(NUMBER * ARRAYS) * samples,
+        "shorten them, or lower sampling.rate",
+    )
+
+
+def _there(folder: Path) -> Path:
+    """The folder, or the nearest one above it that is there."""
+    above: Iterator[Path] = iter((folder, *folder.resolve().parents))
+    return next(one for one in above if one.is_dir())

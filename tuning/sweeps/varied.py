@@ -1,0 +1,214 @@
+"""What varies in a sweep, and how: one line of text for each quantity, as `plant.mass=lognormal:3%`."""
+
+import dataclasses
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.errors import ParameterError
+from diffdrive.model.parameters import Drive, quantities
+from diffdrive.motion.text import number, numbers
+
+# Beside what the drive file holds: a load that changes linearly between two times, and is constant outside.
+LOAD = {"load": "N", "load.change": "N", "load.from": "s", "load.to": "s"}
+# Numbers in percent are offsets from the drive file's value, and need a sign but for a range's last: -5%..+5%.
+KINDS = {
+    "uniform": "LOW..HIGH, every value alike",
+    "loguniform": "LOW..HIGH, every order of magnitude alike",
+    "triangular": "LOW..MODE..HIGH",
+    "normal": "DEVIATION about the drive file's value, or MEAN..DEVIATION",
+    "lognormal": "DEVIATION of the logarithm about the drive file's value, or MEDIAN..DEVIATION",
+    "fixed": "VALUE, another than the drive file's",
+}
+NUMBERS = {
+    "uniform": (2,), "loguniform": (2,), "triangular": (3,), "normal": (1, 2), "lognormal": (1, 2), "fixed": (1,),
+}  # fmt: skip
+WIDEST = 1.0  # deviation of a logarithm: already a factor of 55 at four of them, wider is a slip of the pen
+FARTHEST = 4.0  # standard deviations: no sample is decided by a machine that nobody will see
+
+Values = Float[np.ndarray, " n"]
+How = Literal["is", "plus", "times"]  # how a number meets the drive file's value
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A quantity and its distribution: `of` gives numbers at shares (0 to 1) of the probability.
+
+    `how` they meet the drive file's value: they are the value, are added to it, or are factors on it.
+    """
+
+    name: str
+    unit: str
+    text: str
+    how: How
+    of: Callable[[Values], Values]
+
+    def met(self, value: Any, drawn: Any) -> Any:
+        """A value as the files have it, under what was drawn."""
+        if self.how == "is":
+            return drawn
+        return value + drawn if self.how == "plus" else value * drawn
+
+
+def _normal(share: Values, low: float = -FARTHEST, high: float = FARTHEST) -> Values:
+    return np.asarray(stats.truncnorm.ppf(share, low, high))
+
+
+def _uniform(low: float, high: float) -> Callable[[Values], Values]:
+    return lambda share: low + (high - low) * share
+
+
+def _loguniform(low: float, high: float) -> Callable[[Values], Values]:
+    return lambda share: low * (high / low) ** share
+
+
+def _triangular(low: float, mode: float, high: float) -> Callable[[Values], Values]:
+    return lambda share: np.asarray(stats.triang.ppf(share, (mode - low) / (high - low), low, high - low))
+
+
+def _shape(kind: str, given: list[float], bounds: tuple[float, float]) -> Callable[[Values], Values]:
+    """The distribution of a kind; a normal one ends where the quantity does."""
+    if kind == "uniform":
+        return _uniform(*given)
+    if kind == "loguniform":
+        return _loguniform(*given)
+    if kind == "triangular":
+        return _triangular(*given)
+    if kind == "fixed":
+        return lambda share: np.full(share.shape, given[0])
+    middle, deviation = given
+    if kind == "normal":
+        low, high = (float(np.clip((bound - middle) / deviation, -FARTHEST, FARTHEST)) for bound in bounds)
+        return lambda share: middle + deviation * _normal(share, low, high)
+    return lambda share: middle * np.exp(deviation * _normal(share))
+
+
+def with_effects(drive: Drive, names: Iterable[str]) -> Drive:
+    """The drive, and those effects that it has not yet, neutral."""
+    there = {effect.name for effect in drive.effects}
+    wanted = [name for name in EFFECTS if name in set(names) - there]
+    return dataclasses.replace(drive, effects=(*drive.effects, *(EFFECTS[name]() for name in wanted)))
+
+
+class Known(NamedTuple):
+    """A quantity that may vary."""
+
+    unit: str
+    values: tuple[float, ...]  # that the drive has of it, one or one per direction; none where it has none
+    bounds: tuple[float, float] = (-np.inf, np.inf)  # which it may not leave
+
+    @property
+    def scales(self) -> bool:
+        """Whether it has values to be relative to."""
+        return bool(self.values) and all(value != 0.0 for value in self.values)
+
+    def room(self, how: How) -> tuple[float, float]:
+        """The bounds of what meets the drive's values: of the value itself, an offset or a factor."""
+        ends = np.array([self.bounds] * max(1, len(self.values)))
+        if how == "plus":
+            ends = ends - np.reshape(self.values, (-1, 1))
+        elif how == "times":
+            ends = np.sort(ends / np.reshape(self.values, (-1, 1)), axis=1)
+        return float(ends[:, 0].max()), float(ends[:, 1].min())
+
+
+def known_quantities(drive: Drive) -> dict[str, Known]:
+    """Every quantity that may vary.
+
+    A quantity per direction stands for both sides together, or for one of them with `.positive` or `.negative`. Effects
+    that the drive file has not are there as well.
+    """
+    known = {name: Known(unit, (0.0,)) for name, unit in LOAD.items()}
+    for name, declared, value in quantities(with_effects(drive, EFFECTS)):
+        sides = ("positive", "negative") if declared.directional else ()
+        values = () if value is None else tuple(float(getattr(value, side)) for side in sides) or (float(value),)
+        known[name] = Known(declared.unit, values, declared.range)
+        for k, side in enumerate(sides):
+            known[f"{name}.{side}"] = Known(declared.unit, values[k : k + 1], declared.range)
+    return known
+
+
+def parse_varied(text: str, drive: Drive, settings: Mapping[str, Known] = MappingProxyType({})) -> Varied:
+    """A quantity and its distribution from `NAME=KIND:NUMBERS`; numbers in percent are relative to the drive file's.
+
+    `settings` are those of motions and load that may vary, too. Raises `ParameterError` that says what is known.
+    """
+    name, equals, rest = text.partition("=")
+    name, (kind, _, values) = name.strip(), (part.strip() for part in rest.partition(":"))
+    known = known_quantities(drive) | settings
+    if not equals:
+        raise ParameterError(f"vary: '{text}' has no distribution; write for example '{name}=uniform:-5%..5%'")
+    if name not in known:
+        of = name.partition(".")[0]
+        if of in ("motion", "load"):
+            there = ", ".join(one for one in known if one.startswith(of)) or "none"
+            raise ParameterError(
+                f"vary: '{name}' is no setting that {'every --motion' if of == 'motion' else '--load'} has as one "
+                f"number; those that may vary are {there}"
+            )
+        near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
+        raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")
+    unit, where = known[name].unit, f"vary {name}"
+    if kind not in KINDS:
+        kinds = "; ".join(f"{key}:{what}" for key, what in KINDS.items())
+        raise ParameterError(f"{where}: '{kind}' is no distribution; known: {kinds}")
+    parts = [part.strip() for part in values.split("..")]
+    if len(parts) not in NUMBERS[kind] or not all(parts):
+        raise ParameterError(f"{where}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
+    how, given = _given(kind, parts, unit, where)
+    if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].values):
+        raise ParameterError(f"{where}: has no value, or zero, to be relative to: give all numbers in {unit}")
+    _require_sensible(kind, given, where)
+    low, high = known[name].room(how)
+    if kind == "normal" and not low - FARTHEST * given[1] < given[0] < high + FARTHEST * given[1]:
+        raise ParameterError(f"{where}: nothing of {values} is from {low:g} to {high:g}, where it must be")
+    return Varied(name, unit, text, how, _shape(kind, given, (low, high)))
+
+
+def _given(kind: str, parts: list[str], unit: str, where: str) -> tuple[How, list[float]]:
+    """How the numbers of a kind meet the drive file's value, and the numbers, a single deviation with its middle."""
+    places, deviation = (parts[:-1], parts[-1]) if kind in ("normal", "lognormal") else (parts, None)
+    shares = [part.endswith("%") for part in places]
+    relative = all(shares) and (bool(places) or kind == "lognormal" or str(deviation).endswith("%"))
+    if any(shares) and not relative:
+        raise ParameterError(f"{where}: '{'..'.join(parts)}' mixes percent and {unit}: give all in one of them")
+    for part in places[: max(1, len(places) - 1)]:
+        if relative and part[0] not in "+-" and part != "0%":
+            raise ParameterError(
+                f"{where}: '{part}' needs a sign: percents are offsets from the drive file's value, as -5%..+5%"
+            )
+    if relative:
+        given = [1.0 + _share(part, where) for part in places] or [1.0]
+        return "times", given if deviation is None else [*given, _share(deviation, where)]
+    if kind == "lognormal":
+        return "is", [*numbers(places[0], unit, where), _share(parts[-1], where)]
+    given = numbers(";".join(parts), unit, where)
+    return ("is", given) if places else ("plus", [0.0, *given])
+
+
+def _share(text: str, where: str) -> float:
+    """A share, in percent or bare."""
+    percent = text.endswith("%")
+    return number(text.removesuffix("%"), "1", where) / (100.0 if percent else 1.0)
+
+
+def _require_sensible(kind: str, given: list[float], where: str) -> None:
+    """Ranges rise, logarithms are of positive numbers, deviations are not negative."""
+    if kind in ("uniform", "loguniform", "triangular"):
+        rises = given[0] < given[-1] and given == sorted(given)
+        if not rises:
+            raise ParameterError(f"{where}: the numbers of {kind} must rise, got {', '.join(f'{x:g}' for x in given)}")
+    if kind in ("loguniform", "lognormal") and not given[0] > 0.0:
+        raise ParameterError(f"{where}: {kind} needs numbers above zero, got {given[0]:g}")
+    if kind in ("normal", "lognormal") and not given[-1] > 0.0:
+        raise ParameterError(f"{where}: the deviation must be above zero, got {given[-1]:g}")
+    if kind == "lognormal" and given[-1] > WIDEST:
+        wide = f"a deviation of {100 * given[-1]:g} % of a logarithm is too wide"
+        raise ParameterError(f"{where}: {wide}; write 3% or 0.03")

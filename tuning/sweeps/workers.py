@@ -1,0 +1,87 @@
+"""The parts of a sweep in several processes of this machine.
+
+They talk with the one that started them by pipes that nobody else has: no port is opened, and no secret is needed.
+"""
+
+import functools
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+
+import pyarrow as pa
+
+from diffdrive.errors import ParameterError
+from diffdrive.runtime import configure, cores, keep_compiled, with_accelerator
+from diffdrive.support.processes import processes
+from diffdrive.support.resources import require_memory
+from tuning.sweeps.parts import Computed, Engine, Say
+from tuning.sweeps.plan import Plan
+from tuning.sweeps.spec import Asked, from_text, to_text
+
+WORKER = 3e8  # bytes of a process that has done nothing yet, jax and the package in it
+AHEAD = 2  # parts for each worker, one that it runs and the next: what is done waits in memory to be written
+MOST_LOSSES = 3  # of workers in a row without a part done, as many as Dask allows
+
+
+@functools.lru_cache(maxsize=1)
+def _plan(text: str, devices: int | None) -> Plan:
+    """The plan from its text, once in a process and not once in each of its parts."""
+    configure(devices)
+    if devices is None:  # a machine of a cluster, not some cores of this one
+        with_accelerator()
+    keep_compiled()
+    return from_text(text).plan()
+
+
+def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
+    """One part, on whichever machine this runs; `devices` is how many of its cores, None for all and a GPU."""
+    plan = _plan(text, devices)
+    if plan.question() != question:
+        raise ParameterError(
+            "a worker has another edition of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
+            "the program that asks: the same ones are needed on every machine of the cluster"
+        )
+    return plan.costs(part)
+
+
+def on_workers(asked: Asked, workers: int) -> Engine:
+    """An engine for `parts.run`: so many processes of this machine, which share its cores.
+
+    A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, and where
+    workers are killed again and again.
+    """
+    require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER * workers, "give fewer")
+
+    def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
+        run = functools.partial(run_part, to_text(asked), plan.question(), max(1, cores() // workers))
+        left, losses = list(wanted), 0
+        while left:
+            try:
+                for part, table in _computed(run, left, workers):
+                    left.remove(part)
+                    losses = 0
+                    yield part, table
+            except BrokenProcessPool:
+                losses += 1
+                if losses == MOST_LOSSES:
+                    raise ParameterError(
+                        f"--workers {workers}: its processes are killed again and again, for want of memory perhaps: "
+                        "give fewer; the parts that were done are kept: the same command goes on there"
+                    ) from None
+                say("a worker was killed; the parts that were under way are run again")
+
+    return engine
+
+
+def _computed(run: "functools.partial[pa.Table]", wanted: list[int], workers: int) -> Computed:
+    """The parts as they are done, in processes that end with this."""
+    with processes(min(workers, len(wanted))) as pool:
+        left, running = iter(list(wanted)), dict[Future[pa.Table], int]()
+        while True:
+            for part in left:
+                running[pool.submit(run, part)] = part
+                if len(running) >= AHEAD * workers:
+                    break
+            if not running:
+                return
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(done), done.result()
