@@ -17,14 +17,14 @@ import jax
 import numpy as np
 import tomli_w
 
+from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import build_controller, controller_table
-from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.possible import envelope_within, require_possible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
-from diffdrive.logs.mapping import Mapping, mapping_tables, parse_mapping
+from diffdrive.logs.mapping import mapping_tables, parse_mapping
 from diffdrive.model.parameters import (
     Actuator,
     Directional,
@@ -43,18 +43,6 @@ from diffdrive.support.atomic_write import write_text
 from diffdrive.support.messages import shortened, shown
 from diffdrive.support.text_file import read_toml
 from diffdrive.support.units import in_unit, to_si
-
-
-@dataclasses.dataclass(frozen=True)
-class DriveDescription:
-    """A drive file's content: the drive, its controller, sampling, the limits of the axis, and how its logs read."""
-
-    drive: Drive
-    controller: Controller
-    sampling: Sampling
-    limits: Limits
-    mapping: Mapping = dataclasses.field(default_factory=Mapping)
-
 
 # pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
 
@@ -188,7 +176,7 @@ def _effects(section: Section) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescription:
+def parse_drive(tables: dict[str, Any], source: str = "drive") -> Axis:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
     root = Section(source, "drive file", tables)
     sections = {
@@ -234,16 +222,16 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> DriveDescripti
     controller = build_controller(sections["controller"], drive)
     for section in sections.values():
         section.done()
-    return DriveDescription(drive, controller, sampling, limits, mapping)
+    return Axis(drive, controller, sampling, limits, mapping)
 
 
-def read_drive(path: str | Path) -> DriveDescription:
+def read_drive(path: str | Path) -> Axis:
     """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
     origin = "'diffdrive template > drive.toml' writes one to start from"
     return parse_drive(read_toml(Path(path), DriveFileError, origin), str(path))
 
 
-def drive_tables(description: DriveDescription) -> dict[str, Any]:
+def drive_tables(description: Axis) -> dict[str, Any]:
     """The tables of a drive file that `parse_drive` reads back to the same description."""
     drive, limits = description.drive, description.limits
     tables = {
@@ -267,7 +255,7 @@ def drive_tables(description: DriveDescription) -> dict[str, Any]:
     return tables | mapping_tables(description.mapping)
 
 
-def write_drive(path: str | Path, description: DriveDescription, comments: Sequence[str] = ()) -> None:
+def write_drive(path: str | Path, description: Axis, comments: Sequence[str] = ()) -> None:
     """Write a drive file in SI units, below lines of comments; raises if it could not say what the description says."""
     tables = drive_tables(description)
     read_back = parse_drive(tables, str(path))

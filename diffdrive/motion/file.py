@@ -8,7 +8,8 @@ import numpy as np
 
 from diffdrive.errors import MotionError
 from diffdrive.logs.column_unit import Conversion, conversion, split
-from diffdrive.motion.motion import Motion, from_array
+from diffdrive.motion.builders import from_array
+from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import listed, shortened
 from diffdrive.support.text_file import decoded
 

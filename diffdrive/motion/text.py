@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive import motion
+from diffdrive.axis import Axis
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.motion import load, motion
+from diffdrive.motion import load
 from diffdrive.motion.file import parse_motion_table, read_motion
 from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import shortened
@@ -70,7 +71,7 @@ def number(text: str, unit: str, where: str) -> float:
         raise MotionError(f"{where}: {problem}") from None
 
 
-def require_rate(where: str, other: DriveDescription, believed: DriveDescription) -> None:
+def require_rate(where: str, other: Axis, believed: Axis) -> None:
     """Raises `ParameterError` for a machine or controller of another control rate: its delays are told in samples."""
     mine, theirs = other.sampling.rate, believed.sampling.rate
     if abs(mine / theirs - 1.0) > SAME_RATE:

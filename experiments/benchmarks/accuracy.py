@@ -13,7 +13,7 @@ from diffdrive.controllers.base import Gains, Tracking
 from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.model.parameters import Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion.motion import triangular
+from diffdrive.motion.builders import triangular
 from experiments.studies.recovery.random_drive import random_drive
 
 SUBSTEPS = (1, 2, 3, 5, 8, 16)

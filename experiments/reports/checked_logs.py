@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, read_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import read_drive
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.checks.examine import Finding, examine, examine_together
@@ -21,7 +22,7 @@ EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identif
 
 def described(
     drive: Path, columns: Sequence[str], units: Sequence[str], shifts: Sequence[str], logs: Sequence[Path]
-) -> DriveDescription:
+) -> Axis:
     """A drive file, its mapping of columns, units and shifts as texts on the command line override it.
 
     Raises `ParameterError` for a shift of none of the `logs`; one that the drive file has is of another day.
@@ -36,7 +37,7 @@ def described(
 
 def looked_over(
     paths: Sequence[Path],
-    description: DriveDescription,
+    description: Axis,
     report: Report,
     *,
     name: str,
@@ -83,7 +84,7 @@ def fatal_of(found: Sequence[tuple[str, Finding]]) -> list[tuple[str, Finding]]:
 
 def read_checked(
     paths: Sequence[Path],
-    description: DriveDescription,
+    description: Axis,
     report: Report,
     *,
     name: str,

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, write_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import write_drive
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import Operating
@@ -39,7 +40,7 @@ CHECKPOINT = "tuning.checkpoint.json"
 
 
 def tune_drive(
-    description: DriveDescription,
+    description: Axis,
     report: Report,
     *,
     plan: Plan = Plan(),
@@ -109,7 +110,7 @@ def tune_drive(
     return tuned, accepted
 
 
-def _as_tuned(description: DriveDescription, controller: Controller) -> DriveDescription:
+def _as_tuned(description: Axis, controller: Controller) -> Axis:
     """The drive file of the tuned controller: its [friction] is what observers believe, tuned along or not."""
     observer = getattr(controller, "observer", None)
     drive = description.drive
@@ -118,7 +119,7 @@ def _as_tuned(description: DriveDescription, controller: Controller) -> DriveDes
     return replace(description, drive=drive, controller=controller)
 
 
-def _told(report: Report, description: DriveDescription, limits: Limits, on: list[Scenario]) -> Limits:
+def _told(report: Report, description: Axis, limits: Limits, on: list[Scenario]) -> Limits:
     """Limits that were not given, from what the gains as given do."""
     was = [judge(description.controller, one, description.sampling) for one in on]
     if limits.command_noise is None:
@@ -162,7 +163,7 @@ def _margins(requirements: Requirements, controller: Controller) -> Margins:
     return requirements.margins(controller)
 
 
-def _margins_table(report: Report, description: DriveDescription, tuned: Controller, plan: Plan) -> Margins:
+def _margins_table(report: Report, description: Axis, tuned: Controller, plan: Plan) -> Margins:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
     drive, rate = description.drive, description.sampling
     other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
@@ -185,7 +186,7 @@ def _margins_table(report: Report, description: DriveDescription, tuned: Control
     return jax.tree.map(lambda values: values[:count], found)
 
 
-def _loop_figures(report: Report, description: DriveDescription, tuned: Controller, plan: Plan, limits: Limits) -> None:
+def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Limits) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
     at = [Operating(v, w) for v in (0.0, 1e-3, plan.speed) for w in (0.0, plan.max_load)]
     with report.working("drawing the loops"):
@@ -235,7 +236,7 @@ MEASURES = ("rms", "peak", "command_noise", "load_error")
 
 
 def _pareto(
-    report: Report, description: DriveDescription, lanes: Ensemble, requirements: Requirements,
+    report: Report, description: Axis, lanes: Ensemble, requirements: Requirements,
     objective: Objective, noises: Sequence[float], off: list[Scenario],
 ) -> None:  # fmt: skip
     """Tracking error against command noise: the gains tuned again under each limit, from the ones found."""
@@ -265,7 +266,7 @@ def _pareto(
     report.figure("pareto", figure)
 
 
-def _conditions(plan: Plan, limits: Limits, speeds: Sequence[float], description: DriveDescription) -> dict[str, Any]:
+def _conditions(plan: Plan, limits: Limits, speeds: Sequence[float], description: Axis) -> dict[str, Any]:
     """What the gains rest on."""
     asked = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()

@@ -7,7 +7,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, read_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import read_drive
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
@@ -26,7 +27,7 @@ from tuning.gains.tune import STARTS
 PAPER_DRIVE = Path(__file__).parents[1] / "drives" / "paper.toml"
 
 
-def sensitivities(description: DriveDescription) -> list[tuple[str, float]]:
+def sensitivities(description: Axis) -> list[tuple[str, float]]:
     """d(RMS tracking error) / d(log parameter), um per doubling / ln 2, for every parameter of drive and controller."""
     motion = reversal(0.010, description.sampling.rate, 0.6)
     inputs = inputs_of(motion, np.linspace(0.0, 5_000.0, len(motion.time)))
@@ -79,7 +80,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
     return report
 
 
-def _simulate(report: Report, description: DriveDescription) -> None:
+def _simulate(report: Report, description: Axis) -> None:
     with report.working("simulating six controllers on the paper's drive"):
         runs = table_1(description.drive, paper.canonical())
     rows = []
@@ -94,7 +95,7 @@ def _simulate(report: Report, description: DriveDescription) -> None:
     )
 
 
-def _differentiate(report: Report, description: DriveDescription) -> None:
+def _differentiate(report: Report, description: Axis) -> None:
     assert isinstance(description.controller, FrictionCompensation)
     with report.working("differentiating the closed loop with respect to every parameter"):
         slopes = sensitivities(description)

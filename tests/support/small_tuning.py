@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import paper_drive
-from diffdrive.motion.motion import triangular
+from diffdrive.motion.builders import triangular
 from experiments.studies.paper import scenario as paper
 from tuning.gains.constrained import Gains, problem_of
 from tuning.gains.objective import Objective

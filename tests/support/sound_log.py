@@ -5,11 +5,13 @@ import re
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, parse_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import parse_drive
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
 from diffdrive.loop.simulate import simulate
-from diffdrive.motion.motion import Motion, from_array
+from diffdrive.motion.builders import from_array
+from diffdrive.motion.motion import Motion
 from diffdrive.runtime import configure
 
 configure()
@@ -20,7 +22,7 @@ FORCE_PER_VOLT = 159.593
 
 def described(
     kind="pd", kp=3.99e6, kd=12_170.0, *, mass=100.0, noise=3e-8, resolution=1e-7, delay=0, rate=RATE, **more
-) -> DriveDescription:
+) -> Axis:
     gains = {"kp": kp, "kv": kd} if kind == "cascade" else {"kp": kp, "kd": kd}
     sensor = {"noise": noise} | ({} if resolution is None else {"resolution": resolution})
     return parse_drive(
@@ -50,7 +52,7 @@ def two_sines(seconds: float = 3.0, rate: float = RATE) -> Motion:
     return from_array(time, 0.02 * (1 - np.cos(2 * np.pi * 0.6 * time)) + 0.003 * (1 - np.cos(2 * np.pi * 1.9 * time)))
 
 
-def logged(description: DriveDescription, reference: Motion, seed: int = 1) -> Log:
+def logged(description: Axis, reference: Motion, seed: int = 1) -> Log:
     run = simulate(description.drive, description.controller, reference, sampling=description.sampling, seed=seed)
     run.require_ok()
     return Log("simulated", time=run.time, position=run.position, command=run.command, reference=run.reference)

@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive import motion as motions
+from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import MotionError
 from diffdrive.loop.simulate import Inputs, inputs_of, rollout
 from diffdrive.model.parameters import Sensor, as_arrays
-from diffdrive.motion import motion as motions
 from diffdrive.motion.motion import Motion, require_within
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
@@ -57,7 +57,7 @@ class Experiment(NamedTuple):
 _rollout = eqx.filter_jit(rollout)
 
 
-def next_experiment(found: Diagnosis, description: DriveDescription) -> Experiment:
+def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     """The motion that tells a cause that was found from its nearest rival best, or that shows more of the gap."""
     verdict = found.verdict
     causes = [one for one in verdict.beliefs if one.found]
@@ -150,7 +150,7 @@ class _Axis(NamedTuple):
         return self.middle - 0.5 * travel
 
 
-def _exciting(found: Diagnosis, description: DriveDescription) -> Experiment:
+def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     """The motion that dwells where the recalibrated drive's gap lies."""
     if not found.gap.told:
         return Experiment("", [], 0.0, "no motion is proposed for a drive file so far from its logs: units, signs?")
@@ -217,7 +217,7 @@ def _strokes(at: _Axis, speed: float, distance: float, dwell: float = 0.1) -> st
     )  # fmt: skip
 
 
-def _told(truth: Fitted, rival: Fitted, description: DriveDescription, inputs: Inputs, steps: int) -> float:
+def _told(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps: int) -> float:
     """By how much a log of this motion would speak for the truth and against the rival."""
     logged, drive = truth.model.logged, drive_of(truth, 0)
     drive = dataclasses.replace(drive, sensor=Sensor(None, float(logged.noise)))  # quantisation is a part of that noise

@@ -16,12 +16,12 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Array, Float
 
+from diffdrive import motion
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import MotionError
 from diffdrive.loop.simulate import Frame, Inputs, inputs_of, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
-from diffdrive.motion import motion
 from diffdrive.motion.motion import Limits, Motion, require_within
 from tuning.identification.estimates import Reported, reported
 from tuning.identification.filter_gain import track

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.loop.margins import Margins
 from diffdrive.support.atomic_write import write_text
 from tuning.gains.tune import Tuned
@@ -18,9 +18,7 @@ LABELS = {
 PER_VOLT = ("kp", "kd", "kv", "ki", "reach")  # gains in newtons of command per something
 
 
-def handover(
-    description: DriveDescription, tuned: Tuned, margins: Margins, conditions: dict[str, Any]
-) -> dict[str, Any]:
+def handover(description: Axis, tuned: Tuned, margins: Margins, conditions: dict[str, Any]) -> dict[str, Any]:
     """The hand-over as nested tables: gains in SI, in command volts where the drive file says N/V; margins."""
     gains = {LABELS.get(name, name): float(value) for name, value in zip(tuned.names, tuned.after, strict=True)}
     per_volt = description.mapping.force_per_volt

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.loop import metrics
@@ -17,8 +17,9 @@ from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Drive, Sampling, as_arrays, quantities
 from diffdrive.motion import load
+from diffdrive.motion.builders import triangular
 from diffdrive.motion.load import require_possible
-from diffdrive.motion.motion import Motion, require_within, triangular
+from diffdrive.motion.motion import Motion, require_within
 from diffdrive.numerics.pipeline import require_shorter
 from tuning.gains.scenarios import Scenario
 
@@ -77,7 +78,7 @@ def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
     return [drive, *(jax.tree.map(float, one) for one in drawn)]
 
 
-def tuned_on(description: DriveDescription, plan: Plan) -> list[Scenario]:
+def tuned_on(description: Axis, plan: Plan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
     motion = reversal(OFF_GRID * plan.speed, description.sampling.rate)
     constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(0.0, plan.max_load, plan.loads)]
@@ -96,7 +97,7 @@ def tuned_on(description: DriveDescription, plan: Plan) -> list[Scenario]:
     return found
 
 
-def held_out(description: DriveDescription, plan: Plan) -> list[Scenario]:
+def held_out(description: Axis, plan: Plan) -> list[Scenario]:
     """Loads in between, loads that change, other speeds, another machine, other noise."""
     rate, speed = description.sampling.rate, OFF_GRID * plan.speed
     motion, drive = reversal(speed, rate), description.drive
@@ -122,7 +123,7 @@ def _machine(number: int) -> str:
     return "nominal" if number == 0 else f"machine {number}"
 
 
-def _require_possible(description: DriveDescription, scenarios: list[Scenario]) -> None:
+def _require_possible(description: Axis, scenarios: list[Scenario]) -> None:
     for one in scenarios:
         require_within(one.motion, description.limits)
         require_shorter(len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Envelope
 from diffdrive.effects.possible import envelope_of, envelope_within, require_possible
@@ -49,7 +49,7 @@ class Plan:
     Every controller follows every motion on the same machines under the same loads and noise (common random numbers).
     """
 
-    axis: DriveDescription
+    axis: Axis
     controllers: Mapping[str, Controller]
     motions: Mapping[str, Motion]
     varied: tuple[Varied, ...]
@@ -65,7 +65,7 @@ class Plan:
 
     @classmethod
     def of(
-        cls, axis: DriveDescription, controllers: Mapping[str, Controller], motions: Mapping[str, Motion],
+        cls, axis: Axis, controllers: Mapping[str, Controller], motions: Mapping[str, Motion],
         vary: tuple[str, ...], samples: int, **more: Any,
     ) -> "Plan":  # fmt: skip
         """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
@@ -312,7 +312,7 @@ class Plan:
                 )
         return pa.concat_tables(tables)
 
-    def axis_of(self, drive: Drive) -> DriveDescription:
+    def axis_of(self, drive: Drive) -> Axis:
         """The axis with another drive in it: what a machine's drive file says."""
         return replace(self.axis, drive=drive)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.dynamics import Dynamics, Estimate, inverse_dynamics
 from diffdrive.logs.checks.explanation import FAULT, Explanation, Fault, judged, ranked, rivals_of
 from diffdrive.logs.checks.factors import name_in_brackets
@@ -22,7 +22,7 @@ EXPLAINS = 0.3
 COUNTS = 3 * FAULT
 
 
-def command(log: Log, description: DriveDescription) -> Iterator[Finding]:
+def command(log: Log, description: Axis) -> Iterator[Finding]:
     """The command against mass and friction of the drive file, where no controller is known that gives it."""
     relation = Relation(description, log, longest_piece(log))
     dynamics = relation.dynamics(relation.logged)
@@ -150,7 +150,7 @@ _SENTENCES = {
 }
 
 
-def machine(found: Dynamics | None, description: DriveDescription, rivals: tuple[str, ...] = ()) -> Iterator[Finding]:
+def machine(found: Dynamics | None, description: Axis, rivals: tuple[str, ...] = ()) -> Iterator[Finding]:
     """Mass and friction that the log asks for, where they are not those of the drive file."""
     if found is None or not found.changed or not found.physical or found.misfit > EXPLAINS:
         return
@@ -175,7 +175,7 @@ def machine(found: Dynamics | None, description: DriveDescription, rivals: tuple
     )
 
 
-def _constant(found: Dynamics, description: DriveDescription) -> Finding:
+def _constant(found: Dynamics, description: Axis) -> Finding:
     """Friction that is the drive file's in the mean, but not in either direction: a constant force, or an offset."""
     forwards, backwards = nominal_friction(description)
     newtons = ((found.positive.value - 1.0) * forwards - (found.negative.value - 1.0) * backwards) / 2
@@ -190,7 +190,7 @@ def _constant(found: Dynamics, description: DriveDescription) -> Finding:
     )
 
 
-def nominal_friction(description: DriveDescription) -> tuple[float, float]:
+def nominal_friction(description: Axis) -> tuple[float, float]:
     """Coulomb friction (N) of the drive file without an applied load, forwards and backwards."""
     friction = description.drive.friction
     screw, guide, pressed = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)

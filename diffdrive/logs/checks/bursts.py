@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import median_filter
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.dynamics import inverse_dynamics
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import noise_of
@@ -58,7 +58,7 @@ def _usual(signal: Signal, length: int) -> Signal:
     return np.interp(np.arange(len(signal)), np.arange(len(signal))[::thin], coarse)
 
 
-def unexplained(log: Log, description: DriveDescription | None, given: Signal | None = None) -> Iterator[Finding]:
+def unexplained(log: Log, description: Axis | None, given: Signal | None = None) -> Iterator[Finding]:
     """Bursts that the controller did not give, where that is known (`given`), else those that the table ignores."""
     piece, step = longest_piece(log), mean_step(log)
     position, command = log.position[piece], log.command[piece]
@@ -103,7 +103,7 @@ def _is_ignored(burst: Burst, position: Signal, step: float, mass: float) -> boo
     return abs(expected) > MOVED * noise_of(position) and abs(moved / expected) < IGNORED
 
 
-def _mass(position: Signal, command: Signal, step: float, description: DriveDescription | None) -> float | None:
+def _mass(position: Signal, command: Signal, step: float, description: Axis | None) -> float | None:
     if description is not None:
         return float(description.drive.plant.mass)
     found = inverse_dynamics(position, command, step)

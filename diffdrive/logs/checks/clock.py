@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import mean_step
@@ -97,7 +97,7 @@ def is_decimated(periods: float) -> bool:
     return 2 <= round(periods) <= 100 and abs(periods / round(periods) - 1) < 1e-3
 
 
-def rate(log: Log, description: DriveDescription) -> Iterator[Finding]:
+def rate(log: Log, description: Axis) -> Iterator[Finding]:
     """The log's rate against that of the drive file."""
     steps, step = np.diff(log.time), mean_step(log)
     stated = description.sampling.rate

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.logs.checks import balance, consistency, words
 from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
@@ -29,7 +29,7 @@ class Judgement(NamedTuple):
     given: Signal | None = None
 
 
-def judged(log: Log, description: DriveDescription) -> Judgement:
+def judged(log: Log, description: Axis) -> Judgement:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     periods = mean_step(log) * description.sampling.rate
     if abs(periods - 1.0) > WRONG_RATE:  # the clock says so; at another rate no controller is replayed
@@ -58,7 +58,7 @@ def judged(log: Log, description: DriveDescription) -> Judgement:
     return Judgement(findings, None if mended is None else _given(log, outcome, mended))
 
 
-def _mended(log: Log, outcome: Outcome, description: DriveDescription) -> Relation | None:
+def _mended(log: Log, outcome: Outcome, description: Axis) -> Relation | None:
     """The relation over the whole log as it would be if the best explanation is right."""
     steps = tuple(step for one in outcome.best.faults for step in one.steps)
     return relation_of(Repair(steps).apply(log), description) if steps else outcome.relation
@@ -74,7 +74,7 @@ def _given(log: Log, outcome: Outcome, relation: Relation) -> Signal | None:
     return float(fit.coefficients[0]) * output + float(fit.coefficients[-1])
 
 
-def timing(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
+def timing(outcome: Outcome, description: Axis) -> Iterator[Finding]:
     """That no channel is shifted, where the drive file states a delay, which may stand in the recording."""
     delay = description.drive.actuator.delay_samples
     if not delay:
@@ -106,7 +106,7 @@ def _around(outcome: Outcome) -> tuple[float, float, float]:
     return early, now, late
 
 
-def faults(log: Log, outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
+def faults(log: Log, outcome: Outcome, description: Axis) -> Iterator[Finding]:
     """What the best explanation says. Where the log does not rule out another one, no mend is certain."""
     best = outcome.best
     others = sorted({cause for one in outcome.rivals for cause in one.causes} - best.causes)
@@ -145,7 +145,7 @@ def disturbance(log: Log, outcome: Outcome) -> Iterator[Finding]:
     )
 
 
-def explained(outcome: Outcome, description: DriveDescription) -> Iterator[Finding]:
+def explained(outcome: Outcome, description: Axis) -> Iterator[Finding]:
     """A controller that is not, or not quite, the one that made this command."""
     fit = outcome.best.fit
     assert fit is not None

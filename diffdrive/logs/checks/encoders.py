@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import noise_of
 from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step, robust_fit
@@ -15,7 +15,7 @@ SLIDING = 0.1  # share of the top speed above which the direction is clear
 WIND_UP = 5e-6
 
 
-def lost_motion(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+def lost_motion(log: Log, description: Axis | None) -> Iterator[Finding]:
     """Motor minus table while it moves forwards against while it moves backwards: play, or wind-up under friction."""
     if log.motor_position is None:
         return

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks import (
     balance,
     bursts,
@@ -29,7 +29,7 @@ from diffdrive.logs.log import Log, Signal
 __all__ = ["Finding", "examine", "examine_together"]
 
 
-def examine(log: Log, description: DriveDescription | None = None) -> list[Finding]:
+def examine(log: Log, description: Axis | None = None) -> list[Finding]:
     """What is wrong with a log, or could mislead who uses it, the worst first.
 
     Without a drive description the command's unit, its timing, the count grid and the clock's rate remain unchecked.
@@ -43,7 +43,7 @@ def examine(log: Log, description: DriveDescription | None = None) -> list[Findi
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
-def examine_together(logs: Sequence[Log], description: DriveDescription | None = None) -> list[Finding]:
+def examine_together(logs: Sequence[Log], description: Axis | None = None) -> list[Finding]:
     """Where several logs of one machine contradict one another: none if each asks for the same mass and friction."""
     readable = [log for log in logs if not _readable(log)]
     return [*together.contradictions(readable, description)]
@@ -55,7 +55,7 @@ def _readable(log: Log) -> list[Finding]:
     return findings or [*clock.order(log)]
 
 
-def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
+def _found(log: Log, description: Axis | None) -> list[Finding]:
     """All findings of a readable log; what is said of the command comes first, since it has looked at all channels."""
     resolution = None if description is None else description.drive.sensor.resolution
     overflows = [*wraps.wrapped(log, resolution), *wraps.wrapped_command(log)]
@@ -73,7 +73,7 @@ def _found(log: Log, description: DriveDescription | None) -> list[Finding]:
     return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
 
 
-def _by_themselves(log: Log, description: DriveDescription | None, given: Signal | None) -> list[Finding]:
+def _by_themselves(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
     """What single channels show, or two by their ratio; `given` is the controller's own command, where it is known."""
     return [*_position_unit(log, description), *_signals(log, description, given)]
 
@@ -101,7 +101,7 @@ def _is_said(finding: Finding, related: list[Finding]) -> bool:
     )
 
 
-def _confirmed(findings: list[Finding], log: Log, description: DriveDescription | None) -> list[Finding]:
+def _confirmed(findings: list[Finding], log: Log, description: Axis | None) -> list[Finding]:
     """The findings, each without its repair if the mended log shows anything that the log does not."""
     steps = tuple(step for one in findings if one.repair is not None for step in one.repair.steps)
     if not steps:
@@ -132,7 +132,7 @@ def _doubted(finding: Finding, findings: list[Finding], left: list[Finding]) -> 
     )
 
 
-def _position_unit(log: Log, description: DriveDescription | None) -> list[Finding]:
+def _position_unit(log: Log, description: Axis | None) -> list[Finding]:
     """Unit and sign of reference and position, from their range, their ratio and their counts."""
     return [
         *ranges.travel(log, description),
@@ -141,7 +141,7 @@ def _position_unit(log: Log, description: DriveDescription | None) -> list[Findi
     ]
 
 
-def _signals(log: Log, description: DriveDescription | None, given: Signal | None) -> list[Finding]:
+def _signals(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
     """What single channels show besides; `given` is the controller's own command, where it is known."""
     checks: list[Iterable[Finding]] = [
         clock.gaps(log),
@@ -170,7 +170,7 @@ def _signals(log: Log, description: DriveDescription | None, given: Signal | Non
     return [finding for check in checks for finding in check]
 
 
-def _command(log: Log, description: DriveDescription | None) -> command.Judgement:
+def _command(log: Log, description: Axis | None) -> command.Judgement:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     if np.ptp(log.command) == 0 or np.ptp(log.position) == 0:
         return command.Judgement([])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.ranges import LONGEST
@@ -87,12 +87,12 @@ def off_grid_share(signal: Signal, step: float) -> float | None:
     return float(np.mean(np.sqrt(np.mean(residual**2, axis=1)) > ON_GRID))
 
 
-def _longest(description: DriveDescription | None) -> float:
+def _longest(description: Axis | None) -> float:
     low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
     return min(1.05 * (high - low), LONGEST)
 
 
-def position_grid(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+def position_grid(log: Log, description: Axis | None) -> Iterator[Finding]:
     """The position's counts against the drive file's resolution, or whether there are counts at all."""
     found = grid_of(log.position)
     stated = None if description is None else description.drive.sensor.resolution

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.factors import name_in_brackets
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import longest_piece, mean_step, top_speed
@@ -15,7 +15,7 @@ LONGEST = 50.0  # m: the longest gantries
 SMALLEST = 1e-7  # m: less travel than the finest common scale's counts
 
 
-def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+def travel(log: Log, description: Axis | None) -> Iterator[Finding]:
     """Travel and speed of reference and position."""
     low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
     most = np.inf if description is None else description.limits.speed
@@ -65,7 +65,7 @@ def travel(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
             )
 
 
-def load(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+def load(log: Log, description: Axis | None) -> Iterator[Finding]:
     """A load that would lift the table, or that has the wrong sign."""
     if log.load is None:
         return

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.bursts import bursts
 from diffdrive.logs.checks.dynamics import Dynamics, inverse_dynamics
 from diffdrive.logs.checks.motion import speed_at
@@ -41,7 +41,7 @@ class Signals(NamedTuple):
 class Relation:
     """A drive file's controller put to a stretch of a log; `late`: judged by its later half, its past forgotten."""
 
-    description: DriveDescription
+    description: Axis
     log: Log
     piece: slice
     late: bool = False
@@ -132,7 +132,7 @@ def _between(signals: np.ndarray, parts: int) -> np.ndarray:
     return CubicSpline(at, signals, axis=-1)(np.arange((len(at) - 1) * parts + 1) / parts)
 
 
-def relation_of(log: Log, description: DriveDescription) -> Relation | None:
+def relation_of(log: Log, description: Axis) -> Relation | None:
     """The relation over the log's most varied stretch; None without a reference, at another rate, or if too short."""
     piece, step = longest_piece(log), mean_step(log)
     count = piece.stop - piece.start

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
 from diffdrive.model import actuator
 from diffdrive.model.friction import bristle_at
@@ -50,7 +50,7 @@ def _begun(controller: Controller, position: Any, speed: Any) -> Any:
 Software = tuple[Controller, Drive]
 
 
-def software_of(description: DriveDescription) -> Software:
+def software_of(description: Axis) -> Software:
     """The controller and the drive whose actuator it knows, as arrays."""
     require_double_precision()
     return as_arrays((description.controller, description.drive))

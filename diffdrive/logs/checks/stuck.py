@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import grid_of
 from diffdrive.logs.checks.statistics import Run, mean_step, runs_of_equal, top_speed
@@ -52,7 +52,7 @@ def clipped(command: Signal) -> np.ndarray:
     return there
 
 
-def clipped_command(log: Log, description: DriveDescription | None) -> Iterator[Finding]:
+def clipped_command(log: Log, description: Axis | None) -> Iterator[Finding]:
     """A command that sits at a limit while the axis moves."""
     limit = None if description is None else description.drive.actuator.force_limit
     moves = log.position if log.reference is None else log.reference

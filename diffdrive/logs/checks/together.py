@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.balance import nominal_friction
 from diffdrive.logs.checks.dynamics import ACCURACY, Dynamics, Estimate, inverse_dynamics
 from diffdrive.logs.checks.finding import Finding
@@ -20,7 +20,7 @@ class _Seen(NamedTuple):
     dynamics: Dynamics
 
 
-def contradictions(logs: Sequence[Log], description: DriveDescription | None = None) -> Iterator[Finding]:
+def contradictions(logs: Sequence[Log], description: Axis | None = None) -> Iterator[Finding]:
     """Mass and friction that two logs of one machine ask for, where they differ by more than both may be off."""
     seen = [_Seen(log, found) for log in logs if (found := _dynamics(log, description)) is not None]
     for quantity, what, unit in (("mass", "mass", "kg"), ("friction", "Coulomb friction", "N")):
@@ -44,7 +44,7 @@ def contradictions(logs: Sequence[Log], description: DriveDescription | None = N
         )
 
 
-def _dynamics(log: Log, description: DriveDescription | None) -> Dynamics | None:
+def _dynamics(log: Log, description: Axis | None) -> Dynamics | None:
     piece, step = longest_piece(log), mean_step(log)
     force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
     if np.ptp(force) == 0 or np.ptp(log.position[piece]) == 0:
@@ -60,7 +60,7 @@ def _apart(low: Estimate, high: Estimate) -> float:
     return float(np.log(high.value / low.value) / relative)
 
 
-def _nominal(quantity: str, description: DriveDescription | None) -> float:
+def _nominal(quantity: str, description: Axis | None) -> float:
     if description is None:
         return 1.0
     if quantity == "mass":

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.consistency import EXACT, Outcome
 from diffdrive.logs.checks.explanation import ROUGH, WRONG_UNIT, Fault
 from diffdrive.logs.checks.factors import name_in_brackets
@@ -28,7 +28,7 @@ class Words(NamedTuple):
     voids: bool = False
 
 
-def of(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def of(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     """The sentences for one fault of an explanation."""
     return _SENTENCES[fault.cause](fault, log, outcome, description)
 
@@ -42,7 +42,7 @@ def _misfits(outcome: Outcome) -> str:
     return f"({percent(_left(outcome))} % instead of {percent(min(outcome.plain.error, 1.0))} %)"
 
 
-def _swapped(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _swapped(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     return Words(
         "fatal",
         "position",
@@ -53,7 +53,7 @@ def _swapped(fault: Fault, log: Log, outcome: Outcome, description: DriveDescrip
     )
 
 
-def _rounded(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _rounded(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     step = fault.numbers["step"]
     if fault.channel == "command":
         return Words(
@@ -72,7 +72,7 @@ def _rounded(fault: Fault, log: Log, outcome: Outcome, description: DriveDescrip
     )
 
 
-def _filtered(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _filtered(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     numbers = fault.numbers
     if numbers["lag"]:
         what = f"a first-order lag of {numbers['lag']:.3g} samples"
@@ -89,7 +89,7 @@ def _filtered(fault: Fault, log: Log, outcome: Outcome, description: DriveDescri
     )
 
 
-def _decimated(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _decimated(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     count = fault.numbers["skipped"]
     return Words(
         "fatal",
@@ -101,7 +101,7 @@ def _decimated(fault: Fault, log: Log, outcome: Outcome, description: DriveDescr
     )
 
 
-def _rectified(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _rectified(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     return Words(
         "fatal",
         "command",
@@ -111,7 +111,7 @@ def _rectified(fault: Fault, log: Log, outcome: Outcome, description: DriveDescr
     )
 
 
-def _reversed(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _reversed(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     assert outcome.best.fit is not None
     if fault.channel != "command":
         return Words(
@@ -133,7 +133,7 @@ def _reversed(fault: Fault, log: Log, outcome: Outcome, description: DriveDescri
     )
 
 
-def _gain(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _gain(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     ratio, fit = fault.numbers["ratio"], outcome.best.fit
     assert fit is not None
     if fault.numbers.get("both"):
@@ -176,7 +176,7 @@ def _gain(fault: Fault, log: Log, outcome: Outcome, description: DriveDescriptio
     )
 
 
-def _offset(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _offset(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     if fault.channel == "command":
         return Words(
             "warning",
@@ -195,7 +195,7 @@ def _offset(fault: Fault, log: Log, outcome: Outcome, description: DriveDescript
     )
 
 
-def _controller(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _controller(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     taps = fault.numbers.get("taps")
     if "ratio" in fault.numbers:
         what = f"with all gains {fault.numbers['ratio']:.4g} times the drive file's"
@@ -216,7 +216,7 @@ def _controller(fault: Fault, log: Log, outcome: Outcome, description: DriveDesc
     )
 
 
-def _burst(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _burst(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     numbers = fault.numbers
     disturbance = "give it to the log as its disturbance, and subtract it from the command"
     recording = "subtract it from the command, or log the command that reached the amplifier"
@@ -234,7 +234,7 @@ def _burst(fault: Fault, log: Log, outcome: Outcome, description: DriveDescripti
     )
 
 
-def _shifted(fault: Fault, log: Log, outcome: Outcome, description: DriveDescription) -> Words:
+def _shifted(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
     assert outcome.best.fit is not None
     i, j = fault.numbers["reference"], fault.numbers["position"]
     error = outcome.best.fit.error
@@ -304,7 +304,7 @@ def _moved(log: Log, channel: str, by: float) -> str:
     return f'{mend}{more} (--shift {given}, or "{key}" = {whole} in [shifts])'
 
 
-_SENTENCES: dict[str, Callable[[Fault, Log, Outcome, DriveDescription], Words]] = {
+_SENTENCES: dict[str, Callable[[Fault, Log, Outcome, Axis], Words]] = {
     "swapped": _swapped,
     "rounded": _rounded,
     "filtered": _filtered,

@@ -9,7 +9,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
@@ -110,7 +111,7 @@ def diagnose_logs(
 
 
 def read(
-    report: Report, paths: Sequence[Path], description: DriveDescription, loads: Sequence[str]
+    report: Report, paths: Sequence[Path], description: Axis, loads: Sequence[str]
 ) -> tuple[tuple[Log, ...], list[dict[str, str]], Fatal]:
     """The logs, and what is wrong with them, in words and where it is fatal: that lowers the confidence, no more."""
     logs, found = looked_over(
@@ -134,7 +135,7 @@ def _remove_stale(report: Report, drive: Path) -> None:
 
 
 def diagnosed(
-    description: DriveDescription,
+    description: Axis,
     logs: Sequence[Log],
     fatal: Fatal,
     *,
@@ -208,7 +209,7 @@ def _save(report: Report, told: dict[str, Any], augmented: str | None) -> None:
 
 
 def _pay(
-    report: Report, told: dict[str, Any], description: DriveDescription, augmented: str | None, max_load: float
+    report: Report, told: dict[str, Any], description: Axis, augmented: str | None, max_load: float
 ) -> dict[str, Any]:
     """Tune on both drives; what that tells, in words and, if there was something to tune on, each gains' numbers."""
     assert report.out is not None
@@ -254,7 +255,7 @@ def _written(augmented: str | None, offer: Experiment) -> dict[str, str]:
     return {what: file for what, file in files.items() if file is not None}
 
 
-def _write(report: Report, description: DriveDescription, found: Diagnosis, beside: str) -> str | None:
+def _write(report: Report, description: Axis, found: Diagnosis, beside: str) -> str | None:
     """augmented.toml, which `simulate`, `tune` and `sweep` take, with what is to be said `beside` the verdict.
 
     The same gains; observers and feed-forwards, whose model is the file's own, get the recalibrated one.

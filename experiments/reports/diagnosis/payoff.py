@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays
@@ -26,9 +26,7 @@ COLUMNS = ("mean_rms_um", "worst_peak_um", "command_noise_N", "phase_deg", "gain
 CAPTION = "On the drive with what was found, in scenarios not tuned on"
 
 
-def payoff(
-    report: Report, nominal: DriveDescription, augmented: DriveDescription, plan: Plan = Plan()
-) -> dict[str, dict[str, Any]]:
+def payoff(report: Report, nominal: Axis, augmented: Axis, plan: Plan = Plan()) -> dict[str, dict[str, Any]]:
     """Tune on both drives and judge the gains as given and both results on the augmented one.
 
     The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what
@@ -82,7 +80,7 @@ def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
     }
 
 
-def _margins(description: DriveDescription, controller: Controller, plan: Plan) -> dict[str, float]:
+def _margins(description: Axis, controller: Controller, plan: Plan) -> dict[str, float]:
     """The worst at standstill and at the speed tuned at, without load and under the highest."""
     at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
     return worst_margins(Requirements(Limits(), at, description.sampling).margins(as_arrays(smooth(controller))))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, as_arrays
@@ -24,12 +24,12 @@ SMOOTHING = 0.02  # s, over which a missing force is averaged: below that it is 
 
 # what a drive makes of a log: the description with that drive in it, its delay (control periods), the log -> numbers
 # by name, the unit in the name
-Measure = Callable[[DriveDescription, float, Log], dict[str, float]]
+Measure = Callable[[Axis, float, Log], dict[str, float]]
 
 _predict = eqx.filter_jit(predict)
 
 
-def one_step(description: DriveDescription, delay: float, log: Log) -> dict[str, float]:
+def one_step(description: Axis, delay: float, log: Log) -> dict[str, float]:
     """What the drive does not foresee from one sample to the next, and the force (RMS) that it lacks for it.
 
     Every drive is corrected with the same constant gains. Gains chosen for each (as the identification does) would
@@ -51,7 +51,7 @@ def _rms(signal: np.ndarray) -> float:
     return float(np.sqrt(np.mean(signal**2))) if len(signal) else 0.0
 
 
-def replayed(description: DriveDescription, _: float, log: Log) -> dict[str, float]:
+def replayed(description: Axis, _: float, log: Log) -> dict[str, float]:
     """The log replayed by the drive: in closed loop through the controller if it has a reference, and in open loop."""
     drive, found = description.drive, {}
     if log.reference is not None and not isinstance(description.controller, UnknownController):
@@ -74,7 +74,7 @@ def delay_of(drive: Drive) -> float:
 
 def gap_table(
     report: Report,
-    description: DriveDescription,
+    description: Axis,
     identified: Drive,
     delay: float,
     logs: Sequence[Log],

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, write_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive, write_drive
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
 from diffdrive.logs import Log
@@ -196,7 +197,7 @@ def _words(report: Report, found: Identified) -> None:
         report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
 
 
-def _next_motions(report: Report, found: Identified, description: DriveDescription) -> None:
+def _next_motions(report: Report, found: Identified, description: Axis) -> None:
     """Which motion would determine what these logs leave open."""
     if not found.undetermined:
         return
@@ -236,7 +237,7 @@ def _delay(found: Identified) -> float:
     return next(one.value for one in found.estimates if one.name == "delay")
 
 
-def _write(report: Report, description: DriveDescription) -> None:
+def _write(report: Report, description: Axis) -> None:
     """identified.toml: the same gains; observers and feed-forwards, whose model is the file's own, get the new one."""
     assert report.out is not None
     path = report.out / "identified.toml"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import scipy.io
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.controllers import Cascade
 from diffdrive.logs import Log, Mapping, read_log
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor
@@ -78,9 +78,9 @@ def controller(record: Record) -> Cascade:
     return Cascade(kp=record.position_gain, kv=record.velocity_gain, velocity_samples=2)
 
 
-def description(record: Record, *, delay_samples: int = 0) -> DriveDescription:
+def description(record: Record, *, delay_samples: int = 0) -> Axis:
     """What a drive file of this axis would say; `delay_samples` of the actuator are free to be claimed."""
     drive = dataclasses.replace(
         reference_drive(), actuator=Actuator(delay_samples=delay_samples), sensor=Sensor(resolution=COUNT)
     )
-    return DriveDescription(drive, controller(record), SAMPLING, Limits())
+    return Axis(drive, controller(record), SAMPLING, Limits())

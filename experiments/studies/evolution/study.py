@@ -16,7 +16,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Directional, Drive, Sensor, as_arrays, quantities
-from diffdrive.motion.motion import staircase
+from diffdrive.motion.builders import staircase
 from experiments.reports.report import Report, new_figure
 from experiments.studies.emps import axis as emps
 from experiments.studies.evolution.two_stage import two_stage

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from diffdrive.axis_file.drive_file import DriveDescription, parse_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import parse_drive
 
 Tables = dict[str, Any]
 
@@ -30,7 +31,7 @@ class StudyDrive:
     motor_step: float | None = None
     reversible: bool = True  # whether the mirrored axis is one with the same drive file
     settled: float = 0.0  # s, for which the loop has held the axis before the log begins
-    description: DriveDescription = field(init=False)
+    description: Axis = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "description", parse_drive(copy.deepcopy(self.tables), self.name))
@@ -63,7 +64,7 @@ class StudyDrive:
             return gains["kp"]
         return gains["kp"] * gains["kv"] if kind == "cascade" and not gains.get("ki") else None
 
-    def with_feedback(self, gains: Mapping[str, Any]) -> DriveDescription:
+    def with_feedback(self, gains: Mapping[str, Any]) -> Axis:
         """The same drive under a controller of the same kind with other values of these keys."""
         tables = copy.deepcopy(self.tables)
         tables["controller"] = {**copy.deepcopy(dict(self.feedback)), **gains}

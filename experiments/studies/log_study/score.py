@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from scipy.stats import binomtest
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
 from experiments.studies.log_study.fault import Fault
@@ -14,7 +14,7 @@ from experiments.studies.log_study.mended import differences
 MOST_MENDS = 3  # that a user applies one after the other
 
 
-Examine = Callable[[Log, DriveDescription], Sequence[Finding]]
+Examine = Callable[[Log, Axis], Sequence[Finding]]
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,7 @@ def leading(findings: Sequence[Finding]) -> Finding | None:
     return next((one for one in findings if one.severity != "note"), findings[0] if findings else None)
 
 
-def mended(
-    log: Log, description: DriveDescription, examine: Examine, findings: Sequence[Finding]
-) -> tuple[Log, list[Finding]]:
+def mended(log: Log, description: Axis, examine: Examine, findings: Sequence[Finding]) -> tuple[Log, list[Finding]]:
     """The log after the mends that a user would apply, and the findings that stated them."""
     applied: list[Finding] = []
     while len(applied) < MOST_MENDS:
@@ -50,7 +48,7 @@ def mended(
     return log, applied
 
 
-def scored(fault: Fault, description: DriveDescription, resolution: float, examine: Examine) -> Score:
+def scored(fault: Fault, description: Axis, resolution: float, examine: Examine) -> Score:
     """Examine a log with a fault, and compare with the truth."""
     findings = examine(fault.log, description)
     top = leading(findings)

@@ -9,14 +9,14 @@ import jax
 import numpy as np
 from jax import lax
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive import motion
+from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects import acting
 from diffdrive.logs.log import Log
 from diffdrive.loop.run import Run, judged
 from diffdrive.loop.simulate import Inputs, inputs_of, rollout, start, step
 from diffdrive.model.parameters import Directional, Drive, Sampling, as_arrays
-from diffdrive.motion import motion
 from diffdrive.motion.motion import Motion
 from experiments.studies.log_study.drives import StudyDrive
 
@@ -39,7 +39,7 @@ class Case:
     log: Log
 
     @property
-    def description(self) -> DriveDescription:
+    def description(self) -> Axis:
         """What the checks are given beside a log."""
         return self.drive.description
 

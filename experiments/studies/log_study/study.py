@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
@@ -25,7 +25,7 @@ MOTIONS, AMOUNTS = 3, 10  # that are tried for a fault that shows
 CASES, SOUND, PAIRS = 0, 1, 2  # streams of random numbers
 LOG, ROW = 2e6, 2e3  # bytes at most of a log with a fault, which its answer keeps, and of a row of a table
 
-Together = Callable[[Sequence[Log], DriveDescription], Sequence[Finding]]
+Together = Callable[[Sequence[Log], Axis], Sequence[Finding]]
 
 
 @dataclass(frozen=True)

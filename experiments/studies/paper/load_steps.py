@@ -12,7 +12,8 @@ from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.model.parameters import Drive, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
-from diffdrive.motion.motion import Motion, constant_speed
+from diffdrive.motion.builders import constant_speed
+from diffdrive.motion.motion import Motion
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.studies.paper import scenario as paper

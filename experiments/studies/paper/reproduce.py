@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from diffdrive import motion
 from diffdrive.controllers import Controller, Feedforward, FrictionCompensation, Tracking
 from diffdrive.controllers.base import Gains
 from diffdrive.loop.run import Run
@@ -16,7 +17,6 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import bristle_at, coulomb, friction_force, slide, steady_friction
 from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion
 from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad

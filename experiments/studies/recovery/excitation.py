@@ -18,7 +18,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from diffdrive.motion.motion import Limits, Motion, from_array, jerk_limited, multisine, require_within
+from diffdrive.motion.builders import from_array, jerk_limited, multisine
+from diffdrive.motion.motion import Limits, Motion, require_within
 
 LIMITS = Limits(stroke=(-0.075, 0.075), speed=0.150, acceleration=3.0)
 REST = 0.1  # s, before and after, and between the multisine and its neighbours

@@ -12,7 +12,7 @@ from diffdrive.model import presets
 from diffdrive.model.parameters import Directional, Drive, Friction, Plant
 
 
-class Axis(NamedTuple):
+class StudyAxis(NamedTuple):
     """An axis as its engineer knows it, and how its numbers compare with those of the paper's."""
 
     drive: Drive  # its sensor's resolution included; noise is drawn
@@ -54,9 +54,9 @@ def _both(value: float) -> Directional:
     return Directional(value, value)
 
 
-def _paper() -> Axis:
+def _paper() -> StudyAxis:
     """The testbed of Lee et al.: a table on a screw, 0.1 um."""
-    return Axis(presets.paper_drive(), (2e-8, 5e-8), (1000.0, 2000.0, 4000.0, 10000.0), (0.15, 0.5, 0.25, 0.1),
+    return StudyAxis(presets.paper_drive(), (2e-8, 5e-8), (1000.0, 2000.0, 4000.0, 10000.0), (0.15, 0.5, 0.25, 0.1),
                 (130.0, 250.0))  # fmt: skip
 
 
@@ -67,29 +67,29 @@ def _like(axis: Drive, mass: float, constant: float, friction: Friction, damping
     )
 
 
-def _gantry() -> Axis:
+def _gantry() -> StudyAxis:
     """600 kg on roller guides, a CNC's clock, counts of 0.5 um."""
     friction = Friction(
         coulomb_screw=_both(200.0), load_coefficient=_both(4e-3), initial_load=12e3, breakaway_gap=_both(60.0),
         stribeck_velocity=_both(3e-3), viscous=_both(1000.0), bristle_stiffness=_both(4e7), bristle_damping=_both(8e3),
     )  # fmt: skip
     drive = _like(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
-    return Axis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (80.0, 130.0),
+    return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (80.0, 130.0),
                 length=4.0, force=3.5, load=0.32, bristle=3.0, fine=5.0)  # fmt: skip
 
 
-def _linear() -> Axis:
+def _linear() -> StudyAxis:
     """A linear motor: 20 kg, fast, hardly any friction, counts of 10 nm."""
     friction = Friction(
         coulomb_screw=_both(6.0), load_coefficient=_both(5e-4), initial_load=4e3, breakaway_gap=_both(2.0),
         stribeck_velocity=_both(5e-3), viscous=_both(12.0), bristle_stiffness=_both(2e6), bristle_damping=_both(500.0),
     )  # fmt: skip
     drive = _like(presets.paper_drive(), 20.0, 0.0, friction, 3.0, 1e-8)
-    return Axis(drive, (3e-9, 1e-8), (4000.0, 8000.0, 10000.0), (0.4, 0.3, 0.3), (200.0, 350.0),
+    return StudyAxis(drive, (3e-9, 1e-8), (4000.0, 8000.0, 10000.0), (0.4, 0.3, 0.3), (200.0, 350.0),
                 length=3.0, force=0.12, load=0.09, bristle=2.0, fine=0.15)  # fmt: skip
 
 
-def _vertical() -> Axis:
+def _vertical() -> StudyAxis:
     """300 kg that hang on their screw, half of the weight balanced, counts of 0.2 um."""
     friction = Friction(
         coulomb_screw=_both(250.0), load_coefficient=_both(4e-3), initial_load=12e3, breakaway_gap=_both(80.0),
@@ -97,14 +97,14 @@ def _vertical() -> Axis:
         bristle_damping=_both(1.2e4),
     )  # fmt: skip
     drive = _like(presets.paper_drive(), 300.0, -250.0, friction, 300.0, 2e-7)
-    return Axis(drive, (3e-8, 1e-7), (1000.0, 2000.0, 4000.0), (0.4, 0.4, 0.2), (100.0, 180.0),
+    return StudyAxis(drive, (3e-8, 1e-7), (1000.0, 2000.0, 4000.0), (0.4, 0.4, 0.2), (100.0, 180.0),
                 length=2.0, force=4.3, load=0.4, bristle=2.9, fine=2.0)  # fmt: skip
 
 
 AXES = {"paper": _paper(), "gantry": _gantry(), "linear": _linear(), "vertical": _vertical()}
 
 
-def axes_named(names: tuple[str, ...]) -> tuple[Axis, ...]:
+def axes_named(names: tuple[str, ...]) -> tuple[StudyAxis, ...]:
     """The axes of these names. Raises `ParameterError` for one that is unknown."""
     for name in names:
         if name not in AXES:

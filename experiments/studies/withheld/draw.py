@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffdrive.model.parameters import Directional, Drive
-from experiments.studies.withheld.axes import AXES, Axis
+from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, Fault, between
 from experiments.studies.withheld.machine import Faults, Kind, Told
 from experiments.studies.withheld.motions import ROOM, told
@@ -56,7 +56,7 @@ def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
     )
 
 
-def draw(room: ROOM, effects: tuple[str, ...], axis: Axis = AXES["paper"]) -> Case:
+def draw(room: ROOM, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) -> Case:
     """A machine with these effects, of sizes drawn at random."""
     base, apart = axis.drive, room.spawn(1)[0]
     varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
@@ -89,7 +89,7 @@ def draw(room: ROOM, effects: tuple[str, ...], axis: Axis = AXES["paper"]) -> Ca
     return Case(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
 
 
-def _of_size(fault: Fault, axis: Axis) -> Fault:
+def _of_size(fault: Fault, axis: StudyAxis) -> Fault:
     """The fault as large for this axis as it was drawn for the paper's; shares of the way stay shares."""
     sizes = axis.sizes() | {name: 1.0 for effect, name in PLACED.items() if effect == fault.effect}
 

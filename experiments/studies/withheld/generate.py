@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import DriveDescription, write_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import write_drive
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
@@ -22,7 +23,7 @@ from diffdrive.support.atomic_write import remove_temporary, write_text
 from experiments.studies.withheld import axes, faults, machine, motions
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
-from experiments.studies.withheld.axes import AXES, Axis
+from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.draw import Case, draw, of_log, without
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS
 from experiments.studies.withheld.machine import run
@@ -107,7 +108,7 @@ def key_of(case: Case, peak: float | None = None) -> dict[str, Any]:
 
 
 def generate(
-    folder: Path, parts: Path, seed: int, count: int, on: tuple[Axis, ...] = (AXES["paper"],)
+    folder: Path, parts: Path, seed: int, count: int, on: tuple[StudyAxis, ...] = (AXES["paper"],)
 ) -> Iterator[str]:
     """Write the cases that are not there yet, and to `parts` what the key says of each; yields the name of each.
 
@@ -141,7 +142,9 @@ def drawn_by() -> str:
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
-def _followable(seed: int, number: int, effects: tuple[str, ...], axis: Axis) -> tuple[Case, list[Log], float | None]:
+def _followable(
+    seed: int, number: int, effects: tuple[str, ...], axis: StudyAxis
+) -> tuple[Case, list[Log], float | None]:
     for attempt in range(ATTEMPTS):
         case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects, axis)
         logs, peak = _logs(case)
@@ -158,9 +161,9 @@ def _write(place: Path, case: Case, logs: list[Log]) -> None:
     write_drive(place / "drive.toml", _believed(case))  # the last: with it a case is there
 
 
-def _believed(case: Case) -> DriveDescription:
+def _believed(case: Case) -> Axis:
     kp, kd = case.gains
-    return DriveDescription(case.nominal, PD(Tracking(Gains(kp, kd))), Sampling(case.rate, 10), Limits())
+    return Axis(case.nominal, PD(Tracking(Gains(kp, kd))), Sampling(case.rate, 10), Limits())
 
 
 def write_key(path: Path, parts: Path) -> dict[str, Any]:

@@ -5,7 +5,8 @@ import copy
 import pytest
 import tomli_w
 
-from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, read_drive
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DriveFileError
@@ -15,7 +16,7 @@ from diffdrive.motion.motion import Limits
 
 PAPER_PD = PD(paper_tracking(paper_drive(quantised=False), PAPER_KP, PAPER_KD))
 NAN, INF = float("nan"), float("inf")
-TABLES = drive_tables(DriveDescription(paper_drive(), PAPER_PD, Sampling(), Limits((-0.075, 0.075))))
+TABLES = drive_tables(Axis(paper_drive(), PAPER_PD, Sampling(), Limits((-0.075, 0.075))))
 MISSING = object()
 
 FILES = {

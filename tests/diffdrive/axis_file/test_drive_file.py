@@ -12,8 +12,9 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import KINDS
-from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.controllers import (
     DOBVSC,
     PD,
@@ -70,16 +71,16 @@ CONTROLLERS = {
 }
 
 
-def description(controller=CONTROLLERS["pd"], **changes) -> DriveDescription:
-    whole = DriveDescription(DRIVE, controller, Sampling(5000.0, 8), Limits((-0.1, 0.05), 0.5, 10.0))
+def description(controller=CONTROLLERS["pd"], **changes) -> Axis:
+    whole = Axis(DRIVE, controller, Sampling(5000.0, 8), Limits((-0.1, 0.05), 0.5, 10.0))
     return dataclasses.replace(whole, **changes)
 
 
 def paper_tables() -> dict:
-    return drive_tables(DriveDescription(paper_drive(), PD(TRACKING), Sampling(), Limits()))
+    return drive_tables(Axis(paper_drive(), PD(TRACKING), Sampling(), Limits()))
 
 
-def assert_same(one: DriveDescription, other: DriveDescription) -> None:
+def assert_same(one: Axis, other: Axis) -> None:
     for field in ("drive", "controller"):
         a, b = getattr(one, field), getattr(other, field)
         assert jax.tree.structure(a) == jax.tree.structure(b)

@@ -8,13 +8,13 @@ import warnings
 import numpy as np
 import pytest
 
+from diffdrive import motion as motions
 from diffdrive.axis_file.controller_file import KINDS
 from diffdrive.axis_file.drive_file import drive_tables, parse_drive
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, DriveFileError, LoadEstimatorWarning
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import quantities
-from diffdrive.motion import motion as motions
 
 STRANGE = [0.0, -1.0, 1e-300, 1e-12, 1e12, 1e300, -1e300, 10**30]
 NO_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, True, [], {}, [[]] * 500, "1e999 N", "x" * 5000, "\x1b[31m"]

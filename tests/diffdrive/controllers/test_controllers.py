@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diffdrive import motion as motions
 from diffdrive.controllers import (
     DOBVSC,
     PD,
@@ -28,7 +29,6 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Actuator, Directional, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion as motions
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 

@@ -31,7 +31,7 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, Sensor, as_arrays
 from diffdrive.model.plant import advance, at_rest
 from diffdrive.model.presets import paper_drive
-from diffdrive.motion.motion import triangular
+from diffdrive.motion.builders import triangular
 from tuning.identification.setup import ask
 
 RATE = 2_000.0

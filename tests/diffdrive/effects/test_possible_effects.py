@@ -6,7 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive
+from diffdrive import motion as motions
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.base import Envelope
@@ -16,7 +18,6 @@ from diffdrive.errors import DriveFileError, MotionError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling, quantities
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion as motions
 from diffdrive.motion.motion import Limits
 from tuning.sweeps.plan import Plan
 
@@ -85,7 +86,7 @@ def test_what_is_traced_is_passed_over():
 
 
 def test_a_drive_file_with_an_impossible_effect_is_refused_by_name():
-    axis = DriveDescription(DRIVE, CONTROLLER, Sampling(), Limits((-0.075, 0.075), 0.5))
+    axis = Axis(DRIVE, CONTROLLER, Sampling(), Limits((-0.075, 0.075), 0.5))
     tables = drive_tables(axis) | {"effects": {"payload_mass": {"mass": "-100 kg"}}}
     with pytest.raises(DriveFileError, match=r"^axis\.toml: effects\.payload_mass: with it the moving mass is 0 kg"):
         parse_drive(tables, "axis.toml")
@@ -151,7 +152,7 @@ def test_a_load_whose_rounding_moves_the_table_is_refused():
 
 
 def test_an_impossible_machine_of_a_sweep_is_named_before_any_runs():
-    axis = DriveDescription(DRIVE, CONTROLLER, Sampling(), Limits())
+    axis = Axis(DRIVE, CONTROLLER, Sampling(), Limits())
     plan = Plan.of(axis, {"PD": CONTROLLER}, {"move": MOVE}, ("effects.payload_mass.mass=uniform:-150..0 kg",), 8)
     with pytest.raises(
         ParameterError, match=r"^sweep: machine \d cannot be: effects\.payload_mass: with it the moving"

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from pymatreader import read_mat
 
-from diffdrive.axis_file.drive_file import DriveDescription, drive_tables, parse_drive, read_drive, write_drive
+from diffdrive import motion
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import Gains, Tracking
 from diffdrive.errors import DriveFileError, LogError
@@ -23,7 +25,6 @@ from diffdrive.logs.log import CHANNELS
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion
 from diffdrive.motion.motion import Limits
 from experiments.reports.simulation import write_run
 
@@ -211,9 +212,9 @@ MAPPINGS = [
 ]
 
 
-def described(mapping) -> DriveDescription:
+def described(mapping) -> Axis:
     controller = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
-    return DriveDescription(paper_drive(), controller, Sampling(1000.0), Limits(), mapping)
+    return Axis(paper_drive(), controller, Sampling(1000.0), Limits(), mapping)
 
 
 @pytest.mark.parametrize("mapping", MAPPINGS)

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 
+from diffdrive import motion as motions
 from diffdrive.controllers import (
     DOBVSC,
     PD,
@@ -27,7 +28,6 @@ from diffdrive.errors import DivergenceError, MotionError, ParameterError, Preci
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Sampling, directional
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion as motions
 from diffdrive.motion.motion import Limits
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from diffdrive import motion
 from diffdrive.controllers import (
     DOBVSC,
     PD,
@@ -24,7 +25,7 @@ from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import load, motion
+from diffdrive.motion import load
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from jax import lax
 
+from diffdrive import motion
 from diffdrive.controllers import (
     DOBVSC,
     PD,
@@ -22,7 +23,6 @@ from diffdrive.loop.simulate import inputs_of, rollout, running_costs, start, st
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays, in_precision_of
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion
 from diffdrive.motion.load import Ramp
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad

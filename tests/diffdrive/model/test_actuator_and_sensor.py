@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diffdrive import motion as motions
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.run import Run
@@ -16,7 +17,6 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model import actuator, sensor
 from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion as motions
 
 IDEAL = paper_drive(quantised=False)
 ROUGH = dataclasses.replace(IDEAL, sensor=Sensor(resolution=1e-7, noise=2e-8))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from jax import lax
 from scipy.integrate import solve_ivp
 
+from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.effects.friction import PositionFriction
 from diffdrive.errors import ParameterError
@@ -21,7 +22,6 @@ from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.model.plant import PlantState, advance
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
-from diffdrive.motion import motion
 
 PERIOD = 1e-4
 LOAD = 5_000.0

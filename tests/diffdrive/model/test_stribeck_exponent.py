@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.axis_file.drive_file import parse_drive
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.effects.machine import FrictionShape
@@ -18,7 +19,6 @@ from diffdrive.model.friction import steady_friction, steepest_fall
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.plant import PlantState, advance
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
-from diffdrive.motion import motion
 from experiments.studies.recovery.truth import run
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.draw import draw

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive.motion import motion as motions
+from diffdrive import motion as motions
 from diffdrive.motion.motion import Motion
 
 RATE = 2000.0

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from diffdrive import motion as motions
 from diffdrive.errors import MotionError
-from diffdrive.motion import motion as motions
 from diffdrive.motion.motion import Limits, Motion, require_within
 
 RATE = 2000.0

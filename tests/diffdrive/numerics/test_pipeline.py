@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffdrive import motion as motions
 from diffdrive.controllers import PD, Cascade
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
@@ -15,7 +16,6 @@ from diffdrive.loop.simulate import inputs_of, rollout, simulate
 from diffdrive.model import actuator
 from diffdrive.model.parameters import Actuator, Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion as motions
 from diffdrive.numerics import pipeline
 
 DRIVE = paper_drive(quantised=False)

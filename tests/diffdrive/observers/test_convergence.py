@@ -8,13 +8,13 @@ import pytest
 from jax import lax
 from scipy.linalg import solve_discrete_are
 
+from diffdrive import motion
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import bristle_at, steady_friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
-from diffdrive.motion import motion
 from diffdrive.numerics.transition import state_matrices
 from diffdrive.observers.convergence import (
     convergence_gain,

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from jax import lax
 from scipy.linalg import expm
 
+from diffdrive import motion
 from diffdrive.controllers import PD, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import load, motion
+from diffdrive.motion import load
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.observers.kalman import whole
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad

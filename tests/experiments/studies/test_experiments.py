@@ -9,7 +9,7 @@ import pytest
 
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.model.parameters import Sampling
-from diffdrive.motion.motion import triangular
+from diffdrive.motion.builders import triangular
 from diffdrive.motion.text import LOADS, MOTIONS, parse_load, parse_motion
 from experiments.reports.report import Report, new_figure
 from experiments.studies.emps import axis as emps

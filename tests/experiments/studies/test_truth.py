@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
-from diffdrive.motion import motion
 from experiments.benchmarks.loops import one_kernel
 from experiments.studies.recovery.truth import SCALE, Table, advance, run, truth_log, truth_logs
 from tests.support.lopsided import LOPSIDED, PAPER

@@ -10,7 +10,7 @@ from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Sampling
-from diffdrive.motion.motion import from_array
+from diffdrive.motion.builders import from_array
 from experiments.cli.main import main as cli
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES

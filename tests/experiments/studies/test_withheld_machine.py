@@ -17,7 +17,7 @@ from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFrict
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.loop.simulate import simulate
-from diffdrive.motion.motion import from_array
+from diffdrive.motion.builders import from_array
 from experiments.studies.withheld import machine
 from experiments.studies.withheld.faults import KNOWN
 from experiments.studies.withheld.machine import Faults, Kind, Told, run

@@ -14,7 +14,7 @@ from diffdrive.axis_file.drive_file import read_drive, write_drive
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from diffdrive.loop.simulate import simulate
-from diffdrive.motion.motion import from_array
+from diffdrive.motion.builders import from_array
 from experiments.reports.diagnosis.diagnosis import _write_reference, augmented_drive, diagnose_logs
 from experiments.reports.report import Report
 from experiments.studies.withheld.score import score

@@ -14,7 +14,7 @@ from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.scale import InterpolationError
 from diffdrive.model.parameters import Directional, Sensor
-from diffdrive.motion.motion import from_array
+from diffdrive.motion.builders import from_array
 from experiments.studies.withheld.machine import Faults, Kind, Told, run
 from experiments.studies.withheld.score import read_key
 from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines

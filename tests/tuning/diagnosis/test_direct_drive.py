@@ -11,7 +11,7 @@ from diffdrive.controllers import UnknownController
 from diffdrive.effects.actuator import ForceGain
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.forces import Cogging
-from diffdrive.motion.motion import from_array
+from diffdrive.motion.builders import from_array
 from diffdrive.runtime import configure
 from experiments.studies import laas
 from tests.support.sound_log import logged

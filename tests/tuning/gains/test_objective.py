@@ -11,7 +11,7 @@ from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.presets import paper_drive
-from diffdrive.motion.motion import triangular
+from diffdrive.motion.builders import triangular
 from tests.support.small_tuning import MOTION, SAMPLING, controller, drive, lanes, scenarios
 from tuning.gains.objective import AGGREGATIONS, Objective, peak, rms
 from tuning.gains.scenarios import Scenario, Signals, ensemble

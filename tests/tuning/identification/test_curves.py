@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import LogError
@@ -13,7 +14,6 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion
 from tuning.identification.curves import hysteresis_curves, stribeck_curves
 from tuning.identification.measured_friction import load_groups
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diffdrive import motion
 from diffdrive.controllers import PD, Gains, Tracking
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Actuator, Directional, Sampling, check_drive, quantities
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import motion
 from diffdrive.motion.load import ramp
 from diffdrive.motion.motion import Limits
 from experiments.studies.recovery.excitation import FAST, MEDIUM, SLOW, identification_motion, joined, resting, strokes

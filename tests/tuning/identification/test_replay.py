@@ -13,7 +13,7 @@ from diffdrive.controllers.base import Gains, Tracking
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, as_arrays
-from diffdrive.motion.motion import sine
+from diffdrive.motion.builders import sine
 from experiments.studies.emps.closed_loop_fit import fit_closed_loop
 from tuning.identification.replay import closed_loop, drift_note, given, open_loop, replay
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive.axis import Axis
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
@@ -37,7 +37,7 @@ VARY = ("plant.mass=lognormal:3%", "motion.amplitude=uniform:0.2..2 mm", "motion
 def plan(vary=VARY, samples=96, texts=(SINE,), load=REMOVAL, limits=Limits(), name="PD+FC+LE", drive=DRIVE, **more):
     recipes = {text: motion_recipe(text) for text in texts}
     motions = {text: parse_motion(text, RATE) for text in texts}
-    axis = DriveDescription(drive, paper.controllers(drive)[name], Sampling(RATE, 1), limits)
+    axis = Axis(drive, paper.controllers(drive)[name], Sampling(RATE, 1), limits)
     return Plan.of(axis, {name: axis.controller}, motions, vary, samples, recipes=recipes, load=load, **more)
 
 

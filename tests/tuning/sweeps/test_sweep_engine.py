@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.effects import actuator, forces, friction, scale, transmission
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.loop.run import sane_error
 from diffdrive.loop.simulate import inputs_of, running_costs, simulate
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import paper_drive
-from diffdrive.motion import motion
 from diffdrive.motion.motion import Limits
 from experiments.studies.paper import scenario as paper
 from tuning.sweeps.courses import Course, for_all

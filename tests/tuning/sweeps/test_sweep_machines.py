@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash
@@ -14,7 +15,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.simulate import inputs_of, running_costs
 from diffdrive.model.parameters import Directional, Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.motion import load, motion
+from diffdrive.motion import load
 from diffdrive.motion.load import Ramp
 from tuning.sweeps.machines import lane, machines
 from tuning.sweeps.varied import parse_varied

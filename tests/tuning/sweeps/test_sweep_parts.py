@@ -6,12 +6,12 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 
-from diffdrive.axis_file.drive_file import DriveDescription
+from diffdrive import motion
+from diffdrive.axis import Axis
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
-from diffdrive.motion import motion
 from diffdrive.motion.motion import Limits
 from diffdrive.runtime import arithmetic
 from diffdrive.support.atomic_write import temporary_beside
@@ -22,7 +22,7 @@ from tuning.sweeps.plan import Plan
 PAPER = paper_drive()
 DRIVE = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(1e-7, 2e-8))
 CONTROLLERS = {name: paper.controllers(DRIVE)[name] for name in ("PD", "PD+FC+LE")}
-AXIS = DriveDescription(DRIVE, CONTROLLERS["PD"], Sampling(1e4, 1), Limits())
+AXIS = Axis(DRIVE, CONTROLLERS["PD"], Sampling(1e4, 1), Limits())
 MOTIONS = {"sine": motion.sine(amplitude=1e-3, frequency=20.0, duration=0.05, rate=1e4)}
 VARY = ("plant.mass=lognormal:3%", "load=uniform:0..12 kN")
 
@@ -183,7 +183,7 @@ def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(t
 
 def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
     quiet = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(None, 0.0))
-    axis = DriveDescription(quiet, CONTROLLERS["PD"], Sampling(1e4, 4), Limits())
+    axis = Axis(quiet, CONTROLLERS["PD"], Sampling(1e4, 4), Limits())
     asked = Plan.of(axis, CONTROLLERS, MOTIONS, ("load=uniform:0..10 kN", "load.change=fixed:1 kN"), 5, settle=0.01)
     found = rows(run(asked, tmp_path, lambda done: None)).to_pylist()
     there = MOTIONS["sine"]

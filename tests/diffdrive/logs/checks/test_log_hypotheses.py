@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import LogError
 from diffdrive.logs import Log, read_log
 from diffdrive.logs.checks.examine import examine, examine_together
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.write import write_csv
-from diffdrive.motion import motion
 from tests.support.sound_log import FORCE_PER_VOLT, described, logged
 
 RATE = 2_000.0

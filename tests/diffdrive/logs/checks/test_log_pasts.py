@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.axis_file.drive_file import read_drive
 from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.logs import Log
@@ -12,7 +13,6 @@ from diffdrive.logs.checks.consistency import examined
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.checks.relation import relation_of
 from diffdrive.loop.simulate import simulate
-from diffdrive.motion import motion
 from experiments.studies.demo import PAPER_DRIVE
 from tests.support.sound_log import FORCE_PER_VOLT, but, complaints, described, logged, matching, moved, without
 

@@ -10,11 +10,12 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive.axis_file.drive_file import DriveDescription, read_drive
+from diffdrive import motion
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import read_drive
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.log import Log
 from diffdrive.model.parameters import Sensor
-from diffdrive.motion import motion
 from experiments.studies.emps import axis as emps
 from tests.support.sound_log import (
     DRIVE,
@@ -203,7 +204,7 @@ def examined(machine: int, which: str):
     return examine(log, read_drive(folder / "drive.toml"))
 
 
-def emps_log(which: str, *, newtons: bool) -> tuple[Log, DriveDescription]:
+def emps_log(which: str, *, newtons: bool) -> tuple[Log, Axis]:
     """An EMPS file as it lies there (or with its force constant applied), and the drive that the benchmark states."""
     path = emps.find_folder() / emps.FILES[which]
     data, record = scipy.io.loadmat(path), emps.read(path)
@@ -217,7 +218,7 @@ def emps_log(which: str, *, newtons: bool) -> tuple[Log, DriveDescription]:
         disturbance=constant * data["pulses_N"].ravel() if "pulses_N" in data else None,
     )
     drive = dataclasses.replace(emps.reference_drive(), sensor=Sensor(resolution=5e-8))
-    return log, DriveDescription(drive, emps.controller(record), emps.SAMPLING, motion.Limits())
+    return log, Axis(drive, emps.controller(record), emps.SAMPLING, motion.Limits())
 
 
 STAMPS = ("warning", "time", r"rounded by up to \d+\.\d ns.*drifts by 0\.(398|199) ms")
