@@ -1,19 +1,165 @@
 """An axis: the machine, its controller, and how both are sampled, limited and logged."""
 
-import dataclasses
+import difflib
+from collections.abc import Mapping as Table
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
 
 from diffdrive.controllers import Controller
+from diffdrive.effects.base import Effect
+from diffdrive.effects.catalogue import in_order
+from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import Mapping
-from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import Directional, Drive, Sampling, directional, quantities
 from diffdrive.motion.motion import Limits
+from diffdrive.support.units import in_unit
+
+PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine
 
 
-@dataclasses.dataclass(frozen=True)
-class Axis:
-    """A drive file's content: the drive, its controller, sampling, the limits of the axis, and how its logs read."""
+class Axis(eqx.Module):
+    """What an axis file holds: the drive, its controller, sampling, the limits of the axis, and how its logs read.
+
+    A pytree, so that it passes through `jit`, `grad` and `vmap`; no method changes it. Whatever the controller
+    believes of the machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction,
+    as in a file. A machine that differs from what its controller believes is an axis of its own: pass it as `machine`.
+
+    Example:
+        >>> axis = paper_axis(controller="pd+fc+ls")
+        >>> heavier = axis.replace({"plant.mass": 130.0, "friction.coulomb_screw": (50.0, 80.0)})
+        >>> stiffer = axis.with_gains(kp=1.2 * axis.gains["kp"])
+
+    """
 
     drive: Drive
     controller: Controller
     sampling: Sampling
-    limits: Limits
-    mapping: Mapping = dataclasses.field(default_factory=Mapping)
+    limits: Limits = eqx.field(static=True, default=Limits())
+    mapping: Mapping = eqx.field(static=True, default_factory=Mapping)
+
+    @property
+    def rate(self) -> float:
+        """Control rate (Hz)."""
+        return self.sampling.rate
+
+    @property
+    def gains(self) -> dict[str, Any]:
+        """The controller's gains by name, in SI units: those that `with_gains` takes, and that are tuned."""
+        return {name: attrgetter(one.path)(self.controller) for name, one in self.controller.tunables.items()}
+
+    def with_gains(self, **gains: Any) -> "Axis":
+        """The axis with these gains, numbers or traced; raises `ParameterError` for an unknown one."""
+        tunables = self.controller.tunables
+        for name in gains:
+            if name not in tunables:
+                raise ParameterError(f"{name}: {_unknown('gain', name, tunables)}")
+        paths = [tunables[name].path for name in gains]
+        controller = eqx.tree_at(lambda c: [attrgetter(path)(c) for path in paths], self.controller, [*gains.values()])
+        return eqx.tree_at(lambda axis: axis.controller, self, controller)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The machine's parameters by dotted path, such as `plant.mass`: SI numbers, or pairs (positive, negative)."""
+        return {path: _bare(value) for path, _, value in quantities(self.drive)}
+
+    def value(self, path: str) -> Any:
+        """One of `parameters`; raises `ParameterError` for an unknown path."""
+        known = self.parameters
+        if path not in known:
+            raise ParameterError(f"{path}: {_unknown('parameter', path, known)}")
+        return known[path]
+
+    def replace(self, values: Table[str, Any]) -> "Axis":
+        """The axis with other parameters, by dotted path (see `parameters`), in what its controller believes, too.
+
+        A parameter that may differ between the directions takes one number or a pair (positive, negative). Raises
+        `ParameterError` for an unknown path.
+        """
+        drive = self.drive
+        declared = {path: one for path, one, _ in quantities(drive)}
+        for path, value in values.items():
+            if path not in declared:
+                raise ParameterError(f"{path}: {_unknown('parameter', path, declared)}")
+            if isinstance(value, str):
+                unit = in_unit(declared[path].unit)
+                raise ParameterError(f"{path}: must be a number{unit}, got a text")
+            new = directional(value) if declared[path].directional else value
+            drive = eqx.tree_at(_at(drive, path), drive, new, is_leaf=lambda leaf: leaf is None)
+        return self.with_drive(drive)
+
+    def with_drive(self, drive: Drive) -> "Axis":
+        """The axis with another machine, in what its controller believes of it, too."""
+        return Axis(drive, self.controller.remodelled(drive), self.sampling, self.limits, self.mapping)
+
+    def with_controller(self, controller: Controller) -> "Axis":
+        """The axis under another controller."""
+        return Axis(self.drive, controller, self.sampling, self.limits, self.mapping)
+
+    def with_effects(self, *effects: Effect) -> "Axis":
+        """The axis with these unmodelled effects beside those that it has; one of the same name replaces that.
+
+        Its controller goes on knowing nothing of them.
+        """
+        names = {effect.name for effect in effects}
+        kept = [effect for effect in self.drive.effects if effect.name not in names]
+        drive = eqx.tree_at(
+            lambda d: d.effects, self.drive, in_order((*kept, *effects)), is_leaf=lambda leaf: isinstance(leaf, tuple)
+        )
+        return self.with_drive(drive)
+
+    def smooth(self) -> "Axis":
+        """The variant whose gradients mean something: no quantiser, rounded limits and switches (`loop.smooth`)."""
+        return Axis(smooth(self.drive), smooth(self.controller), self.sampling, self.limits, self.mapping)
+
+    def write(self, path: str | Path, comments: tuple[str, ...] = ()) -> None:
+        """Write the axis file; raises `DriveFileError` where a file cannot say this."""
+        from diffdrive.axis_file.drive_file import write_drive  # which reads axes, too
+
+        write_drive(path, self, comments)
+
+    def __repr__(self) -> str:
+        effects = "".join(f", {effect.name}" for effect in self.drive.effects)
+        mass = self.drive.plant.mass
+        shown = f"{float(mass):.4g} kg" if _is_known(mass) else "mass traced"
+        return f"Axis({shown}, {self.controller.kind or type(self.controller).__name__}, {self.rate:g} Hz{effects})"
+
+    def summary(self) -> str:
+        """Every parameter of the machine and every gain, one a line, in SI units."""
+        rows = [(path, declared.unit, value) for path, declared, value in quantities(self.drive) if value is not None]
+        rows += [(f"controller.{name}", "", gain) for name, gain in self.gains.items()]
+        width = max(len(path) for path, *_ in rows)
+        return "\n".join([repr(self), *(f"  {path:<{width}}  {_shown(value)} {unit}" for path, unit, value in rows)])
+
+
+def _is_known(value: Any) -> bool:
+    return not isinstance(value, jax.core.Tracer) and np.ndim(value) == 0
+
+
+def _bare(value: Any) -> Any:
+    return (value.positive, value.negative) if isinstance(value, Directional) else value
+
+
+def _shown(value: Any) -> str:
+    values = _bare(value) if isinstance(value, Directional) else (value,)
+    several = dict.fromkeys(f"{float(one):.6g}" if _is_known(one) else "traced" for one in values)
+    return " / ".join(several)
+
+
+def _at(drive: Drive, path: str) -> Any:
+    """What takes the parameter out of a drive."""
+    part, *rest = path.split(".")
+    if part != "effects":
+        return attrgetter(path)
+    number = next(k for k, effect in enumerate(drive.effects) if effect.name == rest[0])
+    return lambda d: getattr(d.effects[number], rest[1])
+
+
+def _unknown(what: str, name: str, known: Table[str, Any]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"no such {what}; " + (f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}")

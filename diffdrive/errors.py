@@ -28,7 +28,11 @@ class PrecisionError(DiffdriveError, RuntimeError):
     """JAX runs in single precision, in which the observer's covariance is rounding noise."""
 
 
-class DivergenceError(DiffdriveError, RuntimeError):
+class ResultError(DiffdriveError, RuntimeError):
+    """A result is not ok, and the caller asked for an error in the place of a status."""
+
+
+class DivergenceError(ResultError):
     """A simulation diverged and the caller asked for an error instead of a status."""
 
 

@@ -231,6 +231,11 @@ def read_drive(path: str | Path) -> Axis:
     return parse_drive(read_toml(Path(path), DriveFileError, origin), str(path))
 
 
+def read_axis(path: str | Path) -> Axis:
+    """Read the axis from its file; raises `DriveFileError`, one line that names the file, the key and the mend."""
+    return read_drive(path)
+
+
 def drive_tables(description: Axis) -> dict[str, Any]:
     """The tables of a drive file that `parse_drive` reads back to the same description."""
     drive, limits = description.drive, description.limits

@@ -1,10 +1,13 @@
 """The one interface of all controllers, and the parts that several share."""
 
 import abc
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
@@ -26,8 +29,33 @@ class Command(NamedTuple):
     estimate: Estimate | None = None
 
 
+class Tunable(NamedTuple):
+    """A gain that may be tuned: its dotted path in the controller, and the factor by which a search may move it."""
+
+    path: str
+    factor: float
+
+
+# margins hold the feedback gains back long before these factors do; noise covariances are known to no better than 1e3
+FEEDBACK_FACTOR, FILTER_FACTOR, CUTOFF_FACTOR = 30.0, 1e3, 10.0
+
+
 class Controller(eqx.Module):
     """A controller as its interrupt routine sees it: once a period, from reference, scale and last force."""
+
+    @property
+    def kind(self) -> str:
+        """What [controller] kind calls it in an axis file; "" where no file can state it."""
+        return ""
+
+    @property
+    def tunables(self) -> Mapping[str, Tunable]:
+        """The gains that may be tuned, by name."""
+        return {}
+
+    def remodelled(self, drive: Drive) -> "Controller":
+        """The same controller with this drive for what it believes of the machine."""
+        return self
 
     @abc.abstractmethod
     def init(self, position: Scalar) -> Any:
@@ -62,6 +90,11 @@ class Feedforward(eqx.Module):
     def of(cls, plant: Plant) -> "Feedforward":
         """The feed-forward that this plant needs."""
         return cls(mass=plant.mass, damping=plant.damping)
+
+    def remodelled(self, plant: Plant) -> "Feedforward":
+        """That of another plant; off where it is off."""
+        traced = isinstance(self.mass, jax.core.Tracer)
+        return Feedforward.of(plant) if traced or np.all(np.asarray(self.mass) > 0.0) else self
 
 
 class Gains(eqx.Module):
@@ -107,6 +140,16 @@ class Tracking(eqx.Module):
         error = reference.position - position
         force = self.gains.force(error, last.or_now(error), period) + self.feedforward.force(reference)
         return LastError.after(error), force
+
+    def remodelled(self, plant: Plant) -> "Tracking":
+        """The same gains with the feed-forward of this plant."""
+        return Tracking(self.gains, self.feedforward.remodelled(plant))
+
+
+TRACKING_GAINS = {
+    "kp": Tunable("tracking.gains.kp", FEEDBACK_FACTOR),
+    "kd": Tunable("tracking.gains.kd", FEEDBACK_FACTOR),
+}
 
 
 def paper_tracking(drive: Drive, kp: Scalar, kd: Scalar) -> Tracking:

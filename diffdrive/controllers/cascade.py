@@ -1,14 +1,16 @@
 """The cascade of most CNCs and servo amplifiers: proportional position loop, PI velocity loop inside it."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from diffdrive.controllers.base import Command, Controller, Feedforward, Reference
+from diffdrive.controllers.base import FEEDBACK_FACTOR, Command, Controller, Feedforward, Reference, Tunable
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Scalar, quantity
+from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 from diffdrive.support.messages import shown
 
@@ -40,6 +42,17 @@ class Cascade(Controller):
         samples = self.velocity_samples
         if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
             raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {shown(samples)}")
+
+    @property
+    def kind(self) -> str:
+        return "cascade"
+
+    @property
+    def tunables(self) -> Mapping[str, Tunable]:
+        return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
+
+    def remodelled(self, drive: Drive) -> "Cascade":
+        return replace(self, feedforward=self.feedforward.remodelled(drive.plant))
 
     @property
     def pipelines(self) -> tuple[tuple[str, int], ...]:

@@ -43,6 +43,10 @@ class DisturbanceObserver(eqx.Module):
         """For this plant."""
         return cls(cutoff=cutoff, mass=plant.mass, damping=plant.damping)
 
+    def remodelled(self, plant: Plant) -> "DisturbanceObserver":
+        """The same cut-off for another plant."""
+        return DisturbanceObserver.of(plant, self.cutoff)
+
     def init(self, position: Scalar) -> DisturbanceState:
         """At rest at `position`."""
         zero = jnp.zeros_like(position)

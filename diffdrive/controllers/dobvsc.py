@@ -1,13 +1,25 @@
 """DOBVSC: disturbance observer plus variable-structure (sliding-mode) control."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
+from diffdrive.controllers.base import (
+    CUTOFF_FACTOR,
+    TRACKING_GAINS,
+    Command,
+    Controller,
+    LastError,
+    Reference,
+    Tracking,
+    Tunable,
+)
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
-from diffdrive.model.parameters import Scalar, quantity
+from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.observers.friction_observer import Estimate
+
+SURFACE_FACTOR = 10.0  # by which a search may move what shapes the sliding surface
 
 
 class DOBVSCState(NamedTuple):
@@ -28,6 +40,19 @@ class DOBVSC(Controller):
     reach: Scalar = quantity("N", "switching force eta", at_least=0.0, default=1.0)
     layer: Scalar = quantity("m/s", "boundary layer phi", above=0.0, default=1e-3)
     slope: Scalar = quantity("1/s", "slope of the sliding surface", at_least=0.0, default=300.0)
+
+    @property
+    def kind(self) -> str:
+        return "dobvsc"
+
+    @property
+    def tunables(self) -> Mapping[str, Tunable]:
+        own = {name: Tunable(name, SURFACE_FACTOR) for name in ("reach", "layer", "slope")}
+        return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)} | own
+
+    def remodelled(self, drive: Drive) -> "DOBVSC":
+        tracking, observer = self.tracking.remodelled(drive.plant), self.observer.remodelled(drive.plant)
+        return DOBVSC(tracking, observer, self.reach, self.layer, self.slope)
 
     def init(self, position: Scalar) -> DOBVSCState:
         return DOBVSCState(LastError.none(), self.observer.init(position))

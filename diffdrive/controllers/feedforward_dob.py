@@ -1,13 +1,23 @@
 """PD+FF+DOB: friction predicted from the reference, the rest left to a disturbance observer."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
+from diffdrive.controllers.base import (
+    CUTOFF_FACTOR,
+    TRACKING_GAINS,
+    Command,
+    Controller,
+    LastError,
+    Reference,
+    Tracking,
+    Tunable,
+)
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
 from diffdrive.model.friction import bristle_at, friction_force, slide
-from diffdrive.model.parameters import Friction, Scalar, quantity
+from diffdrive.model.parameters import Drive, Friction, Scalar, quantity
 from diffdrive.observers.friction_observer import Estimate
 
 
@@ -27,6 +37,18 @@ class PDFeedforwardDOB(Controller):
     observer: DisturbanceObserver
     friction: Friction
     load: Scalar = quantity("N", "applied load that the feed-forward assumes", default=0.0)
+
+    @property
+    def kind(self) -> str:
+        return "pd+ff+dob"
+
+    @property
+    def tunables(self) -> Mapping[str, Tunable]:
+        return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)}
+
+    def remodelled(self, drive: Drive) -> "PDFeedforwardDOB":
+        tracking, observer = self.tracking.remodelled(drive.plant), self.observer.remodelled(drive.plant)
+        return PDFeedforwardDOB(tracking, observer, drive.friction, self.load)
 
     def init(self, position: Scalar) -> FeedforwardState:
         zero = jnp.zeros_like(position)

@@ -1,9 +1,20 @@
 """PD+FC and PD+FC+LE: the friction observer's estimate added to the command."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
-from diffdrive.model.parameters import Scalar
+from diffdrive.controllers.base import (
+    FILTER_FACTOR,
+    TRACKING_GAINS,
+    Command,
+    Controller,
+    LastError,
+    Reference,
+    Tracking,
+    Tunable,
+)
+from diffdrive.model.parameters import Drive, Scalar
 from diffdrive.observers.friction_observer import FrictionObserver
 
 
@@ -23,6 +34,19 @@ class FrictionCompensation(Controller):
 
     tracking: Tracking
     observer: FrictionObserver
+
+    @property
+    def kind(self) -> str:
+        return f"pd+fc{self.observer.suffix}"
+
+    @property
+    def tunables(self) -> Mapping[str, Tunable]:
+        observed = {name: Tunable(f"observer.{path}", FILTER_FACTOR) for name, path in self.observer.gains.items()}
+        return TRACKING_GAINS | observed
+
+    def remodelled(self, drive: Drive) -> "FrictionCompensation":
+        observer = replace(self.observer, plant=drive.plant, friction=drive.friction)
+        return FrictionCompensation(self.tracking.remodelled(drive.plant), observer)
 
     def init(self, position: Scalar) -> FrictionCompensationState:
         return FrictionCompensationState(LastError.none(), self.observer.init(position))

@@ -1,13 +1,26 @@
 """PD: feedback and motion feed-forward alone."""
 
-from diffdrive.controllers.base import Command, Controller, LastError, Reference, Tracking
-from diffdrive.model.parameters import Scalar
+from collections.abc import Mapping
+
+from diffdrive.controllers.base import TRACKING_GAINS, Command, Controller, LastError, Reference, Tracking, Tunable
+from diffdrive.model.parameters import Drive, Scalar
 
 
 class PD(Controller):
     """Proportional-derivative position control (paper, Fig. 6(a))."""
 
     tracking: Tracking
+
+    @property
+    def kind(self) -> str:
+        return "pd"
+
+    @property
+    def tunables(self) -> Mapping[str, Tunable]:
+        return TRACKING_GAINS
+
+    def remodelled(self, drive: Drive) -> "PD":
+        return PD(self.tracking.remodelled(drive.plant))
 
     def init(self, position: Scalar) -> LastError:
         return LastError.none()

@@ -10,6 +10,10 @@ from diffdrive.model.parameters import Scalar
 class UnknownController(Controller):
     """Stands in a drive description for a controller of which only the logged command is known."""
 
+    @property
+    def kind(self) -> str:
+        return "unknown"
+
     def init(self, position: Scalar) -> NoReturn:
         raise ParameterError(
             "the drive file's controller is 'unknown': to simulate its loop, give [controller] a kind and its gains"

@@ -76,9 +76,10 @@ class Envelope(NamedTuple):
 
 
 class Effect(eqx.Module):
-    """One unmodelled effect; `name` is that of the catalogue."""
+    """One unmodelled effect: `name` is that of the catalogue, `part` the part of the machine that it is told as."""
 
     name: ClassVar[str]
+    part: ClassVar[str] = "plant"
 
     def problem(self, drive: Drive, within: Envelope) -> str | None:
         """Why no machine can have this effect beside `drive`, or why it cannot be computed; None where it can.
@@ -155,6 +156,20 @@ class TableEffect(Effect):
     def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
         """State after a period over which the table is known to travel so far (m)."""
         return self.step(state, seen, drive, period)[0]
+
+
+class TableForce(TableEffect):
+    """A force on the table that depends on nothing but where the table is, how it moves, and when."""
+
+    @abc.abstractmethod
+    def push(self, seen: Seen) -> Scalar:
+        """The force (N) over the coming period."""
+
+    def init(self) -> tuple[()]:
+        return ()
+
+    def step(self, state: tuple[()], seen: Seen, drive: Drive, period: float) -> tuple[tuple[()], Acts]:
+        return state, Acts(force=self.push(seen))
 
 
 class ScaleEffect(Effect):

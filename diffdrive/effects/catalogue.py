@@ -1,4 +1,8 @@
-"""The effects by name."""
+"""The effects by name, where in the machine each belongs, and how one of your own joins them."""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import TypeVar
 
 from diffdrive.effects.actuator import ActuatorLag, ForceGain, ForceLimit, LoopDelay
 from diffdrive.effects.base import Effect
@@ -7,6 +11,9 @@ from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFrict
 from diffdrive.effects.machine import FrictionAsymmetry, FrictionShape, PayloadMass
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
+from diffdrive.errors import ParameterError
+
+AnyEffect = TypeVar("AnyEffect", bound=Effect)
 
 PLACES: dict[str, tuple[type[Effect], ...]] = {
     "friction": (
@@ -25,3 +32,50 @@ PLACES: dict[str, tuple[type[Effect], ...]] = {
     "sensor": (LeadError, InterpolationError),
 }
 EFFECTS: dict[str, type[Effect]] = {effect.name: effect for place in PLACES.values() for effect in place}
+
+
+def register(effect: type[AnyEffect]) -> type[AnyEffect]:
+    """Make an effect of your own known, as a decorator of its class.
+
+    `simulate`, axis files, `sweep` and `diagnose` then treat it as they do those of the catalogue.
+
+    Its `name` is that of its table in an axis file ([effects.NAME]), its `part` the part of the machine that it is
+    told as, one of `PLACES`. Registering a class of the same name again replaces it. Raises `ParameterError` for a
+    class without a name, an unknown part, parameters that declare neither unit nor meaning, and a parameter without a
+    default: an effect is neutral, and does nothing, at its defaults.
+
+    Example:
+        >>> @register
+        ... class Counterbalance(TableForce):
+        ...     name = "counterbalance"
+        ...     force: float = amplitude("N", "force of the counterbalance", usual=20.0)
+        ...
+        ...     def push(self, seen):
+        ...         return self.force
+
+    """
+    name = getattr(effect, "name", None)
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ParameterError(f"{effect.__name__}.name: must be a word, as it stands in an axis file, got {name!r}")
+    if effect.part not in PLACES:
+        raise ParameterError(f"effect {name}: no part '{effect.part}' of a machine; known: {', '.join(PLACES)}")
+    for field in dataclasses.fields(effect):
+        if "quantity" not in field.metadata:
+            raise ParameterError(f"effect {name}: declare {field.name} with its unit and meaning, as by `amplitude`")
+        if field.default is dataclasses.MISSING:
+            raise ParameterError(f"effect {name}: {field.name} needs a default; with all of them it does nothing")
+    known = EFFECTS.get(name)
+    if known is not None and known.__module__.startswith("diffdrive."):
+        raise ParameterError(f"effect {name}: the catalogue has one of this name; choose another")
+    for part, effects in PLACES.items():
+        PLACES[part] = tuple(one for one in effects if one is not known)
+    PLACES[effect.part] = (*PLACES[effect.part], effect)
+    EFFECTS.pop(name, None)
+    EFFECTS[name] = effect
+    return effect
+
+
+def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Effects in the catalogue's order: axis files know no other."""
+    names = list(EFFECTS)
+    return tuple(sorted(effects, key=lambda one: names.index(one.name)))

@@ -1,9 +1,10 @@
 """What a motion left behind, simulated or measured, in SI units on a uniform clock."""
 
+import dataclasses
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -37,7 +38,7 @@ READABLE = CHANNELS | {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False, eq=False)
 class Log:
     """Signals of one motion; arrays of shape [n], None where the log has no such signal.
 
@@ -59,6 +60,19 @@ class Log:
     gaps: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
     moved: Mapping[str, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        low, high = 1e3 * float(np.min(self.position)), 1e3 * float(np.max(self.position))
+        speed = 1e3 * float(np.max(np.abs(np.diff(self.position)))) * self.rate
+        gaps = f", {len(self.gaps)} gaps" if self.gaps else ""
+        return (
+            f"Log '{self.name}': {len(self.time)} samples at {self.rate:.6g} Hz, {low:.4g} to {high:.4g} mm, "
+            f"up to {speed:.3g} mm/s{gaps}; {', '.join(self.channels)}"
+        )
+
+    def replace(self, **signals: Any) -> "Log":
+        """The log with other signals, by channel: arrays of the same length, or None for none."""
+        return dataclasses.replace(self, **signals)
 
     @property
     def rate(self) -> float:

@@ -1,5 +1,6 @@
 """Which column of a log's file is which channel, in which unit and time: [columns], [units] and [shifts]."""
 
+import collections.abc
 import dataclasses
 import difflib
 import math
@@ -60,6 +61,10 @@ class Mapping:
                 raise LogError(f"[columns] {channel}: '{column}' is the {held[column]} already; each needs its own")
             held[column] = channel
 
+    def __hash__(self) -> int:  # so that an axis can be a static argument of compiled functions
+        tables = (tuple(sorted(table.items())) for table in (self.columns, self.units, self.shifts))
+        return hash((*tables, self.force_per_volt, self.force_per_ampere))
+
     @property
     def force_per(self) -> dict[str, float]:
         """N per "V" and per "A", as far as they are known."""
@@ -78,6 +83,18 @@ class Mapping:
             return conversion(channel, unit, self.force_per)
         except ValueError as problem:
             raise LogError(f"{where}: {problem}") from None
+
+    def with_more(
+        self, columns: collections.abc.Mapping[str, str], units: collections.abc.Mapping[str, str],
+        shifts: collections.abc.Mapping[str, int],
+    ) -> "Mapping":  # fmt: skip
+        """With these put over it; raises `LogError` for a channel or unit that does not exist."""
+        more = parse_mapping(dict(columns), dict(units), dict(shifts))
+        gains = {key: getattr(more, key) for key in FORCE_PER if key in units}
+        return dataclasses.replace(
+            self, columns=self.columns | more.columns, units=self.units | more.units, shifts=self.shifts | more.shifts,
+            **gains,
+        )  # fmt: skip
 
     def overridden(
         self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()

@@ -1,8 +1,10 @@
 """Reads a log of any known format: its columns, their channels and units, missing values, the clock."""
 
+import collections.abc
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,35 +12,16 @@ from diffdrive.errors import LogError
 from diffdrive.logs.clocks.missing import without_missing
 from diffdrive.logs.clocks.shifts import shifted
 from diffdrive.logs.clocks.timing import in_order, on_uniform_clock
+from diffdrive.logs.formats.registry import READERS
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS, Log
 from diffdrive.logs.mapping import Mapping
 from diffdrive.logs.select import missing, select
 
+if TYPE_CHECKING:
+    from diffdrive.axis import Axis
 
-def _csv() -> Callable[[Path], Table]:
-    from diffdrive.logs.formats.csv_file import read_csv
-
-    return read_csv
-
-
-def _mat() -> Callable[[Path], Table]:
-    from diffdrive.logs.formats.mat_file import read_mat
-
-    return read_mat
-
-
-def _parquet() -> Callable[[Path], Table]:
-    from diffdrive.logs.formats.parquet_file import read_parquet
-
-    return read_parquet
-
-
-# each imports its library only when a file needs it: they take longer than the rest of diffdrive
-READERS = {
-    ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
-    ".parquet": _parquet, ".pq": _parquet,
-}  # fmt: skip
+Texts = collections.abc.Mapping[str, str]
 
 
 def read_table(path: str | Path) -> Table:
@@ -51,7 +34,7 @@ def read_table(path: str | Path) -> Table:
     try:
         if path.stat().st_size == 0:
             raise LogError(f"{path}: is empty; export the log again")
-        table = READERS[path.suffix.lower()]()(path)
+        table = READERS[path.suffix.lower()](path)
     except FileNotFoundError:
         raise LogError(f"{path}: no such file") from None
     except OSError as error:
@@ -61,16 +44,52 @@ def read_table(path: str | Path) -> Table:
     return table
 
 
-def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | None = None) -> Log:
+def read_log(
+    source: Any,
+    axis: "Axis | None" = None,
+    *,
+    columns: Texts | None = None,
+    units: Texts | None = None,
+    shifts: collections.abc.Mapping[str, int] | None = None,
+    name: str | None = None,
+    mapping: Mapping | None = None,
+    rate: float | None = None,
+) -> Log:
     """Read a log in SI units on a uniform clock; its `notes` say what was repaired on the way.
 
-    `mapping` says which column is which channel in which unit, `rate` (Hz) is the drive file's sampling rate: the log
-    is checked against it, and a log without time takes its time from it. Raises `LogError`, one line that names the
-    file, the row or column, and the mend.
+    `source` is a file (CSV, MAT, Parquet), a data frame of pandas, polars or another library, or a dict of arrays by
+    column. Which column is which channel in which unit is found by their names, or said by the `axis` (the tables
+    [columns], [units] and [shifts] of its file), or here: `columns` by channel, such as `{"position": "ActPos"}`,
+    `units` of one unit of the column, such as `{"position": "mm", "command": "15.96 N"}`, and `shifts` by whole samples
+    of channels that were recorded early or late. `mapping` stands in the place of the axis's.
+
+    `rate` (Hz), or else the axis's, is that of the controller: the log is checked against it, and one without a time
+    takes its time from it. `name` is the log's; a file's by default. Raises `LogError`, one line that names the file,
+    the row or column, and the mend.
     """
+    mapping = mapping or (Mapping() if axis is None else axis.mapping)
+    if columns or units or shifts:
+        mapping = mapping.with_more(columns or {}, units or {}, shifts or {})
+    rate = rate if rate is not None or axis is None else axis.rate
+    is_file = isinstance(source, str | Path)
+    name = name or (Path(source).stem if is_file else "log")
     if rate is not None and not (np.isfinite(rate) and rate > 0):
-        raise LogError(f"{path}: the rate must be positive and finite, in Hz, got {rate!r}")
-    table, mapping = read_table(path), mapping or Mapping()
+        raise LogError(f"{source if is_file else name}: the rate must be positive and finite, in Hz, got {rate!r}")
+    table = read_table(source) if is_file else _frame(source, name)
+    return _log(table, Path(source) if is_file else Path(name), name, mapping, rate)
+
+
+def _frame(source: Any, name: str) -> Table:
+    from diffdrive.logs.formats.frame import read_frame
+
+    table = read_frame(source, name)
+    if not table.columns or not any(len(values) for values in table.columns.values()):
+        raise LogError(f"{name}: has no samples")
+    return table
+
+
+def _log(table: Table, path: Path, name: str, mapping: Mapping, rate: float | None) -> Log:
+    """The log that a table holds."""
     signals, clock, notes = select(table, mapping)
     if "time" not in signals:
         if rate is None:
@@ -84,7 +103,7 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate, clock.factor)
     notes += said
-    shifts = mapping.moves(Path(path))
+    shifts = mapping.moves(path)
     if "injected" in signals and "command" in shifts:  # of which it is a part
         shifts.setdefault("injected", shifts["command"])
     signals, gaps, said = shifted(table.source, signals, gaps, shifts)
@@ -93,19 +112,25 @@ def read_log(path: str | Path, mapping: Mapping | None = None, rate: float | Non
         signals["command"] = signals["command"] - signals["injected"]
         notes.append("the injected force was taken off the command and counted as a disturbance")
     ordered = {name: np.ascontiguousarray(signals[name]) for name in CHANNELS if name in signals}
-    return Log(Path(path).stem, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said), moved=shifts)
+    return Log(name, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said), moved=shifts)
 
 
 def read_logs(
-    paths: Iterable[str | Path], mapping: Mapping | None = None, rate: float | None = None
+    sources: Iterable[Any], axis: "Axis | None" = None, *, mapping: Mapping | None = None, rate: float | None = None
 ) -> tuple[Log, ...]:
-    """Read several logs of one machine with the same mapping and rate (Hz)."""
-    files = [Path(path) for path in paths]
-    logs = [read_log(path, mapping, rate) for path in files]
+    """Read several logs of one machine, each as `read_log` does; raises `LogError`."""
+    sources = list(sources)
+    files = [Path(one) if isinstance(one, str | Path) else None for one in sources]
+    logs = [
+        read_log(source, axis, mapping=mapping, rate=rate, name=None if file else f"log{k + 1}")
+        for k, (source, file) in enumerate(zip(sources, files, strict=True))
+    ]
     if not logs:
         raise LogError("no log is named; give one or more files")
-    alike = {path.stem for path in files if sum(other.stem == path.stem for other in files) > 1}
+    stems = [file.stem for file in files if file is not None]
     return tuple(
-        dataclasses.replace(log, name=f"{path.resolve().parent.name}/{path.stem}") if path.stem in alike else log
-        for path, log in zip(files, logs, strict=True)
+        dataclasses.replace(log, name=f"{file.resolve().parent.name}/{file.stem}")
+        if file is not None and stems.count(file.stem) > 1
+        else log
+        for file, log in zip(files, logs, strict=True)
     )

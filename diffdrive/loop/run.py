@@ -2,27 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
 from diffdrive.motion.motion import Limits, Motion
+from diffdrive.results import Result, Status
+
+OK = Status(True)
 
 
-@dataclass(frozen=True)
-class Status:
-    """`ok`, or what went wrong: the signal, when it left its bounds (s), and its value then."""
-
-    ok: bool
-    message: str = "ok"
-    signal: str | None = None
-    time: float | None = None
-
-
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, repr=False, eq=False)
+class Run(Result):
     """One simulated motion; arrays of shape [n]. Estimates are None where the controller makes none."""
 
     time: np.ndarray  # s
@@ -37,7 +30,22 @@ class Run:
     friction: np.ndarray  # N, without the damping B_S v
     friction_estimate: np.ndarray | None
     load_estimate: np.ndarray | None
-    status: Status = Status(True)
+    status: Status = OK
+
+    schema: ClassVar[str] = "run/1"
+
+    def headline(self) -> str:
+        rms, peak = (f"{1e6 * value:.3g} um" for value in (self.rms(), self.peak()))
+        told = self.status.message if self.status.ok else f"NOT OK: {self.status.message}"
+        return f"{told}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "duration_s": float(self.time[-1] - self.time[0]),
+            "rms_error_m": self.rms(),
+            "peak_error_m": self.peak(),
+            "peak_command_N": float(np.max(np.abs(self.command))),
+        }
 
     @classmethod
     def of(cls, motion: Motion, load: np.ndarray, frames: Any, every: int) -> "Run":
@@ -124,7 +132,7 @@ def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequenc
                 f"last quarter, first at t = {begin:g} s: the axis is too weak for this motion and load, or the loop "
                 "oscillates between its limits; raise force_limit, slow the motion, or lower kp and kd"
             )
-            return replace(run, status=Status(False, message, "command", begin))
+            return replace(run, status=Status(False, message, "command", begin, "saturated"))
         if not limited.any():
             return run
         share = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"
@@ -146,4 +154,4 @@ def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequenc
             "the loop is unstable with these gains, delay and sampling; lower kd, kp or the delay, or check their units"
         )
     message = f"diverged: {name} leaves {bound} at t = {run.time[k]:g} s (value {signal[k]:g}): {cause}"
-    return replace(run, status=Status(False, message, name, float(run.time[k])))
+    return replace(run, status=Status(False, message, name, float(run.time[k]), "diverged"))

@@ -283,7 +283,7 @@ def running_costs(
     )
 
 
-_rollout = eqx.filter_jit(rollout)
+compiled_rollout = eqx.filter_jit(rollout)
 
 
 def inputs_of(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
@@ -341,7 +341,7 @@ def simulate(
     key = jax.random.key(seed) if noisy else None
 
     def of(machine: Drive) -> tuple[Run, float | None]:
-        frames = _rollout(*as_arrays((machine, controller)), inputs_of(motion, loads), sampling, key, every)
+        frames = compiled_rollout(*as_arrays((machine, controller)), inputs_of(motion, loads), sampling, key, every)
         limit = acting.force_limit(machine)
         return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
 

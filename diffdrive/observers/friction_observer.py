@@ -37,7 +37,20 @@ class ObserverState(NamedTuple):
 
 
 class FrictionObserver(eqx.Module):
-    """Interface of every friction observer."""
+    """Interface of every friction observer: a filter on the drive's own model."""
+
+    plant: eqx.AbstractVar[Plant]
+    friction: eqx.AbstractVar[Friction]
+
+    @property
+    @abc.abstractmethod
+    def suffix(self) -> str:
+        """What it adds to the kind pd+fc of a controller."""
+
+    @property
+    @abc.abstractmethod
+    def gains(self) -> dict[str, str]:
+        """Paths of what may be tuned in it, by the name that a controller gives it."""
 
     @abc.abstractmethod
     def init(self, position: Scalar) -> Any:
@@ -70,6 +83,15 @@ def estimated_friction(friction: Friction, x: kalman.Vector, load: Scalar) -> Sc
     return friction_force(bristle_at(friction, velocity, deflection, load), velocity, deflection)
 
 
+# paths of the filter's noise covariances: Q of each state, and R
+NOISE_GAINS = {
+    "Q_position": "tuning.position",
+    "Q_velocity": "tuning.velocity",
+    "Q_bristle": "tuning.bristle",
+    "R": "tuning.measurement",
+}
+
+
 class KalmanObserver(FrictionObserver):
     """The paper's observer: state-dependent Ad, Bd at the estimated velocity, and a load estimator on top."""
 
@@ -77,6 +99,15 @@ class KalmanObserver(FrictionObserver):
     friction: Friction
     tuning: Tuning = Tuning()
     load_estimator: FixedLoad | InnovationLoad = FixedLoad()
+
+    @property
+    def suffix(self) -> str:
+        return self.load_estimator.suffix
+
+    @property
+    def gains(self) -> dict[str, str]:
+        estimator = {name: f"load_estimator.{path}" for name, path in self.load_estimator.gains.items()}
+        return NOISE_GAINS | estimator
 
     def init(self, position: Scalar) -> ObserverState:
         zero = jnp.zeros_like(position)
@@ -142,6 +173,14 @@ class LoadStateObserver(FrictionObserver):
     tuning: LoadStateTuning = LoadStateTuning()
     initial_load: Scalar = quantity("N", "load estimate at the start", default=0.0)
     floor: Scalar | None = quantity("N", "smallest load estimate; 'none': no floor", default=0.0, optional=True)
+
+    @property
+    def suffix(self) -> str:
+        return "+ls"
+
+    @property
+    def gains(self) -> dict[str, str]:
+        return NOISE_GAINS | {"Q_load": "tuning.load"}
 
     def init(self, position: Scalar) -> ObserverState:
         zero = jnp.zeros_like(position)

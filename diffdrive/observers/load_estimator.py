@@ -1,5 +1,7 @@
 """Load estimators that sit on the paper's three-state observer."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,9 @@ class FixedLoad(eqx.Module):
     """No estimator: the load that the observer believes in stays as it was set (the paper's PD+FC)."""
 
     load: Scalar = quantity("N", "the load that the observer assumes", default=0.0)
+
+    suffix: ClassVar[str] = ""
+    gains: ClassVar[dict[str, str]] = {}
 
     def init(self) -> Scalar:
         return self.load
@@ -36,6 +41,9 @@ class InnovationLoad(eqx.Module):
         default=None,
     )
     initial_load: Scalar = quantity("N", "load estimate at the start", default=0.0)
+
+    suffix: ClassVar[str] = "+le"
+    gains: ClassVar[dict[str, str]] = {"K_w": "gain"}
 
     def init(self) -> Scalar:
         return self.initial_load

@@ -52,7 +52,7 @@ def looked_over(
     drive file's, one too short to be used and one that is given twice.
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
-        logs = read_logs(paths, description.mapping, description.sampling.rate)
+        logs = read_logs(paths, mapping=description.mapping, rate=description.sampling.rate)
         for path, log in zip(paths, logs, strict=True):
             _require_rate(path, log, description.sampling.rate)
             _require_length(path, log)

@@ -12,12 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffdrive.controllers import DOBVSC, Cascade, Controller, FrictionCompensation, PDFeedforwardDOB
+from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays, check, require_double_precision
-from diffdrive.observers.friction_observer import LoadStateObserver
-from diffdrive.observers.load_estimator import InnovationLoad
 from diffdrive.support.resources import counted, require_memory
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.constrained import Gains, Point, problem_of, worth
@@ -28,12 +26,11 @@ from tuning.gains.sequential import KEPT, Found, Standing, search
 from tuning.optimisation.least_squares import Progress, silent
 from tuning.optimisation.space import Space, around
 
-FEEDBACK_FACTOR = 30.0  # margins hold kp and kd back, not these bounds
-FILTER_FACTOR = 1e3
 FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
 STARTS = 4
 SCATTER = 1.0  # units of y
 SENSITIVE = 0.05  # share of the objective
+ANY_FACTOR = 1e3  # what is said of a gain that may move as far as it likes
 
 
 def default_space(controller: Controller, *, friction: bool = False) -> Space:
@@ -46,24 +43,9 @@ def factors_of(controller: Controller, *, friction: bool = False) -> dict[str, f
 
     `friction` frees the friction parameters that an observer believes in as well, in each direction.
     """
-    near, far = FEEDBACK_FACTOR, FILTER_FACTOR
-    if isinstance(controller, Cascade):
-        return {"kp": near, "kv": near, "ki": near}
-    factors = {"tracking.gains.kp": near, "tracking.gains.kd": near}
-    if isinstance(controller, DOBVSC | PDFeedforwardDOB):
-        factors["observer.cutoff"] = 10.0
-    if isinstance(controller, DOBVSC):
-        factors |= {"reach": 10.0, "layer": 10.0, "slope": 10.0}
-    if isinstance(controller, FrictionCompensation):
-        noises = ["position", "velocity", "bristle", "measurement"]
-        if isinstance(controller.observer, LoadStateObserver):
-            noises.append("load")
-        factors |= {f"observer.tuning.{name}": far for name in noises}
-        estimator = getattr(controller.observer, "load_estimator", None)
-        if isinstance(estimator, InnovationLoad):
-            factors["observer.load_estimator.gain"] = far
-        if friction:
-            factors |= {
+    factors = {one.path: one.factor for one in controller.tunables.values()}
+    if friction and isinstance(controller, FrictionCompensation):
+        factors |= {
                 f"observer.friction.{name}.{side}": FRICTION_FACTOR
                 for name in (
                     "coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous",
@@ -206,7 +188,7 @@ def _tuned(
         point=found.at.point,
         began=began,
         binding=sorted(binding, key=lambda one: -one.worth),
-        tolerance=np.exp(np.minimum(reach, np.log(FILTER_FACTOR))),
+        tolerance=np.exp(np.minimum(reach, np.log(ANY_FACTOR))),
         found=found,
         searches=searches,
         starts=ends,

@@ -23,7 +23,7 @@ from diffdrive.loop.simulate import Inputs, LoopState, rollout
 from diffdrive.model.actuator import limited, under_way
 from diffdrive.model.friction import steepest_fall
 from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
-from diffdrive.motion.motion import from_array
+from diffdrive.motion.builders import from_array
 from diffdrive.numerics.pipeline import require_shorter
 from tuning.identification.prediction import Gains, Lanes, moving, predict
 from tuning.identification.problem import FINE_SUBSTEP, SHORTEST, lanes_of, sampling_of
@@ -234,4 +234,4 @@ def _status(log: Log, distance: np.ndarray, off: str) -> Status:
         return Status(True)
     at = float(_time(log)[int(np.argmax(away))])
     message = f"diverged: {log.name}: the simulated position leaves the {off} by more than {reach:g} m at t = {at:g} s"
-    return Status(False, message, "position", at)
+    return Status(False, message, "position", at, "diverged")

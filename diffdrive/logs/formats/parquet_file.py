@@ -7,7 +7,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from diffdrive.errors import LogError
-from diffdrive.logs.formats.table import Table, left_out
+from diffdrive.logs.formats.arrow import from_arrow
+from diffdrive.logs.formats.table import Table
 from diffdrive.support.atomic_write import atomic_write
 from diffdrive.support.resources import counted, require_memory
 
@@ -27,20 +28,7 @@ def read_parquet(path: Path) -> Table:
             f"{path}: cannot be read as Parquet, it is another format or cut off ({_first_line(problem)}); "
             "export or copy it again"
         ) from None
-    columns, units, passed_over = {}, {}, {}
-    for field, column in zip(table.schema, table.columns, strict=True):
-        if pa.types.is_nested(field.type):
-            passed_over[field.name] = f"holds a {field.type} in each row"
-            continue
-        if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
-            column = column.cast(pa.int64())
-            units[field.name] = {"s": "s", "ms": "ms", "us": "us", "ns": "ns"}[field.type.unit]
-        elif pa.types.is_decimal(field.type):
-            column = column.cast(pa.float64())
-        columns[field.name] = _array(column)
-        if field.metadata and b"unit" in field.metadata:
-            units[field.name] = field.metadata[b"unit"].decode()
-    return Table(str(path), columns, units, notes=left_out(passed_over), passed_over=passed_over)
+    return from_arrow(table, str(path))
 
 
 def write_parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
@@ -48,11 +36,6 @@ def write_parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, s
     schema = pa.schema([pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns])
     with atomic_write(path) as file:
         pq.write_table(pa.table([pa.array(values) for values in columns.values()], schema=schema), file)
-
-
-def _array(column: pa.ChunkedArray) -> np.ndarray:
-    values = column.to_numpy()
-    return values if values.dtype.kind in "fiub" else np.array(["" if v is None else v for v in values], dtype=object)
 
 
 def _first_line(problem: Exception) -> str:

@@ -47,7 +47,7 @@ def read(path: Path, *, newtons: bool = True) -> Record:
         pulses = "injected" if newtons else "disturbance"
         columns[pulses] = "pulses_N"
         units[pulses] = f"{PULSE_GAIN} V" if newtons else "N"
-    log = read_log(path, Mapping(columns, units, force_per_volt), SAMPLING.rate)
+    log = read_log(path, mapping=Mapping(columns, units, force_per_volt), rate=SAMPLING.rate)
     return Record(log, float(data["kp"].item()), float(data["kv"].item()) * force_per_volt)
 
 

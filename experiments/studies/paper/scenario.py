@@ -4,17 +4,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive.controllers import DOBVSC, PD, Controller, DisturbanceObserver, FrictionCompensation, PDFeedforwardDOB
-from diffdrive.controllers.base import paper_tracking
-from diffdrive.model.parameters import Drive, Sampling
-from diffdrive.model.presets import PAPER_KD, PAPER_KP, PAPER_STROKE
+from diffdrive.controllers import Controller
+from diffdrive.model.parameters import Drive
+from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.motion import load
-from diffdrive.motion.motion import Limits, Motion, triangular
-from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
-from diffdrive.observers.load_estimator import InnovationLoad
+from diffdrive.motion.builders import triangular
+from diffdrive.motion.motion import Motion
+from diffdrive.paper import LIMITS, SAMPLING, paper_controllers
 
-SAMPLING = Sampling(rate=10_000.0)
-LIMITS = Limits(stroke=(-PAPER_STROKE / 2, PAPER_STROKE / 2))
+__all__ = [
+    "AFTER_LOAD",
+    "BEFORE_LOAD",
+    "LIMITS",
+    "MAX_LOAD",
+    "SAMPLING",
+    "TABLE_1",
+    "TABLE_4",
+    "Scenario",
+    "canonical",
+    "controllers",
+]
+
 AFTER_LOAD = (4.0, 4.2)  # s: the reversal under load, Table 1
 BEFORE_LOAD = (2.0, 2.2)  # s: the same reversal without load
 MAX_LOAD = 12_600.0  # N, the testbed's highest
@@ -48,13 +58,5 @@ def canonical() -> Scenario:
 
 def controllers(drive: Drive, kp: float = PAPER_KP, kd: float = PAPER_KD) -> dict[str, Controller]:
     """The paper's five controllers, and ours, with a model of exactly this drive."""
-    tracking = paper_tracking(drive, kp, kd)
-    plant, friction = drive.plant, drive.friction
-    return {
-        "PD": PD(tracking),
-        "DOBVSC": DOBVSC(tracking, DisturbanceObserver.of(plant, 240.0)),
-        "PD+FF+DOB": PDFeedforwardDOB(tracking, DisturbanceObserver.of(plant, 3.0), friction),
-        "PD+FC": FrictionCompensation(tracking, KalmanObserver(plant, friction)),
-        "PD+FC+LE": FrictionCompensation(tracking, KalmanObserver(plant, friction, Tuning(), InnovationLoad())),
-        "PD+FC+LS": FrictionCompensation(tracking, LoadStateObserver(plant, friction)),
-    }
+    kinds = paper_controllers(drive, kp, kd)
+    return {kind.upper(): one for kind, one in kinds.items() if kind != "cascade"}

@@ -99,7 +99,7 @@ def test_csv_encodings(encoding, tmp_path):
     header = "time [s],reference [m],position [µm],command [N],Öltemperatur [°C]\n"
     columns = (TIME, REFERENCE, 1e6 * POSITION, COMMAND, np.full(N, 21.5))
     path.write_bytes((header + rows(columns=columns)).encode(encoding))
-    log = read_log(path, Mapping({"temperature": "Öltemperatur"}))
+    log = read_log(path, mapping=Mapping({"temperature": "Öltemperatur"}))
     assert_is_the_log(log)
     assert set(log.temperature) == {21.5}
 
@@ -108,10 +108,10 @@ def test_csv_encodings(encoding, tmp_path):
 def test_twincat_scope(end, tmp_path):
     path = tmp_path / "scope.csv"
     path.write_text(TWINCAT + TWINCAT_ROWS + end)
-    assert_is_the_log(read_log(path, SCOPE, rate=1000.0))
+    assert_is_the_log(read_log(path, mapping=SCOPE, rate=1000.0))
     shared = TWINCAT.replace("\tName\t", "\t").replace("\tUnit\t", "\t").replace("Data-Type\tREAL64\t", "")
     path.write_text(shared + rows("\t", ",", columns=(_T, _R, _P, _C)) + end)
-    assert_is_the_log(read_log(path, SCOPE))
+    assert_is_the_log(read_log(path, mapping=SCOPE))
 
 
 def test_twincat_scope_full_time_stamps_keep_their_100_ns(tmp_path):
@@ -119,7 +119,7 @@ def test_twincat_scope_full_time_stamps_keep_their_100_ns(tmp_path):
     ticks = 132959505843760000 + np.rint(TIME * 1e7).astype(np.int64)
     body = "\n".join(f"{t}\t{r!r}\t{t}\t{p!r}\t{t}\t{c!r}" for t, r, p, c in zip(ticks, *COLUMN_LISTS, strict=True))
     path.write_text(TWINCAT.replace("mm", "m").replace("um", "m").replace("kN", "N") + body + "\n")
-    log = read_log(path, Mapping(SCOPE.columns, {"time": "100 ns"}))
+    log = read_log(path, mapping=Mapping(SCOPE.columns, {"time": "100 ns"}))
     np.testing.assert_allclose(log.time, TIME, atol=1e-12)
     assert any("counted from 132959505843760000" in note for note in log.notes)
 
@@ -131,7 +131,7 @@ def test_columns_without_a_header_are_numbered(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(rows())
     mapping = Mapping({"time": "1", "reference": "2", "position": "3", "command": "4"})
-    assert_is_the_log(read_log(path, mapping))
+    assert_is_the_log(read_log(path, mapping=mapping))
     with pytest.raises(LogError, match="the file has '1', '2', '3', '4'"):
         read_log(path)
 
@@ -268,7 +268,7 @@ def test_simulink_matrices_have_time_last(shape, version, tmp_path):
     else:
         scipy.io.savemat(path, {"out": held})
     names = [f"axis({i + 1},{j + 1})" if min(shape) > 1 else f"axis({max(i, j) + 1})" for i, j in (first, last)]
-    assert_is_the_log(read_log(path, Mapping(dict(zip(("reference", "position"), names, strict=True)))))
+    assert_is_the_log(read_log(path, mapping=Mapping(dict(zip(("reference", "position"), names, strict=True)))))
 
 
 @pytest.mark.parametrize("version", ["4", "5", "7.3"])
@@ -282,7 +282,7 @@ def test_mat_structures(structure, version, tmp_path):
         pytest.skip("v4 has no structures")
     else:
         scipy.io.savemat(path, variables, format=version, oned_as="row")
-    assert_is_the_log(read_log(path, mapping))
+    assert_is_the_log(read_log(path, mapping=mapping))
 
 
 # --- Parquet ----------------------------------------------------------------------------------------------------------

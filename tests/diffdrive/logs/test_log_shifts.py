@@ -25,7 +25,7 @@ def written(tmp_path):
 
 @pytest.mark.parametrize("shifts", [{"command": -1}, {"command": 3}, {"position": 2, "command": -2}])
 def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_theirs(written, shifts):
-    log = read_log(written, Mapping(shifts=shifts))
+    log = read_log(written, mapping=Mapping(shifts=shifts))
     first = round(log.time[0] * 1e3)
     for channel, values in COLUMNS.items():
         begin = first - shifts.get(channel, 0)
@@ -46,7 +46,7 @@ def test_a_shift_of_one_log_goes_before_that_of_all(tmp_path, key):
         moved_by = -1 if name == logs[0] or (name == logs[3] and ".csv" in key) else 1
         path = tmp_path / name
         path.write_text(f"{NAMES}\n{rows()}")
-        log = read_log(path, mapping)
+        log = read_log(path, mapping=mapping)
         assert f"the command was moved by {moved_by:+d} samples" in log.notes
         assert log.moved == {"command": moved_by}
 
@@ -57,7 +57,7 @@ def test_of_two_logs_of_one_name_the_folder_tells_which_and_goes_before_the_name
     (tmp_path / "monday").mkdir()
     for folder in (".", "monday"):
         (tmp_path / folder / "late.csv").write_text(f"{NAMES}\n{rows()}")
-    here, there = read_logs(["late.csv", "monday/late.csv"], mapping)
+    here, there = read_logs(["late.csv", "monday/late.csv"], mapping=mapping)
     assert (here.moved, there.moved) == ({"command": 1, "position": 3}, {"command": -2, "position": 3})
     assert (here.name, there.name) == (f"{tmp_path.name}/late", "monday/late")
 
@@ -69,7 +69,7 @@ def test_what_the_command_line_says_of_all_logs_goes_before_what_the_file_says_o
 
 
 def test_what_is_not_moved_is_as_it_was(written):
-    plain, none = read_log(written), read_log(written, Mapping(shifts={"command": 0}))
+    plain, none = read_log(written), read_log(written, mapping=Mapping(shifts={"command": 0}))
     assert plain.notes == none.notes
     for channel, values in plain.channels.items():
         np.testing.assert_array_equal(none.channels[channel], values)
@@ -106,7 +106,7 @@ def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, t
     write_log(path, but(**{channel: moved(SOUND.channels[channel], late - already)}))
 
     def shifts_of(description):
-        found = examine(read_log(path, description.mapping, RATE), description)
+        found = examine(read_log(path, mapping=description.mapping, rate=RATE), description)
         return [one for one in found if one.severity != "note" and "shift" in one.found]
 
     (finding,) = shifts_of(drive)
@@ -124,10 +124,10 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
     path = tmp_path / "late.csv"
     columns = (TIME, REFERENCE, POSITION, moved(COMMAND + pulse, 1), moved(pulse, 1))
     path.write_text(f"{NAMES},injected\n{rows(columns=columns)}")
-    log = read_log(path, Mapping(shifts={"command": -1}))
+    log = read_log(path, mapping=Mapping(shifts={"command": -1}))
     np.testing.assert_allclose(log.command[1:], COMMAND[1:-1], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(log.disturbance[1:], pulse[1:-1])
-    apart = read_log(path, Mapping(shifts={"command": -1, "injected": 0}))
+    apart = read_log(path, mapping=Mapping(shifts={"command": -1, "injected": 0}))
     assert np.abs(apart.command[1:] - COMMAND[1:-1]).max() == pytest.approx(8.0)
 
 
@@ -153,11 +153,11 @@ def test_what_is_no_shift_is_refused(build, says):
 
 def test_a_shift_of_what_is_not_there_or_of_the_whole_log_is_refused(written):
     with pytest.raises(LogError, match=r"late.csv: load is to be moved: the log has no such channel"):
-        read_log(written, Mapping(shifts={"load": 1}))
+        read_log(written, mapping=Mapping(shifts={"load": 1}))
     with pytest.raises(LogError, match=r"late.csv: shifts by 1000+ samples leave nothing"):
-        read_log(written, Mapping(shifts={"command": 10**20}))
+        read_log(written, mapping=Mapping(shifts={"command": 10**20}))
     with pytest.raises(LogError, match=r"late.csv: shifts by 400 samples leave nothing"):
-        read_log(written, Mapping(shifts={"command": 200, "position": -200}))
+        read_log(written, mapping=Mapping(shifts={"command": 200, "position": -200}))
 
 
 def test_a_drive_file_carries_it_and_the_command_line_overrides_it(tmp_path):

@@ -31,7 +31,7 @@ def read(tmp_path):
         true = time if true is None else true
         columns = {"time": time, "position": position(true), "command": command(true)} | changes
         write_csv(tmp_path / "log.csv", columns)
-        return read_log(tmp_path / "log.csv", mapping, rate)
+        return read_log(tmp_path / "log.csv", mapping=mapping, rate=rate)
 
     return through
 
@@ -253,7 +253,7 @@ def test_a_clock_that_nobody_named_is_not_counted_over(header, tmp_path):
     told = rf'\'{re.escape(header)}\' is in a unit of time .*--column "?time={re.escape(header)}'
     with pytest.raises(LogError, match=told):
         read_log(tmp_path / "log.csv", rate=5 * RATE)
-    np.testing.assert_allclose(read_log(tmp_path / "log.csv", Mapping({"time": header})).time, TIME, atol=1e-12)
+    np.testing.assert_allclose(read_log(tmp_path / "log.csv", mapping=Mapping({"time": header})).time, TIME, atol=1e-12)
     # what does not rise is no clock: the cycle's own duration, say
     write_csv(tmp_path / "log.csv", columns | {header: np.full(len(TIME), 0.2)})
     np.testing.assert_array_equal(read_log(tmp_path / "log.csv", rate=RATE).time, TIME)

@@ -99,7 +99,7 @@ def test_a_simulated_run_is_a_log(run, tmp_path):
     assert log.rate == pytest.approx(10_000.0)
     write_run(tmp_path / "simulated.csv", run)
     for mapping in (Mapping(), Mapping(force_per_volt=35.0), Mapping(force_per_ampere=10.0)):
-        assert_same(read_log(tmp_path / "simulated.csv", mapping, rate=10_000.0), log)
+        assert_same(read_log(tmp_path / "simulated.csv", mapping=mapping, rate=10_000.0), log)
 
 
 # --- which column, in which unit --------------------------------------------------------------------------------------
@@ -129,17 +129,17 @@ UNITS = {
 
 @pytest.mark.parametrize(("units", "gains", "factors"), UNITS.values(), ids=UNITS.keys())
 def test_units(units, gains, factors, raw):
-    log = read_log(raw, Mapping(NAMED, units, **gains))
+    log = read_log(raw, mapping=Mapping(NAMED, units, **gains))
     np.testing.assert_allclose(log.position, factors[0] * RAW["qm"], rtol=1e-14)
     np.testing.assert_allclose(log.command, factors[1] * RAW["u"], rtol=1e-14)
-    log = read_log(raw, Mapping(NAMED, {"time": "ms"}))
+    log = read_log(raw, mapping=Mapping(NAMED, {"time": "ms"}))
     np.testing.assert_allclose(log.time, 1e-3 * RAW["t"], atol=1e-18)
 
 
 @pytest.mark.parametrize(("unit", "celsius"), [("degC", 10.0), ("K", -263.15), ("degF", -12.2222222)])
 def test_temperatures(unit, celsius, tmp_path):
     scipy.io.savemat(tmp_path / "t.mat", RAW | {"temp": np.full(10, 10.0)})
-    log = read_log(tmp_path / "t.mat", Mapping(NAMED | {"temperature": "temp"}, {"temperature": unit}))
+    log = read_log(tmp_path / "t.mat", mapping=Mapping(NAMED | {"temperature": "temp"}, {"temperature": unit}))
     assert log.temperature[0] == pytest.approx(celsius)
 
 
@@ -172,14 +172,14 @@ def test_a_bad_mapping_is_refused(build, says):
 
 def test_a_mapping_that_does_not_fit_the_file_is_refused(raw, tmp_path):
     with pytest.raises(LogError, match=r"'qmm': no such column; did you mean 'qm'\? the file has 't', 'qg', 'qm', 'u'"):
-        read_log(raw, Mapping(NAMED | {"position": "qmm"}))
+        read_log(raw, mapping=Mapping(NAMED | {"position": "qmm"}))
     with pytest.raises(LogError, match=r"'soll': no such column.*a log needs no reference: leave that line out"):
-        read_log(raw, Mapping(NAMED | {"reference": "soll"}))
+        read_log(raw, mapping=Mapping(NAMED | {"reference": "soll"}))
     with pytest.raises(LogError, match=r"nothing says whether the command .* \[units\] .* or give --unit command=N"):
-        read_log(raw, Mapping(NAMED, force_per_volt=3.0))
+        read_log(raw, mapping=Mapping(NAMED, force_per_volt=3.0))
     scipy.io.savemat(tmp_path / "two.mat", RAW | {"a": {"pos": RAW["t"]}, "b": {"pos": RAW["t"]}})
     with pytest.raises(LogError, match=r"position = 'pos' fits 'a\.pos', 'b\.pos'; write one of them in full"):
-        read_log(tmp_path / "two.mat", Mapping(NAMED | {"position": "pos"}))
+        read_log(tmp_path / "two.mat", mapping=Mapping(NAMED | {"position": "pos"}))
 
 
 def test_the_command_line_goes_over_the_file():
@@ -193,11 +193,11 @@ def test_the_mapping_wins_over_the_header_and_says_so(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,position [mm],command\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
     assert read_log(path).position[-1] == pytest.approx(9e-3)
-    log = read_log(path, Mapping(units={"position": "um"}))
+    log = read_log(path, mapping=Mapping(units={"position": "um"}))
     assert log.position[-1] == pytest.approx(9e-6)
     assert log.notes == ("position: the file says mm, [units] says um, which was taken",)
-    assert read_log(path, Mapping(units={"position": "0.001 m"})).notes == ()
-    exact = read_log(path, Mapping({"position": "Position"}, {"position": "mm"}))
+    assert read_log(path, mapping=Mapping(units={"position": "0.001 m"})).notes == ()
+    exact = read_log(path, mapping=Mapping({"position": "Position"}, {"position": "mm"}))
     assert exact.position[-1] == pytest.approx(9e-3)
 
 
@@ -257,7 +257,7 @@ EMPS_MAPPING = Mapping({"time": "t", "reference": "qg", "position": "qm", "comma
 
 @needs_emps
 def test_emps_is_read_right():
-    log = read_log(EMPS, EMPS_MAPPING, rate=1000.0)
+    log = read_log(EMPS, mapping=EMPS_MAPPING, rate=1000.0)
     data = scipy.io.loadmat(EMPS)
     np.testing.assert_array_equal(log.position, data["qm"].ravel())
     np.testing.assert_allclose(log.command, 35.15065 * data["vir"].ravel(), rtol=1e-14)
@@ -271,7 +271,7 @@ def test_emps_is_read_right():
 @needs_emps
 def test_emps_pulses_are_volts_whatever_their_name_says():
     mapping = EMPS_MAPPING.overridden(["disturbance=pulses_N"], ["disturbance=1.0139 V"])
-    log = read_log(EMPS.with_name("DATA_EMPS_PULSES.mat"), mapping, rate=1000.0)
+    log = read_log(EMPS.with_name("DATA_EMPS_PULSES.mat"), mapping=mapping, rate=1000.0)
     assert np.max(log.disturbance) == pytest.approx(5 * 1.0139 * 35.15065)
     assert "disturbance: the file says N, [units] says 1.0139 V, which was taken" in log.notes
 
@@ -281,7 +281,9 @@ def test_emps_pulses_are_volts_whatever_their_name_says():
 def test_bench_logs_are_read_as_they_are(case, tmp_path):
     description = read_drive(BENCH / case / "drive.toml")
     paths = [BENCH / case / f"log-{letter}.parquet" for letter in "ab"]
-    for path, log in zip(paths, read_logs(paths, description.mapping, description.sampling.rate), strict=True):
+    for path, log in zip(
+        paths, read_logs(paths, mapping=description.mapping, rate=description.sampling.rate), strict=True
+    ):
         table = pq.read_table(path)
         for name, values in log.channels.items():
             np.testing.assert_array_equal(values, table[name].to_numpy(), err_msg=name)

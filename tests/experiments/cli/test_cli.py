@@ -293,7 +293,7 @@ def test_a_run_is_the_motion_that_it_was_asked_for_and_not_the_one_that_was_meas
     assert first.exit_code == again.exit_code == 0
     assert "run.csv (column reference)" in again.output
     ours, theirs = (
-        read_log(tmp_path / name / "run.csv", Mapping(units={"command": "N"})) for name in ("first", "again")
+        read_log(tmp_path / name / "run.csv", mapping=Mapping(units={"command": "N"})) for name in ("first", "again")
     )
     np.testing.assert_array_equal(ours.reference, theirs.reference)
     assert not np.array_equal(ours.reference, ours.position)

@@ -262,5 +262,5 @@ def test_a_time_in_another_unit_than_declared_names_the_unit_that_it_has(tmp_pat
     mapping = Mapping(units={"time": declared})
     truth = {1.0: "s", 1e3: "ms", 1e6: "us"}[written]
     with pytest.raises(LogError, match=rf'read in {declared}, make .* Write \[units\] time = "{truth}"'):
-        read_log(path, mapping, RATE)
-    assert read_log(path, Mapping(units={"time": truth}), RATE).rate == pytest.approx(RATE)
+        read_log(path, mapping=mapping, rate=RATE)
+    assert read_log(path, mapping=Mapping(units={"time": truth}), rate=RATE).rate == pytest.approx(RATE)

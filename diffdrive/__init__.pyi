@@ -1,0 +1,28 @@
+from . import controllers, effects, motion
+from .axis import Axis
+from .axis_file.drive_file import read_axis
+from .logs.log import Log
+from .logs.read import read_log, read_logs
+from .loop.run import Run
+from .motion import load
+from .paper import paper_axis
+from .runtime import configure
+from .simulation import Rollout, rollout, simulate
+
+__all__ = [
+    "Axis",
+    "Log",
+    "Rollout",
+    "Run",
+    "configure",
+    "controllers",
+    "effects",
+    "load",
+    "motion",
+    "paper_axis",
+    "read_axis",
+    "read_log",
+    "read_logs",
+    "rollout",
+    "simulate",
+]

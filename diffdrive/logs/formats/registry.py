@@ -1,0 +1,55 @@
+"""Which extension is of which format; a format of your own joins them."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from diffdrive.logs.formats.table import Table
+
+Reader = Callable[[Path], Table]
+
+
+def _csv(path: Path) -> Table:
+    from diffdrive.logs.formats.csv_file import read_csv
+
+    return read_csv(path)
+
+
+def _mat(path: Path) -> Table:
+    from diffdrive.logs.formats.mat_file import read_mat
+
+    return read_mat(path)
+
+
+def _parquet(path: Path) -> Table:
+    from diffdrive.logs.formats.parquet_file import read_parquet
+
+    return read_parquet(path)
+
+
+# each imports its library only when a file needs it: they take longer than the rest of diffdrive
+READERS: dict[str, Reader] = {
+    ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
+    ".parquet": _parquet, ".pq": _parquet,
+}  # fmt: skip
+
+
+def register(*extensions: str) -> Callable[[Reader], Reader]:
+    """Make a reader of files with these extensions known, as a decorator of a function from a path to a `Table`.
+
+    It raises `LogError`, one line that names the file and the mend, for a file that it cannot read. What the columns
+    mean, their units and the clock are worked out from the table as for every format.
+
+    Example:
+        >>> @register(".trc")
+        ... def read_trace(path):
+        ...     values = numpy.loadtxt(path)
+        ...     return Table(str(path), {"time": values[:, 0], "position": values[:, 1], "command": values[:, 2]})
+
+    """
+
+    def known(reader: Reader) -> Reader:
+        for extension in extensions:
+            READERS[extension.lower()] = reader
+        return reader
+
+    return known

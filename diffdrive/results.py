@@ -1,0 +1,90 @@
+"""What all results have in common: a status, a short form, a summary, and a file that programs read."""
+
+import html
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from diffdrive.errors import ResultError
+from diffdrive.support.atomic_write import write_text
+
+
+@dataclass(frozen=True)
+class Status:
+    """Whether to believe a result: `ok`, a `code` for programs, and a `message` for people.
+
+    Of a simulation that went wrong also the signal that left its bounds, and when (s).
+    """
+
+    ok: bool
+    message: str = "ok"
+    signal: str | None = None
+    time: float | None = None
+    code: str = "ok"
+
+
+Own = TypeVar("Own", bound="Result")
+
+
+class Result:
+    """A result: print it for the short form, `summary()` for more, `save()` for a file, `require_ok()` to insist."""
+
+    schema: ClassVar[str]  # name and version of what `as_dict` holds
+    status: Status
+
+    def headline(self) -> str:
+        """One line: whether to believe it, and the numbers that matter most."""
+        raise NotImplementedError
+
+    def summary(self) -> str:
+        """What was found and what it rests on, in lines of at most 100 characters."""
+        return self.headline()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every number, by names that carry their unit."""
+        raise NotImplementedError
+
+    def save(self, folder: str | Path) -> Path:
+        """Write it as JSON, with the version of its schema, into a folder; returns the file."""
+        kind = self.schema.split("/")[0]
+        path = Path(folder) / f"{kind}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        status = {"ok": self.status.ok, "code": self.status.code, "message": self.status.message}
+        whole = {"schema": self.schema, "status": status} | self.as_dict()
+        write_text(path, json.dumps(as_json(whole), indent=2, allow_nan=False) + "\n")
+        return path
+
+    def require_ok(self: Own) -> Own:
+        """The result itself; raises `ResultError` with the status's message where that is not ok."""
+        if not self.status.ok:
+            raise ResultError(self.status.message)
+        return self
+
+    def __repr__(self) -> str:
+        return self.headline()
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self.summary())}</pre>"
+
+
+def as_json(value: Any) -> Any:
+    """The value as JSON can hold it; what is infinite or undefined becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): as_json(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(one) for one in value]
+    if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
+        return as_json(np.asarray(value).tolist())
+    if isinstance(value, np.generic):
+        return as_json(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,144 @@
+"""An axis simulated: every signal of one motion, or a pure function of the axis for `jit`, `grad` and `vmap`."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.axis import Axis
+from diffdrive.controllers.base import Reference
+from diffdrive.errors import ParameterError
+from diffdrive.loop import simulate as loop
+from diffdrive.loop.metrics import rms
+from diffdrive.loop.run import Run
+from diffdrive.model.parameters import Scalar, as_arrays
+from diffdrive.motion.motion import Motion
+
+SAME_RATE = 1e-6  # relative
+
+
+def simulate(
+    axis: Axis,
+    motion: Motion,
+    load: Float[np.ndarray, " n"] | float = 0.0,
+    *,
+    machine: Axis | None = None,
+    seed: int | None = 0,
+    every: int = 1,
+    throw: bool = False,
+) -> Run:
+    """Simulate one motion of an axis, and return every signal with a status that says whether to believe it.
+
+    `load` is in N, one number or one per sample. `machine` is an axis whose drive moves in the place of the axis's own
+    under the axis's controller: what the controller believes, and what is true, may differ. `seed` seeds the noise of
+    the scale (None: no noise). `every` keeps each n-th sample.
+
+    Raises `ParameterError` and `MotionError` on bad input. A loop that diverges is a status, and an error
+    (`DivergenceError`) only with `throw`.
+
+    Example:
+        >>> run = simulate(axis, motion.sine(amplitude=1e-3, frequency=10.0, duration=0.5, rate=axis.rate), load=8e3)
+        >>> run.status.ok, run.rms()
+
+    """
+    drive = _machine(axis, machine).drive
+    run = loop.simulate(
+        drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
+    )
+    return run.require_ok() if throw else run
+
+
+class Rollout(eqx.Module):
+    """The signals of a roll-out, [n] each, traced or not; estimates are None where the controller makes none."""
+
+    reference: Float[Array, " n"]  # m
+    load: Float[Array, " n"]  # N
+    position: Float[Array, " n"]  # m, of the table
+    velocity: Float[Array, " n"]  # m/s
+    measured: Float[Array, " n"]  # m, as the scale reports it
+    command: Float[Array, " n"]  # N, before the actuator
+    force: Float[Array, " n"]  # N, after it
+    friction: Float[Array, " n"]  # N
+    friction_estimate: Float[Array, " n"] | None  # N
+    load_estimate: Float[Array, " n"] | None  # N
+    rate: float = eqx.field(static=True)
+
+    @property
+    def error(self) -> Float[Array, " n"]:
+        """Tracking error of the table, reference minus position (m)."""
+        return self.reference - self.position
+
+    def rms_error(self, start: float = 0.0) -> Scalar:
+        """Root mean square of the tracking error (m) from `start` (s) on; its gradient is never NaN."""
+        return rms(self.error[self._first(start) :])
+
+    def peak_error(self, start: float = 0.0) -> Scalar:
+        """Largest tracking error (m) from `start` (s) on; its gradient is that of the worst sample."""
+        return jnp.max(jnp.abs(self.error[self._first(start) :]))
+
+    def _first(self, start: float) -> int:
+        first = round(start * self.rate)
+        if not 0 <= first < len(self.reference):
+            raise ParameterError(f"start: {start:g} s leaves nothing of {(len(self.reference) - 1) / self.rate:g} s")
+        return first
+
+
+def rollout(
+    axis: Axis,
+    motion: Motion,
+    load: Float[Array, " n"] | Scalar = 0.0,
+    *,
+    machine: Axis | None = None,
+    seed: int | None = None,
+) -> Rollout:
+    """The signals of one motion as a pure function of the axis and the load (N, one number or one per sample).
+
+    For `jit`, `grad`, `jacfwd` and `vmap`, over gains, plant, friction and loads. Nothing is checked that only
+    numbers tell: `simulate` does that. For gradients take `axis.smooth()`; the exact axis rounds and switches, and its
+    derivatives mean nothing. `machine`, as in `simulate`. `seed` seeds the noise of the scale (None: no noise).
+    Raises `ParameterError` for a motion of another rate.
+
+    Example:
+        >>> def error(kp, load):
+        ...     return rollout(axis.smooth().with_gains(kp=kp), motion, load).rms_error()
+        >>> jax.grad(error)(axis.gains["kp"], 8e3)
+
+    """
+    drive = _machine(axis, machine).drive
+    if abs(motion.rate / axis.rate - 1.0) > SAME_RATE:
+        raise ParameterError(
+            f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
+        )
+    loads = jnp.broadcast_to(jnp.asarray(load, jnp.float64), motion.time.shape)
+    reference = as_arrays(Reference(motion.position, motion.velocity, motion.acceleration))
+    inputs = loop.Inputs(reference, loads, jnp.zeros_like(loads))
+    key = None if seed is None else jax.random.key(seed)
+    frames = loop.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
+    estimate: Any = frames.estimate
+    return Rollout(
+        reference=reference.position,
+        load=loads,
+        position=frames.position,
+        velocity=frames.velocity,
+        measured=frames.measured,
+        command=frames.command,
+        force=frames.force,
+        friction=frames.friction,
+        friction_estimate=None if estimate is None else estimate.friction,
+        load_estimate=None if estimate is None else estimate.load,
+        rate=axis.rate,
+    )
+
+
+def _machine(axis: Axis, machine: Axis | None) -> Axis:
+    if machine is None:
+        return axis
+    if abs(machine.rate / axis.rate - 1.0) > SAME_RATE:
+        raise ParameterError(
+            f"machine: is sampled at {machine.rate:.10g} Hz, the axis at {axis.rate:.10g} Hz: delays are told in "
+            "samples; make the rates equal"
+        )
+    return machine
