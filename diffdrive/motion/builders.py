@@ -95,12 +95,12 @@ def triangular(
 ) -> Motion:
     """To and fro at constant `speed` (m/s) over `stroke` (m), each velocity reversal linear over `rounding` (s).
 
-    It starts from rest with half a rounding. `stroke` is the distance between the turning points of the sharp triangle:
-    reversals are centred stroke / speed apart, the first at `first_reversal` (s), by default after one such time.
+    It starts from rest with half a rounding. `stroke` is the distance between the turning points, so that reversals are
+    centred stroke / speed + rounding / 2 apart, the first at `first_reversal` (s), by default after one such time.
     """
     _positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
     with reckoned("triangular motion"):
-        apart, acceleration = stroke / speed, 2.0 * speed / rounding
+        apart, acceleration = stroke / speed + rounding / 2.0, 2.0 * speed / rounding
     first = apart if first_reversal is None else first_reversal
     _positive("triangular motion", first_reversal=first)
     if rounding > min(apart, first) * (1 + 1e-9):

@@ -7,7 +7,10 @@ from typing import Any
 from diffdrive.motion.text import LISTS, LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, PAIRS
 
 COLUMNS = ("name", "settings", "that may be left out", "what")
-_BY_DEFAULT = {"first_reversal": "stroke / speed", "phases": "Schroeder's"}  # where the default is worked out
+_BY_DEFAULT = {
+    "first_reversal": "stroke / speed + rounding / 2",
+    "phases": "Schroeder's",
+}  # where the default is worked out
 
 
 def _setting(name: str, unit: str, default: Any) -> str:

@@ -41,7 +41,7 @@ def integrator_errors() -> list[list[Any]]:
 
 
 def _motion_inputs(speed: float, rounding: float, rate: float) -> Any:
-    motion = triangular(speed=speed, stroke=0.5 * speed, rounding=rounding, duration=1.0, rate=rate)
+    motion = triangular(speed=speed, stroke=speed * (0.5 - rounding / 2), rounding=rounding, duration=1.0, rate=rate)
     return inputs_of(motion, np.zeros(len(motion.time)))
 
 

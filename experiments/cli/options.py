@@ -97,4 +97,4 @@ LoadText = Annotated[
 ]
 
 # not 10 mm/s: ten quanta of 0.1 um a period, on which a quantised loop locks and looks unlike its neighbours
-DEFAULT_MOTION = "triangular:speed=10.137mm/s,stroke=10mm,rounding=0.2s,duration=3s"
+DEFAULT_MOTION = "triangular:speed=10.137mm/s,stroke=8.9863mm,rounding=0.2s,duration=3s"

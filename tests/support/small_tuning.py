@@ -18,7 +18,7 @@ from tuning.gains.scenarios import Scenario, ensemble
 from tuning.gains.tune import default_space
 
 SAMPLING = Sampling(substeps=2)
-MOTION = triangular(speed=0.010, stroke=0.001, rounding=0.02, duration=0.15, rate=10_000.0, first_reversal=0.08)
+MOTION = triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.15, rate=10_000.0, first_reversal=0.08)
 LIMITS = Limits(command_noise=15.0)
 
 

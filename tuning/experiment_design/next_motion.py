@@ -77,7 +77,7 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
             found[name] = require_within(one, limits)
     for wanted, time in strokes:
         speed, rounding = _short(wanted), _short(max(0.1, wanted / strong))
-        stroke = _short(speed * time)
+        stroke = _short(speed * (time - rounding / 2.0))
         start = begun(stroke)
         name = (
             f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.3g}s,"

@@ -45,7 +45,7 @@ def reversal(speed: float, rate: float, duration: float = DURATION) -> Motion:
     """There and back at `speed` (m/s) with one reversal in the middle, rounded over 0.1 s."""
     return triangular(
         speed=speed,
-        stroke=speed * duration / 2,
+        stroke=speed * (duration / 2 - 0.05),
         rounding=0.1,
         duration=duration,
         rate=rate,

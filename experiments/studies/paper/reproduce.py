@@ -124,7 +124,7 @@ def hysteresis(friction: Friction, weight: float, amplitude: float = 20e-6, peri
 
 def unloaded_experiment(drive: Drive) -> dict[str, Run]:
     """Fig. 9's situation: reciprocal motion with the 0.1 um scale, no load."""
-    back_and_forth = motion.triangular(speed=0.010, stroke=0.010, rounding=0.3, duration=4.0, rate=paper.SAMPLING.rate)
+    back_and_forth = motion.triangular(speed=0.010, stroke=0.0085, rounding=0.3, duration=4.0, rate=paper.SAMPLING.rate)
     wanted = ("DOBVSC", "PD+FF+DOB", "PD+FC")
     known = paper.controllers(drive)
     return {name: simulate(drive, known[name], back_and_forth, sampling=paper.SAMPLING).require_ok() for name in wanted}
@@ -134,7 +134,9 @@ def loaded_experiment(
     drive: Drive, weight: float, speed: float = 0.028, ripple: float = 1.0, pitch: float = 0.001
 ) -> dict[str, Run]:
     """Table 4's situation under `weight` (N): B_S not fed forward, a friction ripple that no model knows."""
-    to_and_fro = motion.triangular(speed=speed, stroke=speed, rounding=0.1, duration=8.0, rate=paper.SAMPLING.rate)
+    to_and_fro = motion.triangular(
+        speed=speed, stroke=0.95 * speed, rounding=0.1, duration=8.0, rate=paper.SAMPLING.rate
+    )
     mu = float(drive.friction.load_coefficient.positive)
     rippled = weight + np.sqrt(2) * ripple / mu * np.sin(2 * np.pi * to_and_fro.position / pitch)
     tracking = Tracking(Gains(PAPER_KP, PAPER_KD), Feedforward(mass=drive.plant.mass))

@@ -52,7 +52,8 @@ class Scenario:
 
 def canonical() -> Scenario:
     """Fig. 7 as we read it: 10 mm/s, reversals over 0.3 s centred at 2.05 and 4.05 s, 0 to 10 kN from 2.5 to 3.5 s."""
-    motion = triangular(speed=0.010, stroke=0.020, rounding=0.3, duration=4.5, rate=SAMPLING.rate, first_reversal=2.05)
+    # reversals 2 s apart
+    motion = triangular(speed=0.010, stroke=0.0185, rounding=0.3, duration=4.5, rate=SAMPLING.rate, first_reversal=2.05)
     return Scenario(motion, load.ramp(motion.time, start=2.5, end=3.5, to=10_000.0))
 
 

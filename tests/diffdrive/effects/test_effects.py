@@ -37,7 +37,7 @@ from tuning.identification.setup import ask
 RATE = 2_000.0
 SAMPLING = Sampling(rate=RATE)
 CONTROLLER = PD(Tracking(Gains(1.0e6, 6_000.0)))
-MOTION = triangular(speed=0.010, stroke=0.0015, rounding=0.02, duration=0.4, rate=RATE, first_reversal=0.15)
+MOTION = triangular(speed=0.010, stroke=0.0014, rounding=0.02, duration=0.4, rate=RATE, first_reversal=0.15)
 INPUTS = inputs_of(MOTION, 2_000.0 * np.ones(len(MOTION.time)))
 DRIVE = dataclasses.replace(paper_drive(), sensor=Sensor(None, 0.0))
 
@@ -179,7 +179,7 @@ def test_saturation_is_told_of_the_command(gain, own, most):
 def test_the_friction_recorded_is_that_which_acts():
     """A force balance: what accelerates the table is the force less damping and the friction recorded."""
     drive = with_effects(PositionFriction(0.0, 0.0, 0.02, 0.3, 0.0))
-    fast = triangular(speed=0.1, stroke=0.04, rounding=0.05, duration=0.4, rate=RATE)
+    fast = triangular(speed=0.1, stroke=0.0375, rounding=0.05, duration=0.4, rate=RATE)
     frame = rollout(*as_arrays((drive, CONTROLLER)), inputs_of(fast, np.zeros(len(fast.time))), SAMPLING)
     speed, friction = np.asarray(frame.velocity), np.asarray(frame.friction)
     resisting = friction + float(drive.plant.damping.positive) * speed

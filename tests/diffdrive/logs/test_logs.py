@@ -88,7 +88,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
 
 @pytest.fixture(scope="module")
 def run():
-    move = motion.triangular(speed=0.01, stroke=0.002, rounding=0.1, duration=0.05, rate=10_000.0)
+    move = motion.triangular(speed=0.01, stroke=0.0015, rounding=0.1, duration=0.05, rate=10_000.0)
     return simulate(paper_drive(), PD(Tracking(Gains(PAPER_KP, PAPER_KD))), move, load=500.0 * jnp.ones(len(move.time)))
 
 

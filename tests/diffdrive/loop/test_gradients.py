@@ -61,7 +61,7 @@ DURATION = (SAMPLES - 1) * 1e-4
 
 def reversing(speed=0.01):
     """Up to 10 mm/s, a reversal and back, the load growing to 8 kN."""
-    there = motion.triangular(speed=speed, stroke=0.09 * speed, rounding=0.04, duration=DURATION, rate=1e4)
+    there = motion.triangular(speed=speed, stroke=0.07 * speed, rounding=0.04, duration=DURATION, rate=1e4)
     return inputs_of(there, load.ramp(there.time, start=0.03, end=0.12, to=8e3))
 
 

@@ -259,7 +259,7 @@ def test_a_motion_into_such_a_friction_is_refused_or_no_number(drive):
     """`simulate` says so before it begins; the pure function, which cannot look at what it is given, has no number."""
     along = replace(drive, effects=(PositionFriction(slope=-20.0),))
     pd = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
-    reference = motion.triangular(speed=0.2, stroke=0.1, rounding=0.1, duration=1.0, rate=10_000.0)
+    reference = motion.triangular(speed=0.2, stroke=0.09, rounding=0.1, duration=1.0, rate=10_000.0)
     with pytest.raises(ParameterError, match="it takes 180 % of the Coulomb friction off at some place"):
         simulate(along, pd, reference)
     inputs = inputs_of(reference, np.zeros(len(reference.time)))

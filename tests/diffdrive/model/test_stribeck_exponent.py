@@ -73,7 +73,7 @@ def test_sliding_on_the_curve_stays_there():
 
 
 def there_and_back():
-    return motion.triangular(speed=0.01, stroke=9e-4, rounding=0.04, duration=0.18, rate=1e4)
+    return motion.triangular(speed=0.01, stroke=0.0007, rounding=0.04, duration=0.18, rate=1e4)
 
 
 def test_an_exponent_of_one_is_the_papers_curve():

@@ -33,7 +33,7 @@ strokes = st.fixed_dictionaries(
 
 def one_of_each() -> dict[str, Motion]:
     return {
-        "triangular": motions.triangular(speed=0.01, stroke=0.02, rounding=0.3, duration=4.5, rate=RATE),
+        "triangular": motions.triangular(speed=0.01, stroke=0.0185, rounding=0.3, duration=4.5, rate=RATE),
         "trapezoidal": motions.trapezoidal(distance=0.05, speed=0.1, acceleration=2.0, rate=RATE),
         "jerk-limited": motions.jerk_limited(distance=0.05, speed=0.1, acceleration=2.0, jerk=100.0, rate=RATE),
         "constant speed": motions.constant_speed(speed=-0.02, ramp=0.1, duration=1.0, rate=RATE),
@@ -148,7 +148,9 @@ triangles = st.fixed_dictionaries(
 @given(triangles, st.floats(0.2, 1.0), st.floats(0.2, 1.0))
 def test_triangular_reverses_when_promised(triangle, apart, first):
     speed, rounding = triangle["speed"], triangle["rounding"]
-    motion = motions.triangular(**triangle, stroke=speed * apart, duration=3.0, rate=RATE, first_reversal=first)
+    motion = motions.triangular(
+        **triangle, stroke=speed * (apart - rounding / 2), duration=3.0, rate=RATE, first_reversal=first
+    )
     assert np.max(np.abs(motion.velocity)) <= speed * (1 + ROUNDING)
     assert np.max(np.abs(motion.acceleration)) <= 2 * speed / rounding * (1 + ROUNDING)
     assert_derivatives(motion, jerk=0.0, pieces=2 * int(3.0 / apart) + 5)
@@ -165,10 +167,10 @@ def test_triangular_reverses_when_promised(triangle, apart, first):
     np.testing.assert_allclose(np.abs(motion.velocity[cruising]), speed, rtol=1e-9)
 
 
-def test_triangular_turning_points_are_the_stroke_apart_but_for_the_rounding():
-    motion = motions.triangular(speed=0.01, stroke=0.02, rounding=0.3, duration=4.5, rate=RATE, first_reversal=2.05)
+def test_triangular_turning_points_are_the_stroke_apart():
+    motion = motions.triangular(speed=0.01, stroke=0.0185, rounding=0.3, duration=4.5, rate=RATE, first_reversal=2.05)
     turns = motion.position[np.isin(np.round(motion.time, 9), [2.05, 4.05])]
-    assert abs(np.diff(turns)[0]) == pytest.approx(0.02 - 0.01 * 0.3 / 2, abs=1e-12)
+    assert abs(np.diff(turns)[0]) == pytest.approx(0.0185, abs=1e-12)
 
 
 @few

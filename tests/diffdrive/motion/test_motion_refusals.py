@@ -113,7 +113,7 @@ def test_builders_refuse_nonsense_and_name_it(name, field, value):
 @pytest.mark.parametrize(
     ("name", "change", "says"),
     [
-        ("triangular", {"rounding": 3.0}, "rounding of 3 s does not fit.*round less"),
+        ("triangular", {"rounding": 5.0}, "rounding of 5 s does not fit.*round less"),
         ("triangular", {"first_reversal": 0.05}, "does not fit"),
         ("triangular", {"first_reversal": np.nan}, "first_reversal = nan"),
         ("triangular", {"duration": 1e-4}, "fewer than three samples: make it longer"),

@@ -85,7 +85,7 @@ class Oracle:
 def log():
     """Force that acted and position measured at 2000 samples: a reversal at 10 mm/s under a growing load."""
     drive = paper_drive(quantised=True)
-    there = motion.triangular(speed=0.01, stroke=0.001, rounding=0.04, duration=0.2, rate=1e4)
+    there = motion.triangular(speed=0.01, stroke=0.0008, rounding=0.04, duration=0.2, rate=1e4)
     weight = load.ramp(there.time, start=0.02, end=0.15, to=5e3)
     pd = PD(paper_tracking(drive, PAPER_KP, PAPER_KD))
     frames = rollout(*as_arrays((drive, pd)), inputs_of(there, weight), Sampling())

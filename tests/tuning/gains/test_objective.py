@@ -81,7 +81,7 @@ def test_an_unknown_aggregation_is_refused_with_those_that_there_are():
 
 
 def test_scenarios_that_cannot_stand_side_by_side_are_refused():
-    longer = triangular(speed=0.010, stroke=0.001, rounding=0.02, duration=0.2, rate=10_000.0)
+    longer = triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.2, rate=10_000.0)
     with pytest.raises(MotionError, match=r"longer: 2001 samples .* make their motions equally long"):
         ensemble([*scenarios(), Scenario("longer", drive(), longer)], SAMPLING, settle=0.03)
     with pytest.raises(ParameterError, match="differ in kind"):

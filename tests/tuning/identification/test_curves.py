@@ -34,7 +34,7 @@ def logs(drive):
     for load in LOADS:
         for speed in SPEEDS:
             there_and_back = motion.triangular(
-                speed=speed, stroke=0.35 * speed, rounding=0.1, duration=2.0, rate=SAMPLING.rate
+                speed=speed, stroke=0.30 * speed, rounding=0.1, duration=2.0, rate=SAMPLING.rate
             )
             run = simulate(
                 drive, PD(paper_tracking(drive, PAPER_KP, PAPER_KD)), there_and_back, load=load, sampling=SAMPLING

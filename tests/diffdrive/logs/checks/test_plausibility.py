@@ -145,7 +145,7 @@ def test_sound_logs_of_other_axes_pass(mass, gain, noise, resolution, which, see
     )
     reference = {
         "two sines": lambda: two_sines(),
-        "triangle": lambda: motion.triangular(speed=0.01, stroke=0.01, rounding=0.1, duration=3.0, rate=RATE),
+        "triangle": lambda: motion.triangular(speed=0.01, stroke=0.0095, rounding=0.1, duration=3.0, rate=RATE),
         "strokes": lambda: motion.jerk_limited(distance=0.05, speed=0.08, acceleration=2.0, jerk=50.0, rate=RATE),
         "one way": lambda: motion.constant_speed(speed=0.01, ramp=0.1, duration=3.0, rate=RATE),
         "chirp": lambda: motion.chirp(amplitude=1e-3, from_frequency=0.5, to_frequency=8.0, duration=3.0, rate=RATE),
