@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.logs.log import CHANNELS, Log
-from experiments.reports.checked_logs import EXTRA, described, fatal_of, looked_over, parse_loads
+from experiments.reports.checked_logs import EXTRA, described, looked_over, parse_loads
 from experiments.reports.report import Report
 
 SMOOTH = 5e-3  # s, over which a speed is taken
@@ -29,12 +29,12 @@ def check_logs(
     """
     description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
-        logs, found = looked_over(
+        checked = looked_over(
             paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA
         )
+        logs, found, fatal = checked.logs, checked.findings, checked.fatal
         names = ("log", "samples", "rate Hz", "s", "gaps", "from mm", "to mm", "fastest mm/s", "largest N", "channels")
         report.table("logs", names, [_row(log) for log in logs], "What the logs hold, in SI where nothing is said")
-        fatal = fatal_of(found)
         report.values("verdict", fatal=len(fatal), findings=len(found))
         if not found:
             report.say("Nothing is wrong with them that could be seen.")

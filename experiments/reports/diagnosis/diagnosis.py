@@ -20,7 +20,7 @@ from diffdrive.logs.checks.examine import Finding
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.motion import Motion
 from diffdrive.support.atomic_write import atomic_write, write_text
-from experiments.reports.checked_logs import described, fatal_of, looked_over, parse_loads
+from experiments.reports.checked_logs import described, looked_over, parse_loads
 from experiments.reports.diagnosis.as_json import as_json
 from experiments.reports.diagnosis.figures import draw
 from experiments.reports.diagnosis.page import page, tell
@@ -114,10 +114,10 @@ def read(
     report: Report, paths: Sequence[Path], description: Axis, loads: Sequence[str]
 ) -> tuple[tuple[Log, ...], list[dict[str, str]], Fatal]:
     """The logs, and what is wrong with them, in words and where it is fatal: that lowers the confidence, no more."""
-    logs, found = looked_over(
+    checked = looked_over(
         paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=("motor_position",)
     )
-    fatal = fatal_of(found)
+    logs, found, fatal = checked.logs, checked.findings, checked.fatal
     if fatal:
         follows = "no cause is looked for" if _voided(fatal) else "and is believed accordingly"
         report.say(f"{len(fatal)} fatal: what follows is wrong as far as they are right, {follows}.")

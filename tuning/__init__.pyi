@@ -1,0 +1,3 @@
+from .identify import Identification, identify
+
+__all__ = ["Identification", "identify"]

@@ -1,0 +1,160 @@
+"""`tuning.identify`: mass, friction and delay of an axis from its logs, each with its interval."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from diffdrive.axis import Axis
+from diffdrive.errors import ParameterError
+from diffdrive.logs import Log
+from diffdrive.results import Result, Status
+from tuning.checked_logs import CheckedLogs, check_logs, logs_of, require_sound
+from tuning.identification.estimates import Estimate
+from tuning.identification.identify import Identified
+from tuning.identification.identify import identify as fit_drive
+from tuning.identification.ranges import NAMES
+from tuning.identification.refinement import interrupted
+from tuning.identification.scale_noise import unstated_noise
+from tuning.progress import Progress, shown
+from tuning.store.store import Store
+
+PLANT = ("mass", "constant_force")
+CODES = {"converged": "ok", "converged, but structure remains": "structure_remains"}
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Identification(Result):
+    """The axis that logs tell, and how sure each of its parameters is.
+
+    `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
+    `found` has the rest: covariance, residuals, adequacy. Not ok: the search did not converge.
+    """
+
+    axis: Axis
+    estimates: tuple[Estimate, ...]
+    found: Identified
+    logs: CheckedLogs
+    notes: tuple[str, ...]
+    status: Status
+
+    schema: ClassVar[str] = "identification/1"
+
+    def estimate(self, name: str) -> Estimate:
+        """One parameter: by its path in the axis, such as `plant.mass`, or by its name.
+
+        A parameter that differs between the directions is named with `.positive` or `.negative`. Raises
+        `ParameterError` for an unknown one.
+        """
+        stem = name.removeprefix("plant.").removeprefix("friction.").removeprefix("actuator.")
+        known = {one.name: one for one in self.estimates}
+        both = stem.removesuffix(".positive").removesuffix(".negative")
+        if stem not in known and both not in known:
+            raise ParameterError(f"{name}: is not identified; known: {', '.join(known)}")
+        return known.get(stem) or known[both]
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """The 95 % interval of one parameter; without end (infinite) where the logs do not determine it."""
+        one = self.estimate(name)
+        if one.status in ("not determined", "at its bound"):
+            return (-np.inf, np.inf)
+        return (one.low, one.high)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The parameters that the logs do not determine: they stay as they were."""
+        return tuple(one.name for one in self.estimates if one.status == "not determined")
+
+    def headline(self) -> str:
+        fitted = [one for one in self.estimates if one.status == "fitted"]
+        mass = self.estimate("mass")
+        told = "" if self.status.ok else "NOT OK: "
+        return (
+            f"{told}{self.status.message}: {len(fitted)} of {len(self.estimates)} parameters from "
+            f"{len(self.logs.logs)} logs, mass {mass.value:.4g} kg"
+        )
+
+    def summary(self) -> str:
+        rows = [f"{'parameter':<28}{'unit':<8}{'before':>12}{'identified':>12}  95 % interval"]
+        for one in self.estimates:
+            interval = f"{one.low:.4g} to {one.high:.4g}" if one.status == "fitted" else one.status
+            rows.append(f"{one.name:<28}{one.unit:<8}{one.believed:>12.4g}{one.value:>12.4g}  {interval}")
+        return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "estimates": [one._asdict() for one in self.estimates],
+            "adequacy": self.found.adequacy._asdict(),
+            "noise_m": self.found.noise,
+            "white_force_N": self.found.process,
+            "logs": [log.name for log in self.logs.logs],
+            "notes": list(self.notes),
+        }
+
+
+def identify(
+    axis: Axis,
+    logs: Log | Any | Sequence[Any],
+    *,
+    fixed: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    loads: Mapping[str, float] | None = None,
+    starts: int = 6,
+    seed: int = 0,
+    force: bool = False,
+    store: Store | None = None,
+    progress: Progress | None = None,
+    throw: bool = False,
+) -> Identification:
+    """Identify mass, friction and delay of an axis from logs of it, starting from what the axis says.
+
+    `logs` are one or several of `Log`, files, data frames or dicts of arrays, all at the controller's rate. They are
+    looked over first: one that would mislead is refused (`LogError`), unless `force`. `fixed` names parameters that
+    stay as they are, `bounds` those with bounds of their own (SI units); `loads` (N) by the log's name says what was on
+    the table where the log does not. `starts` and `seed` are of the search. `store` keeps finished searches, from which
+    the same call continues. `progress` is called with (stage, done, of how many).
+
+    Raises `LogError` for logs that cannot be used, `ParameterError` for unknown names, and `ResultError` with `throw`
+    where the search does not converge. Method: docs/method/identification.md.
+
+    Example:
+        >>> fit = identify(axis, ["lap1.csv", "lap2.csv"])
+        >>> fit.interval("plant.mass")
+        >>> fit.axis.write("identified.toml")
+
+    """
+    checked = check_logs(axis, logs_of(axis, logs), loads=loads)
+    if not force:
+        require_sound(checked, "force=True identifies all the same, and fits that as mass or friction")
+    names = {_name(name): limits for name, limits in (bounds or {}).items()}
+    with shown(progress) as tell:
+        found = fit_drive(
+            checked.logs, axis.drive, fixed=[_name(name) for name in fixed], bounded=names, starts=starts, seed=seed,
+            store=store, progress=lambda step, most, _: tell("searching", step, most),
+        )  # fmt: skip
+    result = identification_of(axis, found, checked)
+    return result.require_ok() if throw else result
+
+
+def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Identification:
+    """The result, with what is to be said of it."""
+    ok = found.search.status == "converged"
+    code = CODES.get(found.status, "interrupted" if interrupted(found.search) else "not_converged")
+    notes = [f"{log}: {one.found}; {one.mend}" for log, one in checked.worth_saying]
+    notes += [*found.notes, found.adequacy.says]
+    unstated = unstated_noise(axis.drive, found.noise)
+    notes += [unstated] if unstated else []
+    return Identification(
+        axis.with_drive(found.drive), tuple(found.estimates), found, checked, tuple(notes),
+        Status(ok, found.status, code=code),
+    )  # fmt: skip
+
+
+def _name(path: str) -> str:
+    """The name of a parameter that is given by its path in the axis."""
+    part, _, name = path.partition(".")
+    return name if name and part in ("plant", "friction", "actuator") else path
+
+
+__all__ = ["NAMES", "Identification", "identify"]

@@ -1,0 +1,40 @@
+"""Progress of a long call: to a callback of the caller's, or drawn where somebody watches a terminal or a notebook."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+Progress = Callable[[str, int, int], None]  # of what, how many steps are done, of how many
+
+
+def silent(stage: str, done: int, most: int) -> None:
+    """Show nothing."""
+
+
+@contextlib.contextmanager
+def shown(progress: Progress | None) -> Iterator[Progress]:
+    """The callback to report to: `progress` where there is one, else bars where there is a terminal or a notebook."""
+    if progress is not None:
+        yield progress
+        return
+    if not _is_watched():
+        yield silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def advance(stage: str, done: int, most: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=most)
+            bars.update(tasks[stage], completed=done, total=most)
+
+        yield advance
+
+
+def _is_watched() -> bool:
+    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", lambda: False)())
