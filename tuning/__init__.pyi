@@ -1,3 +1,4 @@
-from .identify import Identification, identify
+from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
+from .identification.workflow import IdentificationResult, identify
 
-__all__ = ["Identification", "identify"]
+__all__ = ["Cause", "DiagnosisResult", "IdentificationResult", "diagnose", "identify"]

@@ -17,13 +17,13 @@ from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Actuator, Directional, Drive
-from experiments.reports.diagnosis.as_json import cause
-from experiments.reports.diagnosis.cause_words import numbers
 from experiments.reports.diagnosis.diagnosis import augmented_drive
 from experiments.reports.report import Report
 from experiments.studies import laas
 from experiments.studies.emps import axis as emps
 from experiments.studies.emps.study import Records, identify_axis
+from tuning.diagnosis.as_json import cause
+from tuning.diagnosis.cause_words import numbers
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.registration import registered

@@ -39,8 +39,8 @@ def telling(folder, monkeypatch):
     def run(found, given=None, **options):
         write_log(folder / "lap.parquet", given or log())
         write_drive(folder / "drive.toml", DRIVE)
-        monkeypatch.setattr(command, "diagnose", lambda *_, **__: found)
-        monkeypatch.setattr(command, "next_experiment", lambda *_: UNASKED)
+        monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: found)
+        monkeypatch.setattr("tuning.diagnosis.workflow.next_experiment", lambda *_: UNASKED)
         out = folder / "out"
         return command.diagnose_logs([folder / "lap.parquet"], folder / "drive.toml", out, **options), out
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
 from diffdrive.effects.base import Effect
+from diffdrive.effects.catalogue import EFFECTS
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.priors import LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.setting import SLIPPERY, Setting
@@ -20,6 +21,7 @@ MUFFLED = 0.5  # damping ratio, above which nothing of steel swings
 MOTOR = (0.05, 0.95)  # of what moves: outside that, motor or table would be next to nothing
 TIGHT = 1e-7  # m: a screw with less play has none, and is but elastic
 FAR = 3.0  # strokes from its middle, beyond which no spring has its neutral place
+AROUND = np.array([-1.0, 0.0, 1.0])  # standard deviations, where the search for a parameter begins
 SHORTEST_COGGING, LONGEST_COGGING = 5e-5, 0.1  # m
 
 
@@ -361,5 +363,20 @@ def given(effects: Sequence[Effect], at: Setting) -> list[tuple[Candidate, tuple
 
 
 def candidates(at: Setting) -> list[Candidate]:
-    """Every effect of the catalogue as a hypothesis about this machine and these logs."""
-    return [make(at) for make in CATALOGUE]
+    """Every effect of the catalogue as a hypothesis about this machine and these logs, and those of a user's own."""
+    known = [make(at) for make in CATALOGUE]
+    names = {one.name for one in known}
+    return [*known, *(_of_its_own(effect) for name, effect in EFFECTS.items() if name not in names)]
+
+
+def _of_its_own(effect: type[Effect]) -> Candidate:
+    """A registered effect, by what its parameters declare that an engineer would expect of them."""
+    priors = {one.name: one.metadata["prior"] for one in dataclasses.fields(effect) if "prior" in one.metadata}
+    parameters = [
+        _amplitude(name, prior.usual, prior.session)
+        if prior.amplitude
+        else _positive(name, prior.usual, prior.spread, prior.session)
+        for name, prior in priors.items()
+    ]
+    about = {name: prior.usual * np.exp(prior.spread * AROUND) for name, prior in priors.items() if not prior.amplitude}
+    return Candidate(effect, tuple(parameters), _grid(**about) if about else ({},))

@@ -9,11 +9,11 @@ from html import escape
 from typing import Any
 
 from diffdrive.support.atomic_write import write_text
+from diffdrive.support.spans import spelled
 from experiments.reports.diagnosis import payoff
-from experiments.reports.diagnosis.cause_words import headlines, numbers
 from experiments.reports.diagnosis.figures import BLANK
 from experiments.reports.report import Report
-from experiments.reports.spans import spelled
+from tuning.diagnosis.cause_words import headlines, numbers
 from tuning.diagnosis.where import SIGNIFICANT
 
 STYLE = """

@@ -21,18 +21,16 @@ from typing import Any
 
 import jax
 from pyarrow import parquet
-from rich.console import Console
 
 from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.logs import read_logs
 from diffdrive.runtime import configure, keep_compiled
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.processes import ends_with, processes
-from experiments.reports.checked_logs import looked_over
-from experiments.reports.diagnosis.as_json import as_json
-from experiments.reports.diagnosis.diagnosis import diagnosed, read
-from experiments.reports.report import Report
+from tuning.checked_logs import check_logs
 from tuning.diagnosis.diagnose import rounded
 from tuning.diagnosis.next_experiment import Experiment
+from tuning.diagnosis.workflow import diagnose_checked, result_of
 from tuning.store.edition import edition
 
 UNASKED = Experiment("", [], 0.0, "not asked")
@@ -46,10 +44,11 @@ def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     """What the command says of one case, its checks of the logs and all; it draws nothing, and plans no motion."""
     description = read_drive(place / "drive.toml")
     began = time.perf_counter()
-    silent = Report(place.name, None, Console(quiet=True))
-    logs, findings, fatal = read(silent, sorted(place.glob("log-*.parquet")), description, ())
-    found = diagnosed(description, logs, fatal, without=without)
-    return as_json(found, UNASKED) | {"findings": findings, "seconds": round(time.perf_counter() - began, 1)}
+    files = sorted(place.glob("log-*.parquet"))
+    checked = check_logs(description, read_logs(files, description), files=files)
+    found = diagnose_checked(description, checked, without=without)
+    told = result_of(description, checked, found, UNASKED).details
+    return dict(told) | {"seconds": round(time.perf_counter() - began, 1)}
 
 
 def _answer(questions: Sequence[Question]) -> None:
@@ -110,7 +109,7 @@ def question(place: Path, without: Sequence[str]) -> str:
 
 def _asked_of() -> str:
     """What the diagnosis is made of, and what tells it."""
-    return edition(answer.__module__, diagnosed.__module__, as_json.__module__, looked_over.__module__)
+    return edition(answer.__module__)
 
 
 def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:

@@ -16,11 +16,13 @@ from experiments.reports.diagnosis import diagnosis as command
 from experiments.studies.withheld import answer
 from tests.support import tilted_log
 from tests.support.sound_log import DRIVE, SOUND, moved
+from tuning.checked_logs import CheckedLogs
+from tuning.diagnosis.workflow import downgrade, next_motion_of
 
 
 def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
     fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
-    monkeypatch.setattr(command, "read", lambda *_: ((), [], fatal))
+    monkeypatch.setattr(command, "read", lambda *_: CheckedLogs((), tuple(fatal)))
     monkeypatch.setattr(command, "draw", lambda *_: None)
     told, _ = told_of(tilted)
     assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
@@ -69,7 +71,7 @@ def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_
     place.mkdir()
     write_log(place / "log-a.parquet", late)
     write_drive(place / "drive.toml", DRIVE)
-    monkeypatch.setattr(command, "diagnose", lambda *_, **__: tilted)
+    monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: tilted)
     answered = answer.answer(place)
     assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
     assert answered["verdict"] == told["verdict"] == "unknown"
@@ -94,10 +96,10 @@ def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps
     late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
     belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
     found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
-    doubted = command.doubted(found, fatal).verdict
+    doubted = downgrade(found, fatal).verdict
     assert doubted.verdict == verdict
     assert "one sample late" in doubted.says
     assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
-    assert command.doubted(tilted, fatal).verdict.verdict == "unknown"
-    assert command.doubted(tilted, []) is tilted
-    assert "mend lap: shift it" in command._mended_first(found, fatal).says
+    assert downgrade(tilted, fatal).verdict.verdict == "unknown"
+    assert downgrade(tilted, []) is tilted
+    assert "mend lap: shift it" in next_motion_of(DRIVE, CheckedLogs((), tuple(fatal)), found).says

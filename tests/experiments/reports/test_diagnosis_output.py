@@ -12,11 +12,11 @@ from rich.console import Console
 from diffdrive.axis_file.drive_file import read_drive
 from diffdrive.effects.forces import ConstantForce
 from experiments.reports.diagnosis import diagnosis as command
-from experiments.reports.diagnosis.as_json import as_json
 from experiments.reports.diagnosis.figures import _ladder
 from experiments.reports.report import Report
 from tests.support import tilted_log
 from tests.support.sound_log import DRIVE, described
+from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter

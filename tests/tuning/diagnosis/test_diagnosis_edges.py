@@ -16,9 +16,9 @@ from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
 from diffdrive.model.parameters import Directional, as_arrays
 from experiments.reports.diagnosis import diagnosis as command
-from experiments.reports.diagnosis.as_json import as_json
 from experiments.reports.diagnosis.diagnosis import diagnose_logs
 from tests.support.sound_log import COUNT, DRIVE, RATE, SOUND, but, described, logged, two_sines, without
+from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose, logged_of

@@ -8,8 +8,8 @@ import numpy as np
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Directional, Drive
-from experiments.reports.report import null, plain
-from experiments.reports.spans import spelled
+from diffdrive.results import as_json as plain
+from diffdrive.support.spans import spelled
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
@@ -57,7 +57,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "lacks": [one._asdict() for one in found.lacks],
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
-    return dict(plain(told, null))
+    return dict(plain(told))
 
 
 def _size(found: Diagnosis) -> str:

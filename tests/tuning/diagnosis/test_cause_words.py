@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.reports.diagnosis.cause_words import headlines, numbers, parameter
+from tuning.diagnosis.cause_words import headlines, numbers, parameter
 
 
 def test_a_parameter_that_differs_from_log_to_log_is_told_for_each():

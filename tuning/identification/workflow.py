@@ -25,7 +25,7 @@ CODES = {"converged": "ok", "converged, but structure remains": "structure_remai
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Identification(Result):
+class IdentificationResult(Result):
     """The axis that logs tell, and how sure each of its parameters is.
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
@@ -106,7 +106,7 @@ def identify(
     store: Store | None = None,
     progress: Progress | None = None,
     throw: bool = False,
-) -> Identification:
+) -> IdentificationResult:
     """Identify mass, friction and delay of an axis from logs of it, starting from what the axis says.
 
     `logs` are one or several of `Log`, files, data frames or dicts of arrays, all at the controller's rate. They are
@@ -137,7 +137,7 @@ def identify(
     return result.require_ok() if throw else result
 
 
-def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Identification:
+def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> IdentificationResult:
     """The result, with what is to be said of it."""
     ok = found.search.status == "converged"
     code = CODES.get(found.status, "interrupted" if interrupted(found.search) else "not_converged")
@@ -145,7 +145,7 @@ def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Id
     notes += [*found.notes, found.adequacy.says]
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []
-    return Identification(
+    return IdentificationResult(
         axis.with_drive(found.drive), tuple(found.estimates), found, checked, tuple(notes),
         Status(ok, found.status, code=code),
     )  # fmt: skip
@@ -157,4 +157,4 @@ def _name(path: str) -> str:
     return name if name and part in ("plant", "friction", "actuator") else path
 
 
-__all__ = ["NAMES", "Identification", "identify"]
+__all__ = ["NAMES", "IdentificationResult", "identify"]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.reports.spans import listed, spelled
+from diffdrive.support.spans import listed, spelled
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffdrive.effects.machine import AS_LOGARITHMS, FrictionShape
-from experiments.reports.spans import Span, listed
+from diffdrive.support.spans import Span, listed
 
 HEAD = 2  # numbers in a headline
 PLAIN = 10.0  # half-widths of its interval off zero: a number that tells as much as any

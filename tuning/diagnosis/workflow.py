@@ -1,0 +1,242 @@
+"""`tuning.diagnose`: what an axis lacks to move as its logs do, as sure as the logs themselves allow."""
+
+import dataclasses
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+
+from diffdrive.axis import Axis
+from diffdrive.effects.actuator import ForceGain, LoopDelay
+from diffdrive.effects.catalogue import EFFECTS, in_order
+from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.logs import Log
+from diffdrive.logs.checks.finding import Finding
+from diffdrive.model.parameters import Drive
+from diffdrive.results import Result, Status
+from tuning.checked_logs import CheckedLogs, check_logs, logs_of
+from tuning.diagnosis.as_json import as_json
+from tuning.diagnosis.calibration import TOLERANCE
+from tuning.diagnosis.cause_words import headlines
+from tuning.diagnosis.diagnose import Diagnosis
+from tuning.diagnosis.diagnose import diagnose as diagnose_drive
+from tuning.diagnosis.explain import MOST_EFFECTS
+from tuning.diagnosis.gap import drive_of
+from tuning.diagnosis.held_out import Closed
+from tuning.diagnosis.next_experiment import Experiment, next_experiment
+from tuning.diagnosis.verdict import UNSURE, Belief
+from tuning.identification.scale_noise import unstated_noise
+from tuning.progress import Progress, shown
+from tuning.store.store import Store
+
+SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
+WIDTH, LINES = 100, 25  # of a summary
+NOT_YET = Experiment("", [], 0.0, "not looked for: the diagnosis was stopped before")
+Fatal = list[tuple[str, Finding]]  # what is wrong with which log
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One unmodelled effect, and how sure it is that it acts.
+
+    Parameters are in SI units (`units`); a list has one number for each log where the logs differ in it.
+    """
+
+    effect: str
+    confidence: float
+    found: bool  # part of the explanation
+    parameters: Mapping[str, Any]
+    intervals: Mapping[str, Any]  # 95 %
+    units: Mapping[str, str]
+    indistinguishable_from: tuple[str, ...]  # what these logs cannot exclude in its place
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class DiagnosisResult(Result):
+    """Why an axis differs from its logs.
+
+    `verdict` is `none`, `effect` or `unknown`, `says` what it rests on; `causes` are the effects that were found, then
+    those that were looked at, the surest first. `closed` is the share of the gap on held-out data that is gone with
+    what was found, with its interval (None: nothing was found, or nothing was left to close). `axis` is the axis with
+    what was found, None where no cause was looked for; `next_motion` what would decide further. `details` is what
+    diagnosis.json holds, `found` the engine's own answer.
+    """
+
+    verdict: str
+    says: str
+    causes: tuple[Cause, ...]
+    closed: Closed | None
+    axis: Axis | None
+    next_motion: Experiment
+    details: Mapping[str, Any]
+    found: Diagnosis
+    logs: CheckedLogs
+    status: Status
+
+    schema: ClassVar[str] = "diagnosis/1"
+
+    def headline(self) -> str:
+        sure = ", ".join(f"{one.effect} ({100.0 * one.confidence:.0f} % sure)" for one in self.causes if one.found)
+        return f"{self.verdict.upper()}{f': {sure}' if sure else ''}"
+
+    def summary(self) -> str:
+        details = self.details
+        lines = [f"{self.verdict.upper()}: {self.says}", *headlines(details["causes"])]
+        lines += [details["closed"]["says"], f"Gap: {details['gap']['says']}", f"Next: {self.next_motion.says}"]
+        lines += [details["scale_noise"]] if details["scale_noise"] else []
+        lines += [f"{one['log']}: {one['found']}; {one['mend']}" for one in details["findings"]]
+        wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
+        cut = [*wrapped[: LINES - 1], "... and more: see details"] if len(wrapped) > LINES else wrapped
+        return "\n".join(cut)
+
+    def as_dict(self) -> dict[str, Any]:
+        return dict(self.details)
+
+
+def diagnose(
+    axis: Axis,
+    logs: Log | Any | Sequence[Any],
+    *,
+    without: Sequence[str] = (),
+    most_effects: int = MOST_EFFECTS,
+    tolerance: float = TOLERANCE,
+    loads: Mapping[str, float] | None = None,
+    store: Store | None = None,
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Find which unmodelled effects make an axis differ from its logs, and how far the gap shrinks with them.
+
+    `logs` are one or several of `Log`, files, data frames or dicts of arrays: every sample of the controller, in both
+    directions and at two speeds. They are looked over first, and a finding that is fatal caps the confidence of every
+    cause, or forbids the search. `without` are effects that are not to be considered, `most_effects` is how many are
+    looked for, `tolerance` the relative uncertainty of the axis's nominal parameters, `loads` (N) by the log's name
+    what was on the table where the log does not say it. `store` keeps finished parts, from which the same call
+    continues. `progress` is called with (stage, done, of how many).
+
+    Raises `LogError` for logs that cannot be used, and `ParameterError` for unknown effects. Method:
+    docs/method/diagnosis.md; how often it is right: docs/diagnosis-proof.md.
+
+    Example:
+        >>> why = diagnose(axis, ["lap1.csv", "lap2.csv"])
+        >>> print(why)
+        >>> why.axis.write("augmented.toml")
+
+    """
+    for name in without:
+        if name not in EFFECTS:
+            raise ParameterError(f"without: no effect {name!r}; known: {', '.join(EFFECTS)}")
+    checked = check_logs(axis, logs_of(axis, logs), loads=loads)
+    with shown(progress) as tell:
+        found = diagnose_checked(
+            axis, checked, without=without, most_effects=most_effects, tolerance=tolerance, store=store, progress=tell
+        )
+        tell("looking for the motion that would decide", 0, 1)
+        offer = next_motion_of(axis, checked, found)
+        tell("looking for the motion that would decide", 1, 1)
+    return result_of(axis, checked, found, offer)
+
+
+def diagnose_checked(axis: Axis, checked: CheckedLogs, *, most_effects: int = MOST_EFFECTS, **more: Any) -> Diagnosis:
+    """The engine's answer, as sure as the checks of the logs allow; `more` is what the engine takes."""
+    most = 0 if is_void(checked) else most_effects
+    found = diagnose_drive(axis.drive, axis.controller, checked.logs, most_effects=most, **more)
+    return downgrade(found, checked.fatal)
+
+
+def result_of(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: Experiment) -> DiagnosisResult:
+    """The result, for its readers."""
+    searched = not is_void(checked)
+    findings = [
+        {"log": log, "severity": one.severity, "channel": one.channel, "found": one.found, "mend": one.mend}
+        for log, one in checked.worth_saying
+    ]
+    noise = unstated_noise(axis.drive, float(found.logged.noise)) if searched else ""
+    details = as_json(found, offer) | {
+        "logs": [log.name for log in checked.logs], "findings": findings, "searched": searched, "scale_noise": noise,
+    }  # fmt: skip
+    causes = tuple(
+        Cause(
+            one["effect"], one["confidence"], one["found"], one["parameters"], one["intervals"], one["units"],
+            tuple(one["indistinguishable_from"]),
+        )
+        for one in details["causes"]
+    )  # fmt: skip
+    augmented = augmented_axis(axis, found) if searched else None
+    return DiagnosisResult(
+        found.verdict.verdict, found.verdict.says, causes, found.closed, augmented,
+        offer, details, found, checked, Status(True, found.verdict.verdict, code=found.verdict.verdict),
+    )  # fmt: skip
+
+
+def augmented_axis(axis: Axis, found: Diagnosis) -> Axis | None:
+    """The axis with what was found, whose controller believes in the recalibrated machine; None where none can be."""
+    try:
+        return axis.with_drive(augmented_drive(found))
+    except DiffdriveError:
+        return None
+
+
+def augmented_drive(found: Diagnosis) -> Drive:
+    """The recalibrated drive with the effects found, session parameters as in the first log.
+
+    They are in the catalogue's order, whatever the order in which they were found: an axis file knows no other.
+    """
+    drive = jax.tree.map(float, drive_of(found.found, 0))
+    return dataclasses.replace(drive, effects=in_order(drive.effects))
+
+
+def next_motion_of(axis: Axis, checked: CheckedLogs, found: Diagnosis) -> Experiment:
+    """The motion that would decide; before any, what is to be mended where a log is wrong."""
+    if not checked.fatal:
+        return next_experiment(found, axis)
+    log, first = _foremost(found, checked.fatal)
+    return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.mend}")
+
+
+def is_void(checked: CheckedLogs) -> bool:
+    """Whether a search for causes would be a waste of minutes, and the axis that it finds a trap."""
+    return any(one.voids for _, one in checked.fatal)
+
+
+def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
+    """No sure verdict from logs with a fatal finding; where that explains what was found, it is told beside it."""
+    if not fatal:
+        return found
+    log, first = _foremost(found, fatal)
+    told = f"the log checks say of {log}: {first.found}"
+    if first.voids:
+        says = f"no cause was looked for: {told}. Mend that first: {first.mend}"
+        return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
+    if _strange(found, [(log, first)]):
+        told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
+        return dataclasses.replace(found, verdict=found.verdict.doubted(told))
+    told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"
+    return dataclasses.replace(found, verdict=found.verdict.and_says(told))
+
+
+def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
+    """The fatal findings that nothing that was found resembles, in kind and in size."""
+    sizes = {one.effect: _amount_of(one, found.logged.thinning) for one in found.verdict.beliefs if one.found}
+    return [(log, one) for log, one in fatal if not _alike(one, sizes.get(one.resembles or ""))]
+
+
+def _foremost(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
+    """The one to be mended first: what voids the log, then what is nothing that was found."""
+    voiding = [(log, one) for log, one in fatal if one.voids]
+    return (voiding or _strange(found, fatal) or fatal)[0]
+
+
+def _amount_of(belief: Belief, thinning: int) -> float | None:
+    """The gain, or the delay in control periods; None of other effects."""
+    values = belief.fitted.model.values(belief.fitted.u)[-1]
+    if belief.effect == LoopDelay.name:
+        return thinning * float(values["delay"][0])
+    return float(values["gain"][0]) if belief.effect == ForceGain.name else None
+
+
+def _alike(finding: Finding, size: float | None) -> bool:
+    if size is None or finding.amount is None:
+        return False
+    return abs(size - finding.amount) < SAME * abs(finding.amount)
