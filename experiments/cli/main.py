@@ -159,7 +159,7 @@ def tune(
     from experiments.reports.tuning import tune_drive
     from tuning.gains.objective import AGGREGATIONS, Objective
     from tuning.gains.plan import Plan
-    from tuning.gains.requirements import MOST_GAIN_MARGIN, Limits
+    from tuning.gains.requirements import MOST_GAIN_MARGIN, Required
 
     description = read_drive(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
@@ -170,7 +170,7 @@ def tune(
             "is lost in rounding; 6 to 12 dB are usual"
         )
     factor = 10.0 ** (gain_margin / 20.0)
-    limits = Limits(
+    limits = Required(
         gain_up=factor,
         gain_down=factor,
         phase=math.radians(phase_margin),

@@ -23,7 +23,7 @@ from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
 from tuning.gains.objective import Objective
 from tuning.gains.plan import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
-from tuning.gains.requirements import Limits, Requirements, check_limits, points
+from tuning.gains.requirements import Constraints, Required, check_limits, points
 from tuning.gains.scenarios import Ensemble, Scenario, ensemble
 from tuning.gains.tune import STARTS, Tuned, default_space, factors_of, require_starts, tune
 
@@ -44,7 +44,7 @@ def tune_drive(
     report: Report,
     *,
     plan: Plan = Plan(),
-    limits: Limits = Limits(command_noise=None),
+    limits: Required = Required(command_noise=None),
     objective: Objective = Objective(),
     friction: bool = False,
     starts: int = STARTS,
@@ -67,7 +67,7 @@ def tune_drive(
     limits = _told(report, description, limits, on)
     speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]
     at = points([description.drive], speeds, (0.0, plan.max_load))
-    requirements = Requirements(limits, at, coarse)
+    requirements = Constraints(limits, at, coarse)
     space = default_space(description.controller, friction=friction)
     if left := sorted(factors_of(description.controller, friction=friction).keys() - {one.path for one in space.free}):
         report.say(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
@@ -119,7 +119,7 @@ def _as_tuned(description: Axis, controller: Controller) -> Axis:
     return replace(description, drive=drive, controller=controller)
 
 
-def _told(report: Report, description: Axis, limits: Limits, on: list[Scenario]) -> Limits:
+def _told(report: Report, description: Axis, limits: Required, on: list[Scenario]) -> Required:
     """Limits that were not given, from what the gains as given do."""
     was = [judge(description.controller, one, description.sampling) for one in on]
     if limits.command_noise is None:
@@ -159,7 +159,7 @@ def _result(report: Report, tuned: Tuned) -> None:
 
 
 @eqx.filter_jit
-def _margins(requirements: Requirements, controller: Controller) -> Margins:
+def _margins(requirements: Constraints, controller: Controller) -> Margins:
     return requirements.margins(controller)
 
 
@@ -172,7 +172,7 @@ def _margins_table(report: Report, description: Axis, tuned: Controller, plan: P
     tuned_at = points([drive], speeds, (0.0, plan.max_load))
     others = points([other, drive], between, (0.25 * plan.max_load, 0.75 * plan.max_load))
     count = len(tuned_at.velocity)
-    everywhere = Requirements(Limits(), jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others), rate)
+    everywhere = Constraints(Required(), jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others), rate)
     rows: list[list[Any]] = []
     with report.working("linearising"):
         for name, controller in (("given", description.controller), ("tuned", tuned)):
@@ -186,7 +186,7 @@ def _margins_table(report: Report, description: Axis, tuned: Controller, plan: P
     return jax.tree.map(lambda values: values[:count], found)
 
 
-def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Limits) -> None:
+def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Required) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
     at = [Operating(v, w) for v in (0.0, 1e-3, plan.speed) for w in (0.0, plan.max_load)]
     with report.working("drawing the loops"):
@@ -236,7 +236,7 @@ MEASURES = ("rms", "peak", "command_noise", "load_error")
 
 
 def _pareto(
-    report: Report, description: Axis, lanes: Ensemble, requirements: Requirements,
+    report: Report, description: Axis, lanes: Ensemble, requirements: Constraints,
     objective: Objective, noises: Sequence[float], off: list[Scenario],
 ) -> None:  # fmt: skip
     """Tracking error against command noise: the gains tuned again under each limit, from the ones found."""
@@ -245,7 +245,7 @@ def _pareto(
     with report.progress("Pareto front", len(noises)) as advance:
         for k, noise in enumerate(sorted(noises)):
             limits = requirements.limits._replace(command_noise=noise)
-            limited = Requirements(limits, requirements.points, lanes.sampling)
+            limited = Constraints(limits, requirements.points, lanes.sampling)
             found = tune(description.controller, lanes, limited, space, objective=objective)
             judged = [judge(found.controller, one, description.sampling) for one in off]
             rows.append(
@@ -266,7 +266,7 @@ def _pareto(
     report.figure("pareto", figure)
 
 
-def _conditions(plan: Plan, limits: Limits, speeds: Sequence[float], description: Axis) -> dict[str, Any]:
+def _conditions(plan: Plan, limits: Required, speeds: Sequence[float], description: Axis) -> dict[str, Any]:
     """What the gains rest on."""
     asked = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()

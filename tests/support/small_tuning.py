@@ -13,13 +13,13 @@ from diffdrive.motion.builders import triangular
 from experiments.studies.paper import scenario as paper
 from tuning.gains.constrained import Gains, problem_of
 from tuning.gains.objective import Objective
-from tuning.gains.requirements import Limits, Requirements, points
+from tuning.gains.requirements import Constraints, Required, points
 from tuning.gains.scenarios import Scenario, ensemble
 from tuning.gains.tune import default_space
 
 SAMPLING = Sampling(substeps=2)
 MOTION = triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.15, rate=10_000.0, first_reversal=0.08)
-LIMITS = Limits(command_noise=15.0)
+LIMITS = Required(command_noise=15.0)
 
 
 def drive():
@@ -47,7 +47,7 @@ def lanes():
 
 
 def requirements(limits=LIMITS):
-    return Requirements(limits, points([drive()], (0.0, 0.01), (0.0, 8_000.0)), SAMPLING)
+    return Constraints(limits, points([drive()], (0.0, 0.01), (0.0, 8_000.0)), SAMPLING)
 
 
 def question(limits=LIMITS, objective=Objective(), name="PD+FC+LS"):

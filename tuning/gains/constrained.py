@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller
 from diffdrive.model.parameters import Scalar
 from tuning.gains.objective import Objective
-from tuning.gains.requirements import Requirements
+from tuning.gains.requirements import Constraints
 from tuning.gains.scenarios import Ensemble, Signals
 from tuning.optimisation.space import Free, Space
 
@@ -30,7 +30,7 @@ class Problem(NamedTuple):
     controller: Controller
     origin: Float[Array, " k"]  # of the search space
     scenarios: Ensemble
-    requirements: Requirements
+    requirements: Constraints
 
 
 class Point(NamedTuple):
@@ -107,7 +107,7 @@ class Gains:
         )
 
 
-def _products(requirements: Requirements, signals: Signals, slopes: Signals) -> dict[str, Float[Array, "lanes i j"]]:
+def _products(requirements: Constraints, signals: Signals, slopes: Signals) -> dict[str, Float[Array, "lanes i j"]]:
     values, derivatives = requirements.limited(signals), jax.vmap(requirements.limited)(slopes)
     both = {name: jnp.concatenate([values[name][None], derivatives[name]]) for name in values}
     return {name: jnp.einsum("iln,jln->lij", one, one) / one.shape[-1] for name, one in both.items()}
@@ -125,6 +125,6 @@ def linearised(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Lineari
     return gains.linearised(y, problem)
 
 
-def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Requirements) -> Problem:
+def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Constraints) -> Problem:
     """The problem of tuning `controller` (smooth, as arrays) in `space`."""
     return Problem(controller, jnp.asarray(np.asarray(space.origin)), scenarios, requirements)

@@ -27,7 +27,7 @@ MOST_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a 
 UNSTABLE = 20.0  # 1/s of growth that counts as much as a margin that is missed altogether
 
 
-class Limits(NamedTuple):
+class Required(NamedTuple):
     """What is required; None: not required."""
 
     gain_up: float = 2.0  # factors
@@ -39,7 +39,7 @@ class Limits(NamedTuple):
     settling: float | None = 2.0  # s, in which an eq. (20) estimator forgets an error of the load to 1/e
 
 
-def check_limits(limits: Limits) -> None:
+def check_limits(limits: Required) -> None:
     """Raises `ParameterError` for limits that no loop can keep or that mean nothing."""
     for name, value in limits._asdict().items():
         least = 1.0 if name in ("gain_up", "gain_down", "sensitivity") else 0.0
@@ -71,10 +71,10 @@ def points(drives: Sequence[Drive], speeds: Sequence[float], loads: Sequence[flo
     return Points(stacked, np.array([v for _, v, _ in grid]), np.array([w for *_, w in grid], float))
 
 
-class Requirements(eqx.Module):
+class Constraints(eqx.Module):
     """Limits, and where they are looked at. Every number is an array, so that another limit is no other program."""
 
-    limits: Limits = eqx.field(converter=as_arrays)
+    limits: Required = eqx.field(converter=as_arrays)
     points: Points
     sampling: Sampling = eqx.field(static=True)
 

@@ -20,7 +20,7 @@ from diffdrive.support.resources import counted, require_memory
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.constrained import Gains, Point, problem_of, worth
 from tuning.gains.objective import Objective
-from tuning.gains.requirements import Requirements
+from tuning.gains.requirements import Constraints
 from tuning.gains.scenarios import Ensemble
 from tuning.gains.sequential import KEPT, Found, Standing, search
 from tuning.optimisation.least_squares import Progress, silent
@@ -101,7 +101,7 @@ class Tuned:
 def tune(
     controller: Controller,
     scenarios: Ensemble,
-    requirements: Requirements,
+    requirements: Constraints,
     space: Space | None = None,
     *,
     objective: Objective = Objective(),

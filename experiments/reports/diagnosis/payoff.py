@@ -18,7 +18,7 @@ from experiments.reports.report import Report
 from experiments.reports.tuning import tune_drive
 from tuning.gains.handover import worst_margins
 from tuning.gains.plan import Judged, Plan, held_out, judge
-from tuning.gains.requirements import Limits, Requirements, points
+from tuning.gains.requirements import Constraints, Required, points
 
 STANDSTILL = 0.0  # m/s
 NAMES = ("given", "tuned on nominal", "tuned on augmented")
@@ -83,4 +83,4 @@ def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
 def _margins(description: Axis, controller: Controller, plan: Plan) -> dict[str, float]:
     """The worst at standstill and at the speed tuned at, without load and under the highest."""
     at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
-    return worst_margins(Requirements(Limits(), at, description.sampling).margins(as_arrays(smooth(controller))))
+    return worst_margins(Constraints(Required(), at, description.sampling).margins(as_arrays(smooth(controller))))

@@ -25,7 +25,7 @@ from experiments.studies.tuning_study.penalised import bfgs, levenberg_marquardt
 from tuning.gains.constrained import Gains, Problem, linearised, problem_of, worth
 from tuning.gains.objective import Objective
 from tuning.gains.plan import OFF_GRID, SETTLE, machines, reversal
-from tuning.gains.requirements import Limits, Requirements, points
+from tuning.gains.requirements import Constraints, Required, points
 from tuning.gains.scenarios import Ensemble, Scenario, ensemble
 from tuning.gains.sequential import KEPT
 from tuning.gains.tune import Tuned, default_space, tune
@@ -50,7 +50,7 @@ class Benchmark(NamedTuple):
 
     controller: Controller
     lanes: Ensemble
-    requirements: Requirements
+    requirements: Constraints
 
 
 def delayed_drive() -> Drive:
@@ -78,9 +78,9 @@ def benchmark(load_error: float | None = None) -> Benchmark:
     observer = LoadStateObserver(drive.plant, drive.friction)
     controller = FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer)
     asked = None if load_error is None else np.r_[np.full(len(LOADS), load_error), np.full(len(LOADS), 1e9)]
-    limits = Limits(command_noise=20.0, load_error=asked)
+    limits = Required(command_noise=20.0, load_error=asked)
     at = points([drive], SPEEDS, (LOADS[0], LOADS[-1]))
-    return Benchmark(controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Requirements(limits, at, SAMPLING))
+    return Benchmark(controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Constraints(limits, at, SAMPLING))
 
 
 def tuning_study(report: Report, *, evaluations: int = USUAL * TIMES, runs: int = 3, starts: int = STARTS) -> None:

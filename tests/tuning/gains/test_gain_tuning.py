@@ -15,7 +15,7 @@ from experiments.studies.paper import scenario as paper
 from tests.support.small_tuning import LIMITS, controller, drive, lanes, question, requirements
 from tuning.gains.constrained import Gains, linearised, problem_of, worth
 from tuning.gains.objective import Objective
-from tuning.gains.requirements import Limits
+from tuning.gains.requirements import Required
 from tuning.gains.sequential import CUT, KEPT, Standing, _bent, _program, search
 from tuning.gains.tune import default_space, tune
 from tuning.optimisation.space import space_of
@@ -151,7 +151,7 @@ def test_what_binds_is_named_and_is_worth_what_is_said(usual):
 
 
 def test_what_cannot_be_kept_is_said_with_by_how_much():
-    both = Limits(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
+    both = Required(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
     found = tuned(both, starts=1, max_steps=8)
     assert not found.feasible
     assert found.missed
