@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Mapping as Table
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine
 class Axis(eqx.Module):
     """What an axis file holds: the drive, its controller, sampling, the limits of the axis, and how its logs read.
 
+    `name` is what reports call it.
+
     A pytree, so that it passes through `jit`, `grad` and `vmap`; no method changes it. Whatever the controller
     believes of the machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction,
     as in a file. A machine that differs from what its controller believes is an axis of its own: pass it as `machine`.
@@ -42,6 +45,7 @@ class Axis(eqx.Module):
     sampling: Sampling
     limits: Limits = eqx.field(static=True, default=Limits())
     mapping: Mapping = eqx.field(static=True, default_factory=Mapping)
+    name: str = eqx.field(static=True, default="axis")
 
     @property
     def rate(self) -> float:
@@ -95,11 +99,11 @@ class Axis(eqx.Module):
 
     def with_drive(self, drive: Drive) -> "Axis":
         """The axis with another machine, in what its controller believes of it, too."""
-        return Axis(drive, self.controller.remodelled(drive), self.sampling, self.limits, self.mapping)
+        return replace(self, drive=drive, controller=self.controller.remodelled(drive))
 
     def with_controller(self, controller: Controller) -> "Axis":
         """The axis under another controller."""
-        return Axis(self.drive, controller, self.sampling, self.limits, self.mapping)
+        return replace(self, controller=controller)
 
     def with_effects(self, *effects: Effect) -> "Axis":
         """The axis with these unmodelled effects beside those that it has; one of the same name replaces that.
@@ -115,7 +119,7 @@ class Axis(eqx.Module):
 
     def smooth(self) -> "Axis":
         """The variant whose gradients mean something: no quantiser, rounded limits and switches (`loop.smooth`)."""
-        return Axis(smooth(self.drive), smooth(self.controller), self.sampling, self.limits, self.mapping)
+        return replace(self, drive=smooth(self.drive), controller=smooth(self.controller))
 
     def write(self, path: str | Path, comments: tuple[str, ...] = ()) -> None:
         """Write the axis file; raises `DriveFileError` where a file cannot say this."""

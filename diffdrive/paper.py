@@ -52,4 +52,4 @@ def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
     known = paper_controllers(drive)
     if controller not in known:
         raise ParameterError(f"controller: no kind {controller!r}; known: {', '.join(known)}")
-    return Axis(drive, known[controller], SAMPLING, LIMITS, Mapping(force_per_volt=PAPER_FORCE_PER_VOLT))
+    return Axis(drive, known[controller], SAMPLING, LIMITS, Mapping(force_per_volt=PAPER_FORCE_PER_VOLT), "paper")

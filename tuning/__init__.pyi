@@ -1,4 +1,19 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
+from .gains.objective import Objective
+from .gains.workflow import Requirements, TuningResult, tune
 from .identification.workflow import IdentificationResult, identify
+from .sweeps.workflow import SweepResult, sweep
 
-__all__ = ["Cause", "DiagnosisResult", "IdentificationResult", "diagnose", "identify"]
+__all__ = [
+    "Cause",
+    "DiagnosisResult",
+    "IdentificationResult",
+    "Objective",
+    "Requirements",
+    "SweepResult",
+    "TuningResult",
+    "diagnose",
+    "identify",
+    "sweep",
+    "tune",
+]

@@ -233,7 +233,7 @@ def read_drive(path: str | Path) -> Axis:
 
 def read_axis(path: str | Path) -> Axis:
     """Read the axis from its file; raises `DriveFileError`, one line that names the file, the key and the mend."""
-    return read_drive(path)
+    return dataclasses.replace(read_drive(path), name=Path(path).stem)
 
 
 def drive_tables(description: Axis) -> dict[str, Any]:

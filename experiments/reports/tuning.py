@@ -1,35 +1,36 @@
 """`diffdrive tune`: gains by gradient within margins, proved on what they were not tuned on."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import write_drive
-from diffdrive.controllers import Controller, FrictionCompensation
-from diffdrive.errors import ParameterError
+from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import Operating
 from diffdrive.loop.margins import Margins
-from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Friction, Sampling, as_arrays
 from experiments.cli.interruption import at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
 from tuning.gains.objective import Objective
-from tuning.gains.plan import SETTLE, Judged, Plan, held_out, judge, machines, tuned_on
-from tuning.gains.requirements import Constraints, Required, check_limits, points
-from tuning.gains.scenarios import Ensemble, Scenario, ensemble
-from tuning.gains.tune import STARTS, Tuned, default_space, factors_of, require_starts, tune
+from tuning.gains.plan import Plan, judge
+from tuning.gains.requirements import Constraints, Required
+from tuning.gains.scenarios import Ensemble, Scenario
+from tuning.gains.tune import STARTS, Tuned, default_space, require_starts, tune
+from tuning.gains.workflow import (
+    Prepared,
+    Verified,
+    is_accepted,
+    margins_at,
+    prepare,
+    tuned_axis,
+    verify,
+    warned_of,
+    words,
+)
 
-SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s; from 1 on, times the speed tuned at
-OVER = 1.05  # times the limit: more on the exact simulator is said
-NOISIER, WORSE = 2.0, 1.1  # times the command noise, and the load error, of the gains as given: where no limit is told
 UNITS = {
     "phase": "phase_deg",
     "command_noise": "command_noise_N",
@@ -57,20 +58,11 @@ def tune_drive(
     was tuned and whether it is accepted: every requirement kept, and every verification run ok. Only then are the files
     written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
     """
-    check_limits(limits)
     require_starts(starts)
-    if friction and not isinstance(description.controller, FrictionCompensation):
-        raise ParameterError("--friction: this controller observes no friction that could be tuned along")
-    on, off = tuned_on(description, plan), held_out(description, plan)
-    coarse = Sampling(description.sampling.rate, max(2, -(-description.sampling.plant_steps // 2)))
-    lanes = ensemble(on, coarse, settle=SETTLE)
-    limits = _told(report, description, limits, on)
-    speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]
-    at = points([description.drive], speeds, (0.0, plan.max_load))
-    requirements = Constraints(limits, at, coarse)
-    space = default_space(description.controller, friction=friction)
-    if left := sorted(factors_of(description.controller, friction=friction).keys() - {one.path for one in space.free}):
-        report.say(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
+    prepared = prepare(description, plan, limits, friction=friction)
+    lanes, requirements, space = prepared.lanes, prepared.constraints, prepared.space
+    for note in prepared.notes:
+        report.say(note)
     checkpoint = None if report.out is None else report.out / CHECKPOINT
     with (
         report.progress("tuning by gradient", max_steps) as advance,
@@ -84,53 +76,24 @@ def tune_drive(
     if tuned.status.startswith("interrupted") and checkpoint is not None and checkpoint.exists():
         report.say(f"The same command continues the search from {CHECKPOINT}.")
     margins = _margins_table(report, description, tuned.controller, plan)
-    _loop_figures(report, description, tuned.controller, plan, limits)
-    runs = _verify(report, description.controller, tuned.controller, on, off, description.sampling)
-    report.figure("tuning", _figure(tuned, runs))
+    _loop_figures(report, description, tuned.controller, plan, prepared.required)
+    runs = _verify(report, description, tuned.controller, prepared, plan)
+    report.figure("tuning", _figure(tuned, runs, plan))
     if pareto:
-        _pareto(report, description, lanes, requirements, objective, pareto, off)
-    noisiest = max(now.command_noise for _, _, now in runs)
-    if limits.command_noise is not None and noisiest > OVER * limits.command_noise:
-        report.say(
-            f"On the exact simulator the command noise is up to {noisiest:.3g} N: the limit of "
-            f"{limits.command_noise:.3g} N is kept on the smooth one, in which the steps of the scale are white noise. "
-            "Ask for a lower --noise."
-        )
-    done = not tuned.status.startswith("interrupted")
-    accepted = done and tuned.feasible and all(now.run.status.ok for _, _, now in runs)
+        _pareto(report, description, lanes, requirements, objective, pareto, prepared.off, plan)
+    if noisy := warned_of(prepared, runs):
+        report.say(noisy)
+    accepted = is_accepted(tuned, runs)
     report.values("verdict", accepted=accepted)
     if accepted and report.out is not None:
-        write_drive(report.out / "tuned.toml", _as_tuned(description, tuned.controller))
+        write_drive(report.out / "tuned.toml", tuned_axis(description, tuned.controller))
         if friction:
             report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
             report.say("simulate it with `--machine` and the file that was given.")
-        conditions = _conditions(plan, limits, speeds, description)
+        conditions = _conditions(plan, prepared, description)
         write_handover(report.out / "handover.toml", handover(description, tuned, margins, conditions))
         (report.out / CHECKPOINT).unlink(missing_ok=True)
     return tuned, accepted
-
-
-def _as_tuned(description: Axis, controller: Controller) -> Axis:
-    """The drive file of the tuned controller: its [friction] is what observers believe, tuned along or not."""
-    observer = getattr(controller, "observer", None)
-    drive = description.drive
-    if isinstance(getattr(observer, "friction", None), Friction):
-        drive = replace(drive, friction=observer.friction)
-    return replace(description, drive=drive, controller=controller)
-
-
-def _told(report: Report, description: Axis, limits: Required, on: list[Scenario]) -> Required:
-    """Limits that were not given, from what the gains as given do."""
-    was = [judge(description.controller, one, description.sampling) for one in on]
-    if limits.command_noise is None:
-        noise = NOISIER * max(one.command_noise for one in was)
-        limits = limits._replace(command_noise=noise)
-        report.say(f"Command noise is limited to {NOISIER:g} times that of the gains as given: {noise:.3g} N.")
-    if limits.load_error is None and was[0].load_error is not None:
-        errors = np.array([1e3 * WORSE * one.load_error for one in was if one.load_error is not None])
-        limits = limits._replace(load_error=errors)
-        report.say(f"The load error in each scenario is limited to {WORSE:g} times that of the gains as given.")
-    return limits
 
 
 def _result(report: Report, tuned: Tuned) -> None:
@@ -147,43 +110,25 @@ def _result(report: Report, tuned: Tuned) -> None:
     ]
     columns = ("gain", "before", "after", "ratio", "factor for 5 %")
     report.table("gains", columns, rows, "Gains, SI units; the last column costs 5 % of the objective, alone")
-    if tuned.at_bound:
-        report.say(f"At the bound of its range: {', '.join(tuned.at_bound)}.")
-    for one in tuned.binding:
-        report.say(f"Held back by the {one.name}: 1 % more of it would gain {one.worth:.2g} % of the objective.")
-    for name, share in tuned.missed.items():
-        mend = "no gains near these keep it: relax it" if tuned.status.startswith("infeasible") else "search on"
-        report.say(f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}.")
+    for said in words(tuned):
+        report.say(said)
     if len(tuned.starts) > 1:
         report.values("starts", objective=[float(one) for one in tuned.starts])
 
 
-@eqx.filter_jit
-def _margins(requirements: Constraints, controller: Controller) -> Margins:
-    return requirements.margins(controller)
-
-
 def _margins_table(report: Report, description: Axis, tuned: Controller, plan: Plan) -> Margins:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
-    drive, rate = description.drive, description.sampling
-    other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
-    speeds = [speed if speed < 1.0 else speed * plan.speed for speed in SPEEDS]
-    between = [0.3e-3, 0.5 * plan.speed, 100e-3 if plan.speed < 50e-3 else 2.0 * plan.speed]
-    tuned_at = points([drive], speeds, (0.0, plan.max_load))
-    others = points([other, drive], between, (0.25 * plan.max_load, 0.75 * plan.max_load))
-    count = len(tuned_at.velocity)
-    everywhere = Constraints(Required(), jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others), rate)
     rows: list[list[Any]] = []
     with report.working("linearising"):
-        for name, controller in (("given", description.controller), ("tuned", tuned)):
-            found = _margins(everywhere, as_arrays(smooth(controller)))
-            for place, part in (("as tuned", slice(None, count)), ("held out", slice(count, None))):
-                worst = worst_margins(jax.tree.map(lambda values, part=part: values[part], found))
-                rows.append([f"{place}, {name}", *(worst.get(key) for key in WORST)])
+        both = margins_at(description, [description.controller, tuned], plan)
+    for name, found in zip(("given", "tuned"), both, strict=True):
+        for place, part in (("as tuned", found.as_tuned), ("held out", found.held_out)):
+            worst = worst_margins(part)
+            rows.append([f"{place}, {name}", *(worst.get(key) for key in WORST)])
     rows.sort(key=lambda row: row[0])
     columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
-    return jax.tree.map(lambda values: values[:count], found)
+    return both[1].as_tuned
 
 
 def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Required) -> None:
@@ -201,25 +146,15 @@ def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Pl
 WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")
 
 
-def _verify(
-    report: Report,
-    before: Controller,
-    after: Controller,
-    on: list[Scenario],
-    off: list[Scenario],
-    sampling: Sampling,
-) -> list[tuple[Scenario, Judged, Judged]]:
-    rows: list[list[Any]] = []
-    runs = []
+def _verify(report: Report, description: Axis, after: Controller, prepared: Prepared, plan: Plan) -> list[Verified]:
     with report.working("verifying on the exact simulator"):
-        for role, several in (("tuned on", on), ("held out", off)):
-            for one in several:
-                was, now = judge(before, one, sampling), judge(after, one, sampling)
-                runs.append((one, was, now))
-                pairs = ((getattr(was, key), getattr(now, key)) for key in MEASURES)
-                rows.append([one.name, role, *(value for pair in pairs for value in pair)])
-                if not now.run.status.ok:
-                    report.say(f"{one.name}: {now.run.status.message}")
+        runs = verify(description, after, prepared, plan.settle)
+    rows: list[list[Any]] = []
+    for one in runs:
+        pairs = ((getattr(one.before, key), getattr(one.after, key)) for key in MEASURES)
+        rows.append([one.scenario.name, one.role, *(value for pair in pairs for value in pair)])
+        if not one.after.run.status.ok:
+            report.say(f"{one.scenario.name}: {one.after.run.status.message}")
     names = ("RMS um", "peak um", "noise N", "load error kN")
     columns = ("scenario", "role", *(f"{name}{which}" for name in names for which in ("", " tuned")))
     report.table("verification", columns, rows, "Before and after on the exact (quantised, limited) simulator")
@@ -237,7 +172,7 @@ MEASURES = ("rms", "peak", "command_noise", "load_error")
 
 def _pareto(
     report: Report, description: Axis, lanes: Ensemble, requirements: Constraints,
-    objective: Objective, noises: Sequence[float], off: list[Scenario],
+    objective: Objective, noises: Sequence[float], off: list[Scenario], plan: Plan,
 ) -> None:  # fmt: skip
     """Tracking error against command noise: the gains tuned again under each limit, from the ones found."""
     rows: list[list[Any]] = []
@@ -247,7 +182,7 @@ def _pareto(
             limits = requirements.limits._replace(command_noise=noise)
             limited = Constraints(limits, requirements.points, lanes.sampling)
             found = tune(description.controller, lanes, limited, space, objective=objective)
-            judged = [judge(found.controller, one, description.sampling) for one in off]
+            judged = [judge(found.controller, one, description.sampling, plan.settle) for one in off]
             rows.append(
                 [
                     float(noise), float(found.point.objective), found.feasible,
@@ -266,17 +201,17 @@ def _pareto(
     report.figure("pareto", figure)
 
 
-def _conditions(plan: Plan, limits: Required, speeds: Sequence[float], description: Axis) -> dict[str, Any]:
+def _conditions(plan: Plan, prepared: Prepared, description: Axis) -> dict[str, Any]:
     """What the gains rest on."""
     asked = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
-        for name, value in limits._asdict().items()
+        for name, value in prepared.required._asdict().items()
         if value is not None
     }
     return {
         "loads_N": [0.0, plan.max_load],
         "reversal_speed_m_per_s": plan.speed,
-        "margins_at_speeds_m_per_s": [float(speed) for speed in speeds],
+        "margins_at_speeds_m_per_s": [float(speed) for speed in prepared.speeds],
         "parameter_uncertainty": plan.spread,
         "control_rate_Hz": float(description.sampling.rate),
         "delay_samples": int(description.drive.actuator.delay_samples),
@@ -284,17 +219,17 @@ def _conditions(plan: Plan, limits: Required, speeds: Sequence[float], descripti
     }
 
 
-def _figure(tuned: Tuned, runs: list[tuple[Scenario, Judged, Judged]]) -> Any:
+def _figure(tuned: Tuned, runs: list[Verified], plan: Plan) -> Any:
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.found.standing.history
     left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
     left.set(xlabel="linearisations", ylabel="objective", title="search", ylim=(0, None))
-    scenario, old, new = runs[-3]
+    scenario, old, new = runs[-3].scenario, runs[-3].before, runs[-3].after
     right.plot(old.run.time, 1e6 * old.run.error, lw=0.8, label="given")
     right.plot(new.run.time, 1e6 * new.run.error, lw=0.8, label="tuned")
     title = f"held out: {scenario.name}"
-    right.set(xlabel="time, s", ylabel="tracking error, um", title=title, xlim=(SETTLE, None))
-    after = new.run.time > SETTLE
+    right.set(xlabel="time, s", ylabel="tracking error, um", title=title, xlim=(plan.settle, None))
+    after = new.run.time > plan.settle
     most = 1.2e6 * max(np.abs(old.run.error[after]).max(), np.abs(new.run.error[after]).max())
     right.set_ylim(-most, most)
     right.legend()

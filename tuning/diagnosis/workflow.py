@@ -173,7 +173,7 @@ def result_of(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: Experim
 def augmented_axis(axis: Axis, found: Diagnosis) -> Axis | None:
     """The axis with what was found, whose controller believes in the recalibrated machine; None where none can be."""
     try:
-        return axis.with_drive(augmented_drive(found))
+        return dataclasses.replace(axis.with_drive(augmented_drive(found)), name="augmented")
     except DiffdriveError:
         return None
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
-from diffdrive.errors import LoadEstimatorWarning
+from diffdrive.errors import LoadEstimatorWarning, MotionError
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
@@ -19,7 +19,7 @@ from diffdrive.model.parameters import Drive, Sampling, as_arrays, quantities
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.load import require_possible
-from diffdrive.motion.motion import Motion, require_within
+from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.pipeline import require_shorter
 from tuning.gains.scenarios import Scenario
 
@@ -31,7 +31,10 @@ DURATION = 1.2  # s
 
 @dataclass(frozen=True)
 class Plan:
-    """How a tuning is set up; loads in N, speed in m/s, `spread` the relative uncertainty of machine parameters."""
+    """How a tuning is set up; loads in N, speed in m/s, `spread` the relative uncertainty of machine parameters.
+
+    The `motion` is a reversal at `speed`, unless one is given; what counts of it begins after `settle` (s).
+    """
 
     speed: float = 0.010
     max_load: float = 12_600.0
@@ -39,6 +42,23 @@ class Plan:
     spread: float = 0.03
     machines: int = 2  # nominal, and others drawn within the spread
     seed: int = 0
+    min_load: float = 0.0
+    motion: Motion | None = None
+    settle: float = SETTLE
+
+    @property
+    def top_speed(self) -> float:
+        """The highest speed (m/s) of the motion."""
+        return self.speed if self.motion is None else float(np.max(np.abs(self.motion.velocity)))
+
+    def at(self, factor: float, rate: float) -> Motion:
+        """The motion at so many times its speed, over as many times its way, in the same time."""
+        if self.motion is None:
+            return reversal(factor * OFF_GRID * self.speed, rate)
+        one = self.motion
+        start = one.position[0]
+        scaled = start + factor * (one.position - start)
+        return Motion(one.time, scaled, factor * one.velocity, factor * one.acceleration, one.name)
 
 
 def reversal(speed: float, rate: float, duration: float = DURATION) -> Motion:
@@ -80,16 +100,16 @@ def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
 
 def tuned_on(description: Axis, plan: Plan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
-    motion = reversal(OFF_GRID * plan.speed, description.sampling.rate)
-    constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(0.0, plan.max_load, plan.loads)]
+    motion = plan.at(1.0, description.sampling.rate)
+    constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(plan.min_load, plan.max_load, plan.loads)]
     found = []
     for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
         for name, weight in constant:
             found.append(Scenario(f"{_machine(m)}, {name}", machine, motion, weight, len(found) + 1))
-    half, time = 0.5 * plan.max_load, motion.time
+    half, time = 0.5 * (plan.min_load + plan.max_load), motion.time
     changing = {
-        "load steps on": load.step(time, at=0.5 * SETTLE, to=half),
-        "load ramps on": load.ramp(time, start=0.0, end=DURATION, to=half),
+        "load steps on": load.step(time, at=0.5 * plan.settle, to=half, before=plan.min_load),
+        "load ramps on": load.ramp(time, start=0.0, end=motion.duration, to=half, before=plan.min_load),
     }
     for name, weight in changing.items():
         found.append(Scenario(f"nominal, {name}", description.drive, motion, weight, len(found) + 1))
@@ -99,24 +119,36 @@ def tuned_on(description: Axis, plan: Plan) -> list[Scenario]:
 
 def held_out(description: Axis, plan: Plan) -> list[Scenario]:
     """Loads in between, loads that change, other speeds, another machine, other noise."""
-    rate, speed = description.sampling.rate, OFF_GRID * plan.speed
-    motion, drive = reversal(speed, rate), description.drive
+    rate, drive = description.sampling.rate, description.drive
+    motion = plan.at(1.0, rate)
     other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
-    steps = np.linspace(0.0, plan.max_load, plan.loads)
+    steps = np.linspace(plan.min_load, plan.max_load, plan.loads)
     between = (steps[1:] + steps[:-1]) / 2
-    half = 0.5 * plan.max_load
+    half, sixth = 0.5 * (plan.min_load + plan.max_load), round(motion.duration / 6.0, 9)
     changing = {
-        "load ramps off": load.ramp(motion.time, start=0.2, end=0.4, before=plan.max_load, to=half),
-        "material removal": load.ramp(motion.time, start=0.1, end=DURATION, before=half, to=0.9 * half),
+        "load ramps off": load.ramp(motion.time, start=sixth, end=2.0 * sixth, before=plan.max_load, to=half),
+        "material removal": load.ramp(motion.time, start=0.5 * sixth, end=6.0 * sixth, before=half, to=0.9 * half),
     }
     found = [Scenario(f"nominal, {w / 1e3:.3g} kN", drive, motion, w, 101 + k) for k, w in enumerate(between)]
     found += [Scenario(f"nominal, {name}", drive, motion, w, 201 + k) for k, (name, w) in enumerate(changing.items())]
     found += [Scenario(f"other machine, {w / 1e3:.3g} kN", other, motion, w, 301 + k) for k, w in enumerate(between)]
     for k, factor in enumerate(HELD_OUT_SPEEDS):
-        name = f"{1e3 * factor * speed:.3g} mm/s, {half / 1e3:.3g} kN"
-        found.append(Scenario(name, drive, reversal(factor * speed, rate), half, 401 + k))
+        other_speed = plan.at(factor, rate)
+        if plan.motion is not None and not is_within(other_speed, description.limits):
+            continue  # the axis is too short, or too slow, for that
+        name = f"{1e3 * np.max(np.abs(other_speed.velocity)):.3g} mm/s, {half / 1e3:.3g} kN"
+        found.append(Scenario(name, drive, other_speed, half, 401 + k))
     _require_possible(description, found)
     return found
+
+
+def is_within(motion: Motion, limits: Limits) -> bool:
+    """Whether an axis with these limits can run a motion."""
+    try:
+        require_within(motion, limits)
+    except MotionError:
+        return False
+    return True
 
 
 def _machine(number: int) -> str:
@@ -142,16 +174,16 @@ class Judged:
     load_error: float | None  # kN
 
 
-def judge(controller: Controller, scenario: Scenario, sampling: Sampling) -> Judged:
+def judge(controller: Controller, scenario: Scenario, sampling: Sampling, settle: float = SETTLE) -> Judged:
     """Run a scenario on the exact (quantised, limited) simulator."""
     with warnings.catch_warnings():  # the load estimator has its own verdict
         warnings.simplefilter("ignore", LoadEstimatorWarning)
         run = simulate(
             scenario.drive, controller, scenario.motion, scenario.load, sampling=sampling, seed=scenario.seed
         )
-    part = run.between(SETTLE, np.inf)
+    part = run.between(settle, np.inf)
     missed = None
     if run.load_estimate is not None:
         missed = 1e-3 * float(metrics.rms((run.load_estimate - run.load)[part]))
     noise = float(metrics.command_noise(run.command[part]))
-    return Judged(run, 1e6 * run.rms(SETTLE), 1e6 * run.peak(SETTLE), noise, missed)
+    return Judged(run, 1e6 * run.rms(settle), 1e6 * run.peak(settle), noise, missed)

@@ -1,7 +1,7 @@
 """`tuning.identify`: mass, friction and delay of an axis from its logs, each with its interval."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -146,7 +146,7 @@ def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Id
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []
     return IdentificationResult(
-        axis.with_drive(found.drive), tuple(found.estimates), found, checked, tuple(notes),
+        replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, checked, tuple(notes),
         Status(ok, found.status, code=code),
     )  # fmt: skip
 

@@ -1,8 +1,7 @@
 """`diffdrive sweep` and `diffdrive replay`: a sweep run, told and drawn; and one of its machines again."""
 
-import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -12,11 +11,11 @@ from diffdrive.axis_file.drive_file import drive_tables, parse_drive, write_driv
 from diffdrive.errors import ParameterError
 from diffdrive.motion.text import require_choice
 from diffdrive.observers.convergence import advice
-from diffdrive.support.atomic_write import atomic_write, remove_temporary
+from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import run_figure, write_run
 from experiments.reports.sweep import figures
-from experiments.reports.sweep.tables import TOLD, Told, announce, influences_of, tell
+from experiments.reports.sweep.tables import TOLD, Told, announce, tell
 from tuning.sweeps.engine import Precision
 from tuning.sweeps.parts import Computed, Engine, Say, here, kept, missing, run
 from tuning.sweeps.plan import Plan
@@ -25,8 +24,8 @@ from tuning.sweeps.room import require_room
 from tuning.sweeps.samples import Method
 from tuning.sweeps.spec import FILE, Asked, keep, read_asked
 from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, groups, worst
+from tuning.sweeps.workflow import PARTS, influences_of, kept_in
 
-PARTS = "parts"
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
 
 
@@ -49,7 +48,7 @@ def sweep_drive(
         if (out / RESULT).exists() and not (out / FILE).exists():
             raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
         missing(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
-    with Report(title, out) as report, _folder(out) as folder:
+    with Report(title, out) as report, kept_in(out) as folder:
         for warning in warned:
             report.say(warning)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
@@ -102,17 +101,6 @@ def _noted(asked: Asked, engine: Engine, report: Report) -> Engine:
         yield from results
 
     return noted
-
-
-@contextlib.contextmanager
-def _folder(out: Path | None) -> Iterator[Path]:
-    """Where the parts go: beside the results, or nowhere for long."""
-    if out is not None:
-        remove_temporary(out / PARTS)
-        yield out / PARTS
-        return
-    with tempfile.TemporaryDirectory(prefix="sweep-") as room:
-        yield Path(room)
 
 
 def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.reports.report import Report
 from tuning.sweeps.plan import Plan
-from tuning.sweeps.sensitivity import FEWEST, Influence, influences, influences_on_event
+from tuning.sweeps.sensitivity import FEWEST, Influence, influences_on_event
 from tuning.sweeps.summary import (
     ERRORS,
     SHARES,
@@ -19,6 +19,7 @@ from tuning.sweeps.summary import (
     quantile,
     worst,
 )
+from tuning.sweeps.workflow import values_of
 
 TOLD = 5  # worst machines that are named
 Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
@@ -168,7 +169,7 @@ def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) ->
     for one in found:
         if not one.diverged.any():
             continue
-        every = influences_on_event(list(plan.units), _values(plan, one), one.diverged, plan.seed)
+        every = influences_on_event(list(plan.units), values_of(plan, one), one.diverged, plan.seed)
         clear = [each for each in every if each.clear or each.chance < RARELY]
         for each in clear:
             uncertain = 100 * each.uncertain if np.isfinite(each.uncertain) else None
@@ -201,12 +202,3 @@ def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) ->
             "What decides whether a machine diverges; those that do are not in the shares above"
             + (TOGETHER if plan.correlation else ""),
         )
-
-
-def _values(plan: Plan, group: Group) -> np.ndarray:
-    return np.stack([group.column(name) for name in plan.units], axis=1)
-
-
-def influences_of(plan: Plan, group: Group, by: str) -> list[Influence]:
-    """What drives the spread of a controller on a motion."""
-    return influences(list(plan.units), _values(plan, group), group.error(by), plan.seed)

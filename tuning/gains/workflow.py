@@ -1,0 +1,384 @@
+"""`tuning.tune`: gains by gradient within requirements, proved on what they were not tuned on."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.axis import Axis
+from diffdrive.controllers import Controller, FrictionCompensation
+from diffdrive.errors import ParameterError
+from diffdrive.loop.margins import NEUTRAL, Margins
+from diffdrive.loop.smooth import smooth
+from diffdrive.model.parameters import Friction, Sampling, as_arrays
+from diffdrive.motion.motion import Motion
+from diffdrive.results import Result, Status
+from tuning.gains.objective import Objective
+from tuning.gains.plan import Judged, Plan, held_out, judge, machines, tuned_on
+from tuning.gains.requirements import MOST_GAIN_MARGIN, Constraints, Required, check_limits, points
+from tuning.gains.scenarios import Ensemble, Scenario, ensemble
+from tuning.gains.tune import STARTS, Tuned, default_space, factors_of, require_starts
+from tuning.gains.tune import tune as search_gains
+from tuning.optimisation.space import Space
+from tuning.progress import Progress, shown
+
+SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s, where margins are looked at; from 1 on, times the speed tuned at
+OVER = 1.05  # times the limit of the command noise: more on the exact simulator is said
+NOISIER, WORSE = 2.0, 1.1  # times the command noise, and the load error, of the gains as given: where no limit is told
+Role = Literal["tuned on", "held out"]
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What the tuned loop must keep, at every speed, direction and load; None: not required.
+
+    Margins are those of the linearised loop, delay and observer included. `command_noise` is the RMS of the command's
+    change from sample to sample over the square root of two; by default twice that of the gains as given. `load_error`
+    is the RMS error of the load estimate; by default 1.1 times that of the gains as given, scenario by scenario.
+    """
+
+    gain_margin: float = 6.0  # dB, up and down
+    phase_margin: float = 30.0  # deg
+    peak_sensitivity: float | None = None  # largest |1 / (1 + L)|
+    command_noise: float | None = None  # N
+    load_error: float | None = None  # N
+    load_settling: float | None = 2.0  # s, in which an estimator as eq. (20) forgets an error of the load to 1/e
+
+    def required(self) -> Required:
+        """As factors and radians; raises `ParameterError` for what no loop can keep."""
+        if not 0.0 <= self.gain_margin <= MOST_GAIN_MARGIN:
+            raise ParameterError(
+                f"gain_margin: must be from 0 to {MOST_GAIN_MARGIN:.0f} dB, got {self.gain_margin:g}; 6 to 12 are usual"
+            )
+        factor = 10.0 ** (self.gain_margin / 20.0)
+        required = Required(
+            gain_up=factor, gain_down=factor, phase=float(np.radians(self.phase_margin)),
+            sensitivity=self.peak_sensitivity, command_noise=self.command_noise, load_error=self.load_error,
+            settling=self.load_settling,
+        )  # fmt: skip
+        check_limits(required)
+        return required
+
+
+class Prepared(NamedTuple):
+    """A tuning before its search: what it is tuned on and verified on, what is free, and what is required."""
+
+    on: list[Scenario]
+    off: list[Scenario]
+    lanes: Ensemble
+    required: Required
+    constraints: Constraints
+    space: Space
+    speeds: tuple[float, ...]  # m/s, at which margins are looked at
+    notes: tuple[str, ...]
+
+
+def prepare(axis: Axis, plan: Plan, required: Required, *, friction: bool = False) -> Prepared:
+    """Scenarios, constraints and search space of a tuning as planned. Raises `ParameterError` and `MotionError`."""
+    check_limits(required)
+    if friction and not isinstance(axis.controller, FrictionCompensation):
+        raise ParameterError("friction: this controller observes no friction that could be tuned along")
+    on, off = tuned_on(axis, plan), held_out(axis, plan)
+    coarse = Sampling(axis.rate, max(2, -(-axis.sampling.plant_steps // 2)))
+    lanes = ensemble(on, coarse, settle=plan.settle)
+    required, notes = _completed(axis, required, on, plan.settle)
+    speeds = speeds_of(plan)
+    at = points([axis.drive], speeds, (plan.min_load, plan.max_load))
+    space = default_space(axis.controller, friction=friction)
+    if left := sorted(factors_of(axis.controller, friction=friction).keys() - {one.path for one in space.free}):
+        notes.append(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
+    return Prepared(on, off, lanes, required, Constraints(required, at, coarse), space, speeds, tuple(notes))
+
+
+def _completed(axis: Axis, required: Required, on: Sequence[Scenario], settle: float) -> tuple[Required, list[str]]:
+    """Limits that were not given, from what the gains as given do; and what to say of them."""
+    notes = []
+    was = [judge(axis.controller, one, axis.sampling, settle) for one in on]
+    if required.command_noise is None:
+        noise = NOISIER * max(one.command_noise for one in was)
+        required = required._replace(command_noise=noise)
+        notes.append(f"Command noise is limited to {NOISIER:g} times that of the gains as given: {noise:.3g} N.")
+    if required.load_error is None and was[0].load_error is not None:
+        errors = np.array([1e3 * WORSE * one.load_error for one in was if one.load_error is not None])
+        required = required._replace(load_error=errors)
+        notes.append(f"The load error in each scenario is limited to {WORSE:g} times that of the gains as given.")
+    return required, notes
+
+
+def speeds_of(plan: Plan) -> tuple[float, ...]:
+    """The speeds (m/s) at which margins are looked at."""
+    return tuple(speed if speed < 1.0 else speed * plan.top_speed for speed in SPEEDS)
+
+
+@eqx.filter_jit
+def _margins(constraints: Constraints, controller: Controller) -> Margins:
+    return constraints.margins(controller)
+
+
+class MarginsOf(NamedTuple):
+    """The margins of one controller, at the operating points that it was tuned at, and at others."""
+
+    as_tuned: Margins
+    held_out: Margins
+
+
+def margins_at(axis: Axis, controllers: Sequence[Controller], plan: Plan) -> list[MarginsOf]:
+    """Margins of each controller, also on a machine, at loads and at speeds that were not tuned on."""
+    other = machines(axis.drive, 2, plan.spread, plan.seed + 1000)[1]
+    low, high = plan.min_load, plan.max_load
+    between = [0.3e-3, 0.5 * plan.top_speed, 100e-3 if plan.top_speed < 50e-3 else 2.0 * plan.top_speed]
+    tuned_at = points([axis.drive], speeds_of(plan), (low, high))
+    others = points([other, axis.drive], between, (low + 0.25 * (high - low), low + 0.75 * (high - low)))
+    count = len(tuned_at.velocity)
+    everywhere = jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others)
+    constraints = Constraints(Required(), everywhere, axis.sampling)
+    found = [_margins(constraints, as_arrays(smooth(one))) for one in controllers]
+    parts = slice(None, count), slice(count, None)
+    return [MarginsOf(*(jax.tree.map(lambda values, part=part: values[part], one) for part in parts)) for one in found]
+
+
+class Verified(NamedTuple):
+    """One scenario on the exact (quantised, limited) simulator, with the gains as given and as tuned."""
+
+    scenario: Scenario
+    role: Role
+    before: Judged
+    after: Judged
+
+
+def verify(axis: Axis, after: Controller, prepared: Prepared, settle: float) -> list[Verified]:
+    """Every scenario, tuned on and held out, on the exact simulator."""
+    roles: tuple[tuple[Role, list[Scenario]], ...] = (("tuned on", prepared.on), ("held out", prepared.off))
+    return [
+        Verified(
+            one, role, judge(axis.controller, one, axis.sampling, settle), judge(after, one, axis.sampling, settle)
+        )
+        for role, several in roles
+        for one in several
+    ]
+
+
+def tuned_axis(axis: Axis, controller: Controller) -> Axis:
+    """The axis with tuned gains: its friction is what observers believe, tuned along or not."""
+    observer = getattr(controller, "observer", None)
+    drive = axis.drive
+    if isinstance(getattr(observer, "friction", None), Friction):
+        drive = replace(drive, friction=observer.friction)
+    return replace(axis, drive=drive, controller=controller)
+
+
+def warned_of(prepared: Prepared, runs: Sequence[Verified]) -> str:
+    """What to say where the exact simulator is noisier than the smooth one on which the limit was kept; "" else."""
+    limit, noisiest = prepared.required.command_noise, max(one.after.command_noise for one in runs)
+    if limit is None or noisiest <= OVER * limit:
+        return ""
+    return (
+        f"On the exact simulator the command noise is up to {noisiest:.3g} N: the limit of {limit:.3g} N is kept on "
+        "the smooth one, in which the steps of the scale are white noise. Ask for a lower --noise."
+    )
+
+
+def is_accepted(tuned: Tuned, runs: Sequence[Verified]) -> bool:
+    """Whether every requirement is kept, and every verification run ok."""
+    done = not tuned.status.startswith("interrupted")
+    return done and tuned.feasible and all(one.after.run.status.ok for one in runs)
+
+
+class Gain(NamedTuple):
+    """What the tuned gains do in some scenarios on the exact simulator: means over them, and the largest peak."""
+
+    rms_before: float  # m
+    rms_after: float
+    peak_before: float  # m
+    peak_after: float
+    command_noise_before: float  # N
+    command_noise_after: float
+
+    @classmethod
+    def of(cls, runs: Sequence[Verified]) -> "Gain":
+        """Of these scenarios."""
+
+        def mean(which: str, of: str) -> float:
+            return float(np.mean([getattr(getattr(one, which), of) for one in runs]))
+
+        def largest(which: str) -> float:
+            return 1e-6 * max(getattr(one, which).peak for one in runs)
+
+        return cls(
+            1e-6 * mean("before", "rms"), 1e-6 * mean("after", "rms"), largest("before"), largest("after"),
+            mean("before", "command_noise"), mean("after", "command_noise"),
+        )  # fmt: skip
+
+
+class WorstMargins(NamedTuple):
+    """The smallest margins over speeds, directions and loads; infinite where none bounds the loop."""
+
+    gain_margin: float  # dB, the smaller of up and down
+    phase_margin: float  # deg
+    peak_sensitivity: float
+    stable: bool
+
+    @classmethod
+    def of(cls, margins: Margins) -> "WorstMargins":
+        """Over all operating points."""
+        gain = float(np.min([np.min(margins.gain_up), np.min(margins.gain_down)]))
+        return cls(
+            20.0 * float(np.log10(gain)), float(np.degrees(np.min(margins.phase))),
+            float(np.max(margins.sensitivity)), bool(np.max(margins.growth) < NEUTRAL),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class TuningResult(Result):
+    """Tuned gains, and what they are worth.
+
+    `accepted`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
+    `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
+    (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
+    after) by name. `found` has the search, `runs` every run.
+    """
+
+    axis: Axis
+    accepted: bool
+    gains: Mapping[str, tuple[float, float]]
+    tuned_on: Gain
+    held_out: Gain
+    margins: WorstMargins
+    found: Tuned
+    runs: tuple[Verified, ...]
+    notes: tuple[str, ...]
+    status: Status
+
+    schema: ClassVar[str] = "tuning/1"
+
+    def headline(self) -> str:
+        told = "accepted" if self.accepted else f"NOT ACCEPTED: {self.status.message}"
+        before, after = self.held_out.rms_before, self.held_out.rms_after
+        return f"{told}; held out {1e6 * before:.3g} -> {1e6 * after:.3g} um RMS, {self.margins.phase_margin:.3g} deg"
+
+    def summary(self) -> str:
+        rows = [f"{'':<10}{'RMS um':>18}{'peak um':>18}{'command noise N':>20}"]
+        for name, one in (("tuned on", self.tuned_on), ("held out", self.held_out)):
+            rms, peak = f"{1e6 * one[0]:.3g} -> {1e6 * one[1]:.3g}", f"{1e6 * one[2]:.3g} -> {1e6 * one[3]:.3g}"
+            noise = f"{one[4]:.3g} -> {one[5]:.3g}"
+            rows.append(f"{name:<10}{rms:>18}{peak:>18}{noise:>20}")
+        margins = self.margins
+        rows.append(
+            f"margins: {margins.gain_margin:.3g} dB, {margins.phase_margin:.3g} deg, "
+            f"peak sensitivity {margins.peak_sensitivity:.3g}"
+        )
+        rows += [f"{name:<12}{was:>12.5g} -> {now:.5g}" for name, (was, now) in self.gains.items()]
+        return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "accepted": self.accepted,
+            "gains": {name: {"before": was, "after": now} for name, (was, now) in self.gains.items()},
+            "tuned_on": self.tuned_on._asdict(),
+            "held_out": self.held_out._asdict(),
+            "margins": self.margins._asdict(),
+            "notes": list(self.notes),
+        }
+
+
+def tune(
+    axis: Axis,
+    motion: Motion | None = None,
+    *,
+    loads: tuple[float, float] = (0.0, 12_600.0),
+    requirements: Requirements = Requirements(),
+    objective: Objective = Objective(),
+    friction: bool = False,
+    spread: float = 0.03,
+    machines: int = 2,
+    settle: float | None = None,
+    starts: int = STARTS,
+    seed: int = 0,
+    max_steps: int = 40,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+    throw: bool = False,
+) -> TuningResult:
+    """Tune the gains of an axis's controller, and verify them on what they were not tuned on.
+
+    The gains minimise the `objective`, by default the RMS tracking error, over a `motion` (by default a reversal at
+    10 mm/s) under loads (N) from the lowest to the highest, on the axis's machine and others whose parameters differ by
+    the relative `spread`, within the `requirements`. What counts begins after `settle` (s; by default a third of the
+    motion, at most 0.4 s). `friction` tunes what the observer believes of the friction along. `checkpoint` is a file
+    from which an interrupted call continues. `progress` is called with (stage, done, of how many).
+
+    Raises `ParameterError` and `MotionError` for what cannot be tuned, and `ResultError` with `throw` where the result
+    is not accepted. Method: docs/method/tuning.md.
+
+    Example:
+        >>> best = tune(axis, lap, requirements=Requirements(phase_margin=35.0))
+        >>> best.held_out.rms_after, best.margins.phase_margin
+        >>> best.axis.write("tuned.toml")
+
+    """
+    low, high = loads
+    if not 0.0 <= low < high:
+        raise ParameterError(f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {loads!r}")
+    plan = Plan(max_load=high, min_load=low, spread=spread, machines=machines, seed=seed, motion=motion)
+    if settle is not None or motion is not None:
+        third = 0.0 if motion is None else motion.duration / 3.0
+        plan = replace(plan, settle=min(plan.settle, third) if settle is None else settle)
+    require_starts(starts)
+    with shown(progress) as tell:
+        prepared = prepare(axis, plan, requirements.required(), friction=friction)
+        tuned = search_gains(
+            axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective, starts=starts,
+            seed=seed, max_steps=max_steps, checkpoint=checkpoint,
+            progress=lambda step, most, _: tell("tuning by gradient", step, most),
+        )  # fmt: skip
+        tell("verifying on the exact simulator", 0, 1)
+        (margins,) = margins_at(axis, [tuned.controller], plan)
+        runs = verify(axis, tuned.controller, prepared, plan.settle)
+        tell("verifying on the exact simulator", 1, 1)
+    result = result_of(axis, prepared, tuned, margins, runs)
+    return result.require_ok() if throw else result
+
+
+def result_of(
+    axis: Axis, prepared: Prepared, tuned: Tuned, margins: MarginsOf, runs: Sequence[Verified]
+) -> TuningResult:
+    """The result, with what is to be said of it."""
+    accepted = is_accepted(tuned, runs)
+    notes = [*prepared.notes, *(note for note in [warned_of(prepared, runs)] if note), *words(tuned)]
+    bad = [f"{one.scenario.name}: {one.after.run.status.message}" for one in runs if not one.after.run.status.ok]
+    names = {one.path: name for name, one in axis.controller.tunables.items()}
+    gains = {
+        names.get(free.path, free.path): (float(was), float(now))
+        for free, was, now in zip(prepared.space.free, tuned.before, tuned.after, strict=True)
+    }
+    code = "ok" if accepted else "interrupted" if tuned.status.startswith("interrupted") else "not_accepted"
+    message = tuned.status if accepted or not bad else bad[0]
+    return TuningResult(
+        axis=replace(tuned_axis(axis, tuned.controller), name="tuned"),
+        accepted=accepted,
+        gains=gains,
+        tuned_on=Gain.of([one for one in runs if one.role == "tuned on"]),
+        held_out=Gain.of([one for one in runs if one.role == "held out"]),
+        margins=WorstMargins.of(margins.as_tuned),
+        found=tuned,
+        runs=tuple(runs),
+        notes=(*notes, *bad),
+        status=Status(accepted, message, code=code),
+    )
+
+
+def words(tuned: Tuned) -> list[str]:
+    """What stood in the way of better gains."""
+    found = [f"At the bound of its range: {', '.join(tuned.at_bound)}."] if tuned.at_bound else []
+    found += [
+        f"Held back by the {one.name}: 1 % more of it would gain {one.worth:.2g} % of the objective."
+        for one in tuned.binding
+    ]
+    mend = "no gains near these keep it: relax it" if tuned.status.startswith("infeasible") else "search on"
+    found += [f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}." for name, share in tuned.missed.items()]
+    return found

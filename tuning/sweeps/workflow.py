@@ -1,0 +1,249 @@
+"""`tuning.sweep`: how often an axis misses its tolerance over the machines, loads and noise that it may meet."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from diffdrive.axis import Axis
+from diffdrive.errors import ParameterError
+from diffdrive.motion.motion import Motion
+from diffdrive.results import Result, Status
+from diffdrive.support.atomic_write import remove_temporary
+from tuning.progress import Progress, shown
+from tuning.sweeps.engine import Precision, most_in_a_part
+from tuning.sweeps.parts import Engine, here, missing, run
+from tuning.sweeps.plan import Plan
+from tuning.sweeps.room import require_room
+from tuning.sweeps.samples import Method
+from tuning.sweeps.sensitivity import Influence, influences
+from tuning.sweeps.summary import ERRORS, Group, exceedance, groups, quantile
+
+PARTS = "parts"  # of a sweep's folder: the machines that were run
+SHOWN = 3  # quantities that drive the spread, in a summary
+
+
+class Exceedance(NamedTuple):
+    """How often a controller misses the tolerance, with Wilson's 95 % interval."""
+
+    share: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class SweepResult(Result):
+    """What became of every machine of a sweep under every controller, on every motion.
+
+    `frame` is an Arrow table, a row a run (`frame.to_pandas()`, `polars.from_arrow(frame)`): the machine's number,
+    controller, motion, the values of what varied, errors (m), command noise (N), and whether it diverged. A machine
+    that diverged misses every tolerance. Not ok: a machine diverged.
+    """
+
+    frame: pa.Table
+    plan: Plan
+    vary: Mapping[str, str]
+    tolerance: float | None  # m
+    by: str
+    status: Status
+
+    schema: ClassVar[str] = "sweep/1"
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(self.plan.controllers)
+
+    def group(self, controller: str, motion: str | None = None) -> Group:
+        """The runs of one controller, on one motion where there are several; raises `ParameterError`."""
+        motion = next(iter(self.plan.motions)) if motion is None else motion
+        if controller not in self.plan.controllers or motion not in self.plan.motions:
+            raise ParameterError(
+                f"no controller {controller!r} on a motion {motion!r}; there are {', '.join(self.controllers)} on "
+                f"{', '.join(self.plan.motions)}"
+            )
+        (found,) = groups(_dataset(self.frame), [controller], [motion])
+        return found
+
+    def exceedance(self, controller: str, motion: str | None = None, *, tolerance: float | None = None) -> Exceedance:
+        """How often a controller's error (`by`) is above the tolerance (m; by default the sweep's)."""
+        tolerance = self.tolerance if tolerance is None else tolerance
+        if tolerance is None:
+            raise ParameterError("tolerance: the sweep had none; give one in m, such as 2e-6")
+        found = exceedance(self.group(controller, motion).error(self.by), tolerance)
+        return Exceedance(found.value, (found.low or 0.0, 1.0 if found.high is None else found.high))
+
+    def quantile(self, controller: str, share: float, motion: str | None = None) -> float:
+        """The error (m) that such a share of the machines stays below; infinite where too many diverged."""
+        return quantile(self.group(controller, motion).error(self.by), share).value
+
+    def influences(self, controller: str, motion: str | None = None) -> list[Influence]:
+        """Which of what varied drives the spread of a controller's error, the strongest first."""
+        return influences_of(self.plan, self.group(controller, motion), self.by)
+
+    def headline(self) -> str:
+        machines, first = self.plan.samples, self.controllers[0]
+        told = f"{machines} machines under {', '.join(self.controllers)}"
+        if self.tolerance is None:
+            return f"{told}; {ERRORS[self.by]} of {first}: {1e6 * self.quantile(first, 0.95):.3g} um at 95 %"
+        missed = self.exceedance(first)
+        low, high = missed.interval
+        return (
+            f"{told}; {first} misses {1e6 * self.tolerance:.3g} um in {100 * missed.share:.3g} % "
+            f"({100 * low:.3g} to {100 * high:.3g})"
+        )
+
+    def summary(self) -> str:
+        rows = [
+            self.headline(),
+            f"{'controller':<16}{'motion':<16}{'median um':>11}{'95 % um':>11}{'diverged':>10}  misses",
+        ]
+        for motion in self.plan.motions:
+            for controller in self.controllers:
+                half, most = (1e6 * self.quantile(controller, share, motion) for share in (0.5, 0.95))
+                diverged = int(np.sum(self.group(controller, motion).diverged))
+                row = f"{controller:<16}{motion:<16}{half:>11.3g}{most:>11.3g}{diverged:>10}"
+                if self.tolerance is not None:
+                    share, (low, high) = self.exceedance(controller, motion)
+                    row += f"  {100 * share:.3g} % ({100 * low:.3g} to {100 * high:.3g})"
+                rows.append(row)
+                drive = [f"{one.name} {100 * one.share:.0f} %" for one in self.influences(controller, motion)[:SHOWN]]
+                rows += [f"  spread of {controller}: {', '.join(drive)}"] if drive else []
+        return "\n".join(rows)
+
+    def as_dict(self) -> dict[str, Any]:
+        found = []
+        for motion in self.plan.motions:
+            for controller in self.controllers:
+                one: dict[str, Any] = {"controller": controller, "motion": motion}
+                one |= {f"{self.by}_{share:g}": self.quantile(controller, share, motion) for share in (0.5, 0.95, 0.99)}
+                if self.tolerance is not None:
+                    one["exceedance"] = self.exceedance(controller, motion)._asdict()
+                found.append(one)
+        return {
+            "machines": self.plan.samples, "vary": dict(self.vary), "tolerance_m": self.tolerance, "results": found,
+        }  # fmt: skip
+
+
+def sweep(
+    axis: Axis,
+    motion: Motion | Sequence[Motion],
+    *,
+    vary: Mapping[str, str],
+    against: Mapping[str, Axis] | None = None,
+    machine: Axis | None = None,
+    samples: int = 1024,
+    tolerance: float | None = None,
+    load: float | str = 0.0,
+    by: str = "peak_m",
+    settle: float = 0.0,
+    seed: int = 0,
+    method: Method = "sobol",
+    precision: Precision = "double",
+    out: str | Path | None = None,
+    engine: Engine | None = None,
+    progress: Progress | None = None,
+) -> SweepResult:
+    """Run an axis on many machines, under many loads, with noise of its own each, and say how often it misses.
+
+    `vary` says what differs from machine to machine, as one line of text for each quantity: `{"load": "uniform:0..12
+    kN", "plant.mass": "lognormal:3%", "effects.cogging.cosine": "normal:2 N"}`. Every controller, the axis's own and
+    those of the axes `against` it by name, is run on the same machines. `machine` is what they vary about, where that
+    is not the axis itself. `tolerance` (m) is for the error `by`: `peak_m` or `rms_m`, after `settle` (s). `load` (N)
+    is what all bear besides.
+
+    With a folder `out` the runs are kept there as they are done; the same call continues an interrupted sweep, and
+    ends with the same numbers to the last bit. `engine` shares the parts out among processes (`tuning.sweeps.workers`,
+    `tuning.sweeps.cluster`). `progress` is called with (stage, done, of how many).
+
+    Raises `ParameterError` and `MotionError` for a sweep that cannot be, naming what is wrong. Method:
+    docs/method/sweeps.md.
+
+    Example:
+        >>> swept = sweep(axis, lap, vary={"load": "uniform:0..12 kN"}, samples=4096, tolerance=2e-6)
+        >>> swept.exceedance(axis.name).interval
+
+    """
+    if by not in ERRORS:
+        raise ParameterError(f"by: no error {by!r}; known: {', '.join(ERRORS)}")
+    if tolerance is not None and not tolerance > 0.0:
+        raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
+    plan = plan_of(
+        axis, motion, vary=vary, against=against or {}, machine=machine, samples=samples, load=load, settle=settle,
+        seed=seed, method=method, precision=precision,
+    )  # fmt: skip
+    folder = None if out is None else Path(out)
+    require_room(plan, Path(tempfile.gettempdir()) if folder is None else folder)
+    if folder is not None:
+        missing(plan, folder / PARTS)  # before anything is written: what is there may be of another sweep
+    with kept_in(folder) as parts, shown(progress) as tell:
+        rows = run(plan, parts, lambda done: tell("machines", done, plan.samples), engine or here)
+        order = [("motion", "ascending"), ("controller", "ascending"), ("machine", "ascending")]
+        frame = rows.to_table().sort_by(order)
+    diverged = int(np.sum(frame["diverged"].to_numpy(zero_copy_only=False)))
+    told = "ok" if not diverged else f"{diverged} of {len(frame)} runs diverged"
+    result = SweepResult(
+        frame, plan, dict(vary), tolerance, by, Status(not diverged, told, code="diverged" if diverged else "ok")
+    )
+    if folder is not None:
+        result.save(folder)
+    return result
+
+
+def plan_of(
+    axis: Axis, motion: Motion | Sequence[Motion], *, vary: Mapping[str, str], against: Mapping[str, Axis],
+    machine: Axis | None, samples: int, load: float | str, **more: Any,
+) -> Plan:  # fmt: skip
+    """The plan of a sweep; raises `ParameterError` and `MotionError` for one that cannot be."""
+    if axis.name in against:
+        raise ParameterError(f"against: {axis.name!r} is the axis itself; give it another name")
+    for name, other in {**against, **({} if machine is None else {"machine": machine})}.items():
+        if abs(other.rate / axis.rate - 1.0) > 1e-6:
+            raise ParameterError(
+                f"{name}: is sampled at {other.rate:g} Hz, the axis at {axis.rate:g} Hz: make them equal"
+            )
+    several = [motion] if isinstance(motion, Motion) else list(motion)
+    names = [one.name for one in several]
+    motions = {
+        one.name if names[:k].count(one.name) == 0 else f"{one.name} #{names[:k].count(one.name) + 1}": one
+        for k, one in enumerate(several)
+    }
+    believed = axis if machine is None else Axis(
+        machine.drive, axis.controller, axis.sampling, axis.limits, axis.mapping, axis.name
+    )  # fmt: skip
+    controllers = {axis.name: axis.controller} | {name: one.controller for name, one in against.items()}
+    texts = tuple(f"{name}={text}" for name, text in vary.items())
+    return Plan.of(
+        believed, controllers, motions, texts, samples, load=str(load), most_in_a_part=most_in_a_part(), **more
+    )
+
+
+@contextlib.contextmanager
+def kept_in(folder: Path | None) -> Iterator[Path]:
+    """Where the parts go: into the folder, or nowhere for long."""
+    if folder is not None:
+        remove_temporary(folder / PARTS)
+        yield folder / PARTS
+        return
+    with tempfile.TemporaryDirectory(prefix="sweep-") as room:
+        yield Path(room)
+
+
+def influences_of(plan: Plan, group: Group, by: str) -> list[Influence]:
+    """What drives the spread of a controller on a motion."""
+    return influences(list(plan.units), values_of(plan, group), group.error(by), plan.seed)
+
+
+def values_of(plan: Plan, group: Group) -> np.ndarray:
+    """The values of what varied, [machines, quantities]."""
+    return np.stack([group.column(name) for name in plan.units], axis=1)
+
+
+def _dataset(frame: pa.Table) -> Any:
+    import pyarrow.dataset as ds
+
+    return ds.dataset(frame)
