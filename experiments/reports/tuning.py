@@ -9,7 +9,6 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import write_drive
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import Operating
-from diffdrive.loop.margins import Margins
 from experiments.cli.interruption import at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
@@ -20,6 +19,7 @@ from tuning.gains.requirements import Constraints, Required
 from tuning.gains.scenarios import Ensemble, Scenario
 from tuning.gains.tune import STARTS, Tuned, default_space, require_starts, tune
 from tuning.gains.workflow import (
+    MarginsOf,
     Prepared,
     Verified,
     is_accepted,
@@ -72,13 +72,17 @@ def tune_drive(
             description.controller, lanes, requirements, space, objective=objective, starts=starts, seed=plan.seed,
             max_steps=max_steps, checkpoint=checkpoint, progress=progress,
         )  # fmt: skip
-    _result(report, tuned)
+    gains_table(report, tuned)
     if tuned.status.startswith("interrupted") and checkpoint is not None and checkpoint.exists():
         report.say(f"The same command continues the search from {CHECKPOINT}.")
-    margins = _margins_table(report, description, tuned.controller, plan)
-    _loop_figures(report, description, tuned.controller, plan, prepared.required)
-    runs = _verify(report, description, tuned.controller, prepared, plan)
-    report.figure("tuning", _figure(tuned, runs, plan))
+    with report.working("linearising"):
+        both = margins_at(description, [description.controller, tuned.controller], plan)
+    margins_table(report, both)
+    loop_figures(report, description, tuned.controller, plan, prepared.required)
+    with report.working("verifying on the exact simulator"):
+        runs = verify(description, tuned.controller, prepared, plan.settle)
+    verification_table(report, runs)
+    report.figure("tuning", figure_of(tuned, runs, plan))
     if pareto:
         _pareto(report, description, lanes, requirements, objective, pareto, prepared.off, plan)
     if noisy := warned_of(prepared, runs):
@@ -91,12 +95,13 @@ def tune_drive(
             report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
             report.say("simulate it with `--machine` and the file that was given.")
         conditions = _conditions(plan, prepared, description)
-        write_handover(report.out / "handover.toml", handover(description, tuned, margins, conditions))
+        write_handover(report.out / "handover.toml", handover(description, tuned, both[1].as_tuned, conditions))
         (report.out / CHECKPOINT).unlink(missing_ok=True)
     return tuned, accepted
 
 
-def _result(report: Report, tuned: Tuned) -> None:
+def gains_table(report: Report, tuned: Tuned) -> None:
+    """The search, and each gain before and after."""
     standing = tuned.found.standing
     report.values(
         "tuning", status=tuned.status, steps=standing.steps, evaluations=standing.evaluations,
@@ -116,11 +121,9 @@ def _result(report: Report, tuned: Tuned) -> None:
         report.values("starts", objective=[float(one) for one in tuned.starts])
 
 
-def _margins_table(report: Report, description: Axis, tuned: Controller, plan: Plan) -> Margins:
+def margins_table(report: Report, both: Sequence[MarginsOf]) -> None:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
     rows: list[list[Any]] = []
-    with report.working("linearising"):
-        both = margins_at(description, [description.controller, tuned], plan)
     for name, found in zip(("given", "tuned"), both, strict=True):
         for place, part in (("as tuned", found.as_tuned), ("held out", found.held_out)):
             worst = worst_margins(part)
@@ -128,12 +131,11 @@ def _margins_table(report: Report, description: Axis, tuned: Controller, plan: P
     rows.sort(key=lambda row: row[0])
     columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
-    return both[1].as_tuned
 
 
-def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Required) -> None:
+def loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Required) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
-    at = [Operating(v, w) for v in (0.0, 1e-3, plan.speed) for w in (0.0, plan.max_load)]
+    at = [Operating(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in (plan.min_load, plan.max_load)]
     with report.working("drawing the loops"):
         panels = {
             name: responses(description.drive, controller, description.sampling, at)
@@ -146,9 +148,8 @@ def _loop_figures(report: Report, description: Axis, tuned: Controller, plan: Pl
 WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")
 
 
-def _verify(report: Report, description: Axis, after: Controller, prepared: Prepared, plan: Plan) -> list[Verified]:
-    with report.working("verifying on the exact simulator"):
-        runs = verify(description, after, prepared, plan.settle)
+def verification_table(report: Report, runs: Sequence[Verified]) -> None:
+    """Every scenario before and after on the exact simulator, and the means of both roles."""
     rows: list[list[Any]] = []
     for one in runs:
         pairs = ((getattr(one.before, key), getattr(one.after, key)) for key in MEASURES)
@@ -164,7 +165,6 @@ def _verify(report: Report, description: Axis, after: Controller, prepared: Prep
             if part[0][k] is not None:
                 was, now = (float(np.mean([row[j] for row in part])) for j in (k, k + 1))
                 report.values(f"mean_{what}_{role.replace(' ', '_')}", before=was, after=now)
-    return runs
 
 
 MEASURES = ("rms", "peak", "command_noise", "load_error")
@@ -219,7 +219,8 @@ def _conditions(plan: Plan, prepared: Prepared, description: Axis) -> dict[str, 
     }
 
 
-def _figure(tuned: Tuned, runs: list[Verified], plan: Plan) -> Any:
+def figure_of(tuned: Tuned, runs: list[Verified], plan: Plan) -> Any:
+    """The search, and one held-out scenario before and after."""
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.found.standing.history
     left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)

@@ -240,7 +240,8 @@ class TuningResult(Result):
     `accepted`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
     `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
     (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
-    after) by name. `found` has the search, `runs` every run.
+    after) by name. `found` has the search, `runs` every run; `given` is the axis as it was given, `plan` and `required`
+    how it was tuned.
     """
 
     axis: Axis
@@ -252,6 +253,9 @@ class TuningResult(Result):
     found: Tuned
     runs: tuple[Verified, ...]
     notes: tuple[str, ...]
+    given: Axis
+    plan: Plan
+    required: Required
     status: Status
 
     schema: ClassVar[str] = "tuning/1"
@@ -340,12 +344,12 @@ def tune(
         (margins,) = margins_at(axis, [tuned.controller], plan)
         runs = verify(axis, tuned.controller, prepared, plan.settle)
         tell("verifying on the exact simulator", 1, 1)
-    result = result_of(axis, prepared, tuned, margins, runs)
+    result = result_of(axis, plan, prepared, tuned, margins, runs)
     return result.require_ok() if throw else result
 
 
 def result_of(
-    axis: Axis, prepared: Prepared, tuned: Tuned, margins: MarginsOf, runs: Sequence[Verified]
+    axis: Axis, plan: Plan, prepared: Prepared, tuned: Tuned, margins: MarginsOf, runs: Sequence[Verified]
 ) -> TuningResult:
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)
@@ -368,6 +372,9 @@ def result_of(
         found=tuned,
         runs=tuple(runs),
         notes=(*notes, *bad),
+        given=axis,
+        plan=plan,
+        required=prepared.required,
         status=Status(accepted, message, code=code),
     )
 

@@ -37,6 +37,7 @@ class IdentificationResult(Result):
     found: Identified
     logs: CheckedLogs
     notes: tuple[str, ...]
+    given: Axis  # before
     status: Status
 
     schema: ClassVar[str] = "identification/1"
@@ -146,8 +147,8 @@ def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Id
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []
     return IdentificationResult(
-        replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, checked, tuple(notes),
-        Status(ok, found.status, code=code),
+        replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, checked,
+        tuple(notes), axis, Status(ok, found.status, code=code),
     )  # fmt: skip
 
 

@@ -66,7 +66,7 @@ class SweepResult(Result):
                 f"no controller {controller!r} on a motion {motion!r}; there are {', '.join(self.controllers)} on "
                 f"{', '.join(self.plan.motions)}"
             )
-        (found,) = groups(_dataset(self.frame), [controller], [motion])
+        (found,) = groups(dataset_of(self.frame), [controller], [motion])
         return found
 
     def exceedance(self, controller: str, motion: str | None = None, *, tolerance: float | None = None) -> Exceedance:
@@ -243,7 +243,8 @@ def values_of(plan: Plan, group: Group) -> np.ndarray:
     return np.stack([group.column(name) for name in plan.units], axis=1)
 
 
-def _dataset(frame: pa.Table) -> Any:
+def dataset_of(frame: pa.Table) -> Any:
+    """The rows as `groups` takes them."""
     import pyarrow.dataset as ds
 
     return ds.dataset(frame)

@@ -89,7 +89,7 @@ def diagnose_logs(
             report.say(told["scale_noise"])
         if report.out is not None:
             augmented = None if is_void(checked) else _write(report, description, found, told["scale_noise"])
-            _write_reference(report, offer.reference)
+            write_reference(report, offer.reference)
             with report.working("drawing"):
                 draw(report, found, checked.logs)
             _save(report, result, augmented)
@@ -153,7 +153,7 @@ def _pay(
     return {"says": says, "gains": gains}
 
 
-def _write_reference(report: Report, motion: Motion | None) -> None:
+def write_reference(report: Report, motion: Motion | None) -> None:
     """next_reference.csv: the motion that would decide, sample by sample, for the machine's controller to run."""
     if motion is None:
         return

@@ -80,11 +80,11 @@ def identify_drive(
             )  # fmt: skip
         if parts is not None and parts.found:
             report.console.print(f"{parts.found} finished searches of an interrupted identification were used.")
-        _estimates(report, found)
+        estimates_table(report, found)
         if report.out is not None:
             _write(report, replace(description, drive=found.drive))
             write_uncertainty(report.out, found)
-        _words(report, found)
+        say_words(report, found)
         if interrupted(found.search) and parts is not None and parts.folder.exists():
             report.say(f"The same command continues the search from {PARTS}.")
         if unstated := unstated_noise(description.drive, found.noise):
@@ -148,7 +148,9 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
         report.say(f"inverse dynamics: {note}")
 
 
-def _estimates(report: Report, found: Identified) -> None:
+def estimates_table(report: Report, found: Identified) -> None:
+    """Every parameter before and after, with its interval and the bounds of the search."""
+
     def row(one: Any) -> list[Any]:
         interval = [one.low, one.high] if one.status == "fitted" else [None, None]
         free = one.status in ("fitted", "at its bound")
@@ -168,7 +170,7 @@ def _short(bound: float) -> float:
     return float(f"{bound:.3g}")
 
 
-def _words(report: Report, found: Identified) -> None:
+def say_words(report: Report, found: Identified) -> None:
     """What the numbers mean."""
     report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
     if found.search.status != "converged":

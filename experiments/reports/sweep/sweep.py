@@ -63,7 +63,7 @@ def sweep_drive(
         told = [(one, influences_of(plan, one, by)) for one in found]
         tell(report, plan, told, tolerance, by)
         for motion in plan.motions if out is not None else ():
-            _draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
+            draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
         if recorded:
             _record(report, plan, found, recorded, by)
         return not any(one.diverged.any() for one in found)
@@ -103,7 +103,8 @@ def _noted(asked: Asked, engine: Engine, report: Report) -> Engine:
     return noted
 
 
-def _draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+def draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+    """The figures of one motion."""
     every = [one for one, _ in found]
     if all(one.diverged.all() for one in every):
         report.say(f"{every[0].motion}: no figures, since every machine diverged.")

@@ -1,0 +1,3 @@
+from .reports.of_result import report
+
+__all__ = ["report"]

@@ -1,0 +1,119 @@
+"""`experiments.report`: any result as a folder of tables, figures, pages and files that other tools take."""
+
+from functools import singledispatch
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.loop.run import Run
+from diffdrive.results import Result
+from experiments.reports.diagnosis.diagnosis import write_reference
+from experiments.reports.diagnosis.figures import draw as draw_diagnosis
+from experiments.reports.diagnosis.page import page, tell
+from experiments.reports.identification.figures import draw as draw_identification
+from experiments.reports.identification.identification import estimates_table, say_words
+from experiments.reports.identification.left_open import write_uncertainty
+from experiments.reports.report import Report
+from experiments.reports.simulation import run_figure, write_run
+from experiments.reports.sweep.sweep import draw as draw_sweep
+from experiments.reports.sweep.tables import tell as tell_sweep
+from experiments.reports.tuning import figure_of, gains_table, loop_figures, margins_table, verification_table
+from tuning.diagnosis.workflow import DiagnosisResult
+from tuning.gains.workflow import TuningResult, margins_at
+from tuning.identification.workflow import IdentificationResult
+from tuning.sweeps.summary import groups
+from tuning.sweeps.workflow import SweepResult, dataset_of, influences_of
+
+
+def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
+    """Write everything that a result tells into a folder, and return it.
+
+    The result as JSON, its tables as CSV, its figures as PNG, and what other tools take: `run.csv` of a simulation,
+    `identified.toml`, `tuned.toml`, and of a diagnosis `augmented.toml` and the page `report.html`. Unless `quiet`,
+    what the command would print is printed. Raises `ParameterError` for a result of a kind that is not known, or a folder
+    that cannot be written to.
+
+    A result of your own joins them: `@section.register` a function of the result and a `Report`.
+    """
+    out = Path(folder)
+    with Report(
+        f"{result.schema.split('/')[0]}: {result.headline()}", out, Console(quiet=True) if quiet else None
+    ) as one:
+        result.save(out)
+        section(result, one)
+    return out
+
+
+@singledispatch
+def section(result: Any, one: Report) -> None:
+    """What is written of a result of this kind."""
+    raise ParameterError(f"no report is known of a {type(result).__name__}")
+
+
+@section.register
+def _(result: Run, one: Report) -> None:
+    one.values("run", status=result.status.message, **result.as_dict())
+    write_run(_out(one) / "run.csv", result)
+    one.figure("run", run_figure(result))
+
+
+@section.register
+def _(result: IdentificationResult, one: Report) -> None:
+    estimates_table(one, result.found)
+    say_words(one, result.found)
+    write_uncertainty(_out(one), result.found)
+    _write_axis(one, result, "identified.toml")
+    draw_identification(one, result.found, result.given.drive, result.logs.logs)
+
+
+@section.register
+def _(result: DiagnosisResult, one: Report) -> None:
+    told = dict(result.details)
+    tell(one, told)
+    write_reference(one, result.next_motion.reference)
+    augmented = _write_axis(one, result, "augmented.toml", (f"the verdict of the diagnosis was {result.verdict}",))
+    draw_diagnosis(one, result.found, result.logs.logs)
+    page(one, told, augmented)
+
+
+@section.register
+def _(result: TuningResult, one: Report) -> None:
+    gains_table(one, result.found)
+    for note in result.notes:
+        one.say(note)
+    given = result.given
+    margins_table(one, margins_at(given, [given.controller, result.found.controller], result.plan))
+    loop_figures(one, given, result.found.controller, result.plan, result.required)
+    verification_table(one, list(result.runs))
+    one.figure("tuning", figure_of(result.found, list(result.runs), result.plan))
+    if result.accepted:
+        _write_axis(one, result, "tuned.toml")
+
+
+@section.register
+def _(result: SweepResult, one: Report) -> None:
+    plan = result.plan
+    found = groups(dataset_of(result.frame), list(plan.controllers), list(plan.motions))
+    told = [(each, influences_of(plan, each, result.by)) for each in found]
+    tell_sweep(one, plan, told, result.tolerance, result.by)
+    for motion in plan.motions:
+        draw_sweep(one, plan, [each for each in told if each[0].motion == motion], result.tolerance, result.by)
+
+
+def _out(one: Report) -> Path:
+    assert one.out is not None
+    return one.out
+
+
+def _write_axis(one: Report, result: Any, name: str, comments: tuple[str, ...] = ()) -> str | None:
+    """The axis of a result as a file; None, and a sentence, where no file can say it."""
+    if result.axis is None:
+        return None
+    try:
+        result.axis.write(_out(one) / name, comments)
+    except DiffdriveError as problem:
+        one.say(f"{name} is not written, since no drive file can say this: {problem}")
+        return None
+    return name
