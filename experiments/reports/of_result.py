@@ -32,8 +32,8 @@ def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
 
     The result as JSON, its tables as CSV, its figures as PNG, and what other tools take: `run.csv` of a simulation,
     `identified.toml`, `tuned.toml`, and of a diagnosis `augmented.toml` and the page `report.html`. Unless `quiet`,
-    what the command would print is printed. Raises `ParameterError` for a result of a kind that is not known, or a folder
-    that cannot be written to.
+    what the command would print is printed. Raises `ParameterError` for a result of a kind that is not known, or a
+    folder that cannot be written to.
 
     A result of your own joins them: `@section.register` a function of the result and a `Report`.
     """

@@ -23,7 +23,7 @@ from tuning.identification.estimates import Estimate, estimates
 from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampling_of
 from tuning.identification.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
 from tuning.identification.setup import ask
-from tuning.identification.uncertainty import Covariance
+from tuning.identification.uncertainty import Covariance, repetition
 from tuning.optimisation.least_squares import Progress, Search, many_starts, silent
 from tuning.optimisation.space import Free, Space
 from tuning.store.store import Store, digest
@@ -97,7 +97,7 @@ def identify(
     if lost and not interrupted(wide.search):
         fit = refined(*narrowed(wide, lost), question.noise, progress, store)
     if not interrupted(fit.search):
-        fit = sharpened(fit, question.noise, progress, store)
+        fit = _told_apart(sharpened(fit, question.noise, progress, store), rate)
     found, remark = _drive(fit)
     missing = missing_force(fit)
     table, scatter = estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked)
@@ -148,6 +148,12 @@ def _many_starts(
     if store is not None and not stopped:
         store.write(key, {"y": best, "costs": costs})
     return best, costs, stopped
+
+
+def _told_apart(fit: Fit, rate: float) -> Fit:
+    """The fit with the covariance of laps that are no new ones where residuals repeat from lap to lap."""
+    again = repetition(fit.innovation / np.asarray(fit.problem.gains.scatter), rate)
+    return fit._replace(covariance=fit.covariance._replace(matrix=again * fit.covariance.matrix))
 
 
 def _stop(*_: object) -> None:

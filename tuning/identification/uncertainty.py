@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 LEVEL = 0.95
 BLOCK = 0.25  # s, at least
+CHANCE = 0.01  # that white residuals seem to repeat
 FEWEST_BLOCKS_PER_PARAMETER = 2  # a long memory does not make blocks so long that fewer are left
 
 
@@ -50,6 +51,24 @@ def autocorrelation(residual: Float[np.ndarray, "lanes n"], lags: int) -> Float[
     power = np.abs(np.fft.rfft(residual, size, axis=1)) ** 2
     covariance = np.fft.irfft(power, size, axis=1).sum(axis=0)
     return covariance[1 : lags + 1] / covariance[0]
+
+
+def repetition(residual: Float[np.ndarray, "lanes n"], rate: float) -> float:
+    """By how much the variance of estimates is larger because residuals come again later on, as from lap to lap.
+
+    Strokes of a whole number of counts meet the grid of the scale in the same places each time, and so does friction
+    that a model lacks: laps that repeat one another are one lap. It is one plus twice the autocorrelations beyond the
+    blocks of the sandwich, those that white residuals would exceed once in a hundred logs; biased ones, whose weight
+    falls with the lag as the number of pairs does.
+    """
+    lags = residual.shape[1] - 1
+    first = round(BLOCK * rate)
+    if lags <= first:
+        return 1.0
+    far = autocorrelation(residual, lags)[first:]
+    counted = max(1, int(np.count_nonzero(residual)))
+    chance = float(scipy.stats.norm.isf(CHANCE / len(far))) / np.sqrt(counted)
+    return 1.0 + 2.0 * max(0.0, float(np.sum(far[np.abs(far) > chance])))
 
 
 def sandwich(

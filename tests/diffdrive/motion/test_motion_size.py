@@ -92,7 +92,7 @@ def test_a_motion_takes_the_memory_that_is_reckoned_with(name, text, monkeypatch
         ("trapezoidal:distance=10mm,speed=0.1,acceleration=1,repeats=1000000000", r"and 60 MB are free: shorten or"),
         (
             "triangular:speed=1,stroke=1e-9,rounding=1e-9,duration=1",
-            "reversals 1e-09 s apart are closer than the samples",
+            "reversals 1.5e-09 s apart are closer than the samples",
         ),
         ("sine:amplitude=1mm,frequency=2Hz,duration=1,start=1e300", "sine: a travel of 0 m at 1e.300 m is lost in the"),
         ("jerk_limited:distance=1e300,speed=1e-300,acceleration=1,jerk=1", "floating-point numbers: check their units"),

@@ -21,8 +21,8 @@ from diffdrive.axis_file.drive_file import read_drive
 from diffdrive.errors import DiffdriveError, LoadEstimatorWarning, ParameterError
 from diffdrive.logs import Mapping, read_log
 from diffdrive.motion.text import numbers as numbers_of
+from experiments.cli import main as cli
 from experiments.cli.main import app
-from experiments.cli.main import main as cli
 from experiments.reports.report import Report
 
 SHORT = "triangular:speed=10mm/s,stroke=2mm,rounding=0.05s,duration=0.3s"
@@ -163,7 +163,8 @@ def test_an_expected_error_is_one_line_and_code_2(drive_file):
 @pytest.mark.skipif(os.name == "nt", reason="a POSIX signal")
 def test_whoever_is_ended_loses_no_more_than_by_an_interrupt():
     ended = (
-        "import os, signal, sys; from experiments import cli, drive_reference as keys; "
+        "import os, signal, sys; from diffdrive.axis_file import reference as keys; "
+        "from experiments.cli import main as cli; "
         "sys.argv = ['diffdrive', 'keys']; keys.markdown = lambda: os.kill(os.getpid(), signal.SIGTERM); cli.main()"
     )
     run = subprocess.run([sys.executable, "-c", ended], capture_output=True, text=True, check=False)

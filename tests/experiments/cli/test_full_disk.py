@@ -14,7 +14,7 @@ import pytest
 
 from diffdrive.axis_file.drive_file import write_drive
 from diffdrive.logs import write_log
-from experiments.cli.main import main as cli
+from experiments.cli import main as cli
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from tests.support.small_disk import PAGE, mounted

@@ -7,7 +7,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from diffdrive.errors import ParameterError
-from experiments.cli.main import main as cli
+from experiments.cli import main as cli
 from experiments.reports.report import Report
 from experiments.studies import real_axes
 from tuning.diagnosis.verdict import Belief

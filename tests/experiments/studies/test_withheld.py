@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.support.atomic_write import temporary_beside
-from experiments.cli.main import main as cli
+from experiments.cli import main as cli
 from experiments.reports.report import Report
 from experiments.studies.withheld import answer, generate, study
 from experiments.studies.withheld.draw import draw

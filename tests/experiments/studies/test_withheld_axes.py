@@ -11,7 +11,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Sampling
 from diffdrive.motion.builders import from_array
-from experiments.cli.main import main as cli
+from experiments.cli import main as cli
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, of_log

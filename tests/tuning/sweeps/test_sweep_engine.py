@@ -119,8 +119,9 @@ def test_every_effect_runs_in_single_precision():
 
 def test_lanes_are_the_same_to_the_bit_on_any_number_of_devices():
     program = (
-        "import sys; sys.path.insert(0, 'tests'); from diffdrive.runtime import configure; configure()\n"
-        "import jax, test_sweep_engine as t; found = t.swept(count=512)[0]  # several blocks on each device\n"
+        "from diffdrive.runtime import configure; configure()\n"
+        "import jax; from tests.tuning.sweeps import test_sweep_engine as t\n"
+        "found = t.swept(count=512)[0]  # several blocks on each device\n"
         "few = t.swept(count=512, to=40)[0]  # one block on one device, as a replay has\n"
         "assert (few.rms == found.rms[:40]).all() and (few.peak == found.peak[:40]).all()\n"
         "print(len(jax.devices()), found.rms.tobytes().hex() + found.load_error.tobytes().hex())"
