@@ -20,8 +20,9 @@ def at_next_step(progress: Progress, say: Callable[[str], None]) -> Iterator[Pro
     changes nothing.
     """
     first: float | None = None
+    before: dict[signal.Signals, Any] = {}
 
-    def ask(*_: Any) -> None:
+    def ask(number: int, frame: Any) -> None:
         nonlocal first
         if first is None:
             first = time.monotonic()
@@ -30,7 +31,10 @@ def at_next_step(progress: Progress, say: Callable[[str], None]) -> Iterator[Pro
                 f"than {FIRST:.0f} s (again to stop at once)."
             )
         elif time.monotonic() - first > TOGETHER:
-            raise KeyboardInterrupt
+            handler = before[signal.Signals(number)]
+            if not callable(handler):
+                raise KeyboardInterrupt
+            handler(number, frame)  # which raises once: a further one must not break the writing of results
 
     def step(count: int, most: int, cost: float) -> None:
         progress(count, most, cost)
@@ -40,7 +44,7 @@ def at_next_step(progress: Progress, say: Callable[[str], None]) -> Iterator[Pro
     if threading.current_thread() is not threading.main_thread():
         yield progress
         return
-    before = {one: signal.signal(one, ask) for one in SIGNALS}
+    before |= {one: signal.signal(one, ask) for one in SIGNALS}
     try:
         yield step
     finally:

@@ -28,7 +28,7 @@ class OutputFolder:
         Raises `ParameterError` that names it: before hours of work, not after them.
         """
         self.path = path
-        self._lock = FileLock(path / LOCK, timeout=0)
+        self._lock = FileLock(path / LOCK, timeout=0, thread_local=False)  # another thread may close it
         self._result = ReservedFile(path / result)
         self._is_open = False
         if os.path.exists(path) and not os.path.isdir(path):  # a Path raises where it may not look
@@ -41,6 +41,7 @@ class OutputFolder:
             with tempfile.TemporaryFile(dir=path):
                 pass
         except OSError as problem:
+            self._unmake()
             raise self._unwritable(problem) from None
 
     def _unwritable(self, problem: OSError) -> ParameterError:
@@ -54,6 +55,7 @@ class OutputFolder:
         try:
             self._acquire()
             self._is_open = True
+            _opened.add(self)
             self._result.hold(size)
         except BaseException:
             self.close()
@@ -90,9 +92,23 @@ class OutputFolder:
             if self._lock.is_locked:
                 (self.path / LOCK).unlink()
         self._lock.release()
+        _opened.discard(self)
+        self._unmake()
+
+    def _unmake(self) -> None:
+        """Remove the folders that were made, as far as nothing is in them."""
         for folder in self._made:
             with contextlib.suppress(OSError):  # not empty
                 folder.rmdir()
+
+
+_opened: set[OutputFolder] = set()  # of this process: what `os._exit` must not leave behind
+
+
+def close_all() -> None:
+    """Close every folder that this process has open: its end does not wait for whoever opened them."""
+    for one in list(_opened):
+        one.close()
 
 
 class ReservedFile:

@@ -100,8 +100,8 @@ def diagnose_logs(
                 _save(
                     report, dataclasses.replace(result, details=told), augmented
                 )  # again: what was found is not lost where the tuning is interrupted
-    if parts is not None:
-        parts.remove()
+        if parts is not None:  # while no other run may write here
+            parts.remove()
     return told
 
 

@@ -95,8 +95,8 @@ def identify_drive(
         if report.out is not None:
             with report.working("drawing"):
                 draw(report, found, description.drive, logs)
-    if parts is not None and not interrupted(found.search):
-        parts.remove()
+        if parts is not None and not interrupted(found.search):  # while no other run may write here
+            parts.remove()
     return found.search.status == "converged"
 
 

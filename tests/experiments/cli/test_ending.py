@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 BEGIN = """
 import gc, hashlib, os, sys, threading, time
 from pathlib import Path
-from experiments import ending
+from experiments.cli import ending
 ending.FIRST, ending.SECOND = 1.0, 0.3
 watch = ending.Watch(Path(sys.argv[1]))
 watch.begin()
@@ -26,10 +26,13 @@ print("begun", flush=True)
 """
 
 
-def ended(program, folder, *signals, apart=0.6):
+def ended(program, folder, *signals, apart=0.6, imports=""):
     """Exit code, what it said, and the seconds that it took from the last of the signals."""
     with subprocess.Popen(
-        [sys.executable, "-c", BEGIN + program, str(folder)], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", imports + BEGIN + program, str(folder)],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     ) as process:
         assert process.stdout.readline() == "begun\n"
         time.sleep(0.1)
@@ -124,3 +127,34 @@ def test_what_is_left_is_of_this_run(tmp_path):
 def test_the_folder_is_that_of_the_option(words):
     assert out_of(words) == Path("b")
     assert out_of(words[:1]) is None
+
+
+def test_a_third_signal_does_not_break_the_writing_that_the_second_one_set_going(tmp_path):
+    imports = "from experiments.cli.interruption import at_next_step\nfrom experiments.reports.report import Report\n"
+    program = """
+ending.FIRST = ending.SECOND = 60.0
+fsync = os.fsync
+def slow(descriptor):
+    for _ in range(20): time.sleep(0.1)
+    fsync(descriptor)
+try:
+    with Report("a search", Path(sys.argv[1])) as report:
+        report.values("kept", number=1)
+        os.fsync = slow
+        with at_next_step(lambda *_: None, print):
+            for _ in range(600): time.sleep(0.1)
+except KeyboardInterrupt:
+    pass
+"""
+    code, _, _ = ended(program, tmp_path, signal.SIGINT, signal.SIGINT, signal.SIGINT, apart=0.8, imports=imports)
+    assert code == 0
+    assert '"number": 1' in (tmp_path / "result.json").read_text()
+
+
+def test_a_folder_that_was_made_for_nothing_is_gone_after_a_hard_end(tmp_path):
+    imports = "from experiments.reports.report import Report\n"
+    program = 'with Report("nothing yet", Path(sys.argv[1])): computes()'
+    code, said, _ = ended(program, tmp_path / "made" / "here", signal.SIGINT, imports=imports)
+    assert code == 130
+    assert said.endswith("it had written nothing\n")
+    assert not (tmp_path / "made").exists()
