@@ -12,8 +12,8 @@ from diffdrive.controllers import (
     DisturbanceObserver,
     Feedforward,
     FrictionCompensation,
-    Gains,
     PDFeedforwardDOB,
+    PDGains,
     Tracking,
     UnknownController,
 )
@@ -42,7 +42,7 @@ _OF_THE_PAPER = tuple(kind for kind in KINDS if kind not in ("cascade", "unknown
 # which kinds have which keys: said of one that is left in a file whose kind was changed
 _PARTS: dict[str, dict[Any, tuple[str, ...]]] = {
     "controller": {
-        Gains: _OF_THE_PAPER,
+        PDGains: _OF_THE_PAPER,
         DisturbanceObserver: ("dobvsc", "pd+ff+dob"),
         DOBVSC: ("dobvsc",),
         PDFeedforwardDOB: ("pd+ff+dob",),
@@ -99,7 +99,7 @@ def build_controller(section: Any, drive: Drive) -> Controller:
     derivative = section.take("derivative", "backward-difference")
     if derivative != "backward-difference":
         raise section.fail("derivative", f"only 'backward-difference' is known, got {shown(derivative)}")
-    tracking = Tracking(section.build(Gains), feedforward)
+    tracking = Tracking(section.build(PDGains), feedforward)
     return _compensation(kind, section, drive, tracking)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from diffdrive.axis_file.controller_file import KINDS
-from diffdrive.controllers import DOBVSC, Cascade, DisturbanceObserver, Gains, PDFeedforwardDOB
+from diffdrive.controllers import DOBVSC, Cascade, DisturbanceObserver, PDFeedforwardDOB, PDGains
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Actuator, Friction, Plant, Quantity, Sensor
 from diffdrive.observers.friction_observer import LoadStateObserver, LoadStateTuning, Tuning
@@ -16,7 +16,7 @@ _TABLES: tuple[tuple[str, str, Any], ...] = (
     ("friction", "", Friction),
     ("actuator", "", Actuator),
     ("sensor", "", Sensor),
-    ("controller", "all but cascade, unknown", Gains),
+    ("controller", "all but cascade, unknown", PDGains),
     ("controller", "cascade", Cascade),
     ("controller", "dobvsc, pd+ff+dob", DisturbanceObserver),
     ("controller", "dobvsc", DOBVSC),

@@ -1,6 +1,6 @@
 """The controllers: one per file, one interface."""
 
-from diffdrive.controllers.base import Command, Controller, Feedforward, Gains, Reference, Tracking
+from diffdrive.controllers.base import Command, Controller, Feedforward, PDGains, Reference, Tracking
 from diffdrive.controllers.cascade import Cascade
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver
 from diffdrive.controllers.dobvsc import DOBVSC
@@ -18,8 +18,8 @@ __all__ = [
     "DisturbanceObserver",
     "Feedforward",
     "FrictionCompensation",
-    "Gains",
     "PDFeedforwardDOB",
+    "PDGains",
     "Reference",
     "Tracking",
     "UnknownController",

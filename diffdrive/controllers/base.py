@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
-from diffdrive.observers.friction_observer import Estimate
+from diffdrive.observers.friction_observer import ObserverEstimate
 
 
 class Reference(NamedTuple):
@@ -26,7 +26,7 @@ class Command(NamedTuple):
     """The force command (N), and the estimate behind it where the controller makes one."""
 
     force: Scalar
-    estimate: Estimate | None = None
+    estimate: ObserverEstimate | None = None
 
 
 class Tunable(NamedTuple):
@@ -97,7 +97,7 @@ class Feedforward(eqx.Module):
         return Feedforward.of(plant) if traced or np.all(np.asarray(self.mass) > 0.0) else self
 
 
-class Gains(eqx.Module):
+class PDGains(eqx.Module):
     """Position feedback kp e + kd (e[k] - e[k-1]) / T, with e[-1] = e[0]."""
 
     kp: Scalar = quantity("N/m", "proportional gain", at_least=0.0)
@@ -132,7 +132,7 @@ class LastError(NamedTuple):
 class Tracking(eqx.Module):
     """What every controller of the paper shares: the same feedback, and the same motion feed-forward."""
 
-    gains: Gains
+    gains: PDGains
     feedforward: Feedforward = Feedforward()
 
     def step(self, last: LastError, reference: Reference, position: Scalar, period: float) -> tuple[LastError, Scalar]:
@@ -154,4 +154,4 @@ TRACKING_GAINS = {
 
 def paper_tracking(drive: Drive, kp: Scalar, kd: Scalar) -> Tracking:
     """Feedback with these gains, and the feed-forward of the drive's inertia and damping."""
-    return Tracking(Gains(kp, kd), Feedforward.of(drive.plant))
+    return Tracking(PDGains(kp, kd), Feedforward.of(drive.plant))

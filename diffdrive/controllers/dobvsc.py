@@ -17,7 +17,7 @@ from diffdrive.controllers.base import (
 )
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
 from diffdrive.model.parameters import Drive, Scalar, quantity
-from diffdrive.observers.friction_observer import Estimate
+from diffdrive.observers.friction_observer import ObserverEstimate
 
 SURFACE_FACTOR = 10.0  # by which a search may move what shapes the sliding surface
 
@@ -65,5 +65,5 @@ class DOBVSC(Controller):
         switching = self.reach * jnp.clip(surface / self.layer, -1.0, 1.0)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
         disturbance, resisting = self.observer.step(state.disturbance, position, applied, period)
-        estimate = Estimate(resisting)
+        estimate = ObserverEstimate(resisting)
         return DOBVSCState(last_error, disturbance), Command(force + switching + resisting, estimate)

@@ -18,7 +18,7 @@ from diffdrive.controllers.base import (
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
 from diffdrive.model.friction import bristle_at, friction_force, slide
 from diffdrive.model.parameters import Drive, Friction, Scalar, quantity
-from diffdrive.observers.friction_observer import Estimate
+from diffdrive.observers.friction_observer import ObserverEstimate
 
 
 class FeedforwardState(NamedTuple):
@@ -63,6 +63,6 @@ class PDFeedforwardDOB(Controller):
         unexplained = applied - state.last_feedforward
         disturbance, resisting = self.observer.step(state.disturbance, position, unexplained, period)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
-        estimate = Estimate(predicted + resisting)
+        estimate = ObserverEstimate(predicted + resisting)
         state = FeedforwardState(last_error, deflection, predicted, disturbance)
         return state, Command(force + predicted + resisting, estimate)

@@ -42,7 +42,7 @@ from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.once import once
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.observers.convergence import advice
-from diffdrive.observers.friction_observer import Estimate
+from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.messages import shown
 from diffdrive.support.resources import require_memory
 
@@ -66,7 +66,7 @@ class Frame(NamedTuple):
     command: Scalar  # N, before the actuator
     force: Scalar  # N, that acts from k to k+1
     friction: Scalar  # N, without the damping B_S v
-    estimate: Estimate | None
+    estimate: ObserverEstimate | None
 
 
 class LoopState(NamedTuple):

@@ -19,7 +19,7 @@ from diffdrive.observers import kalman
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 
 
-class Estimate(NamedTuple):
+class ObserverEstimate(NamedTuple):
     """What an observer reports at each sample; None stands for what it does not estimate."""
 
     friction: Scalar  # N, without the damping B_S v
@@ -57,7 +57,7 @@ class FrictionObserver(eqx.Module):
         """State of the observer for a table at rest at `position` (m)."""
 
     @abc.abstractmethod
-    def step(self, state: Any, force: Scalar, position: Scalar, period: float) -> tuple[Any, Estimate]:
+    def step(self, state: Any, force: Scalar, position: Scalar, period: float) -> tuple[Any, ObserverEstimate]:
         """One period: `force` (N) acted over it, `position` (m) was measured at its end."""
 
 
@@ -117,7 +117,7 @@ class KalmanObserver(FrictionObserver):
 
     def step(
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
-    ) -> tuple[ObserverState, Estimate]:
+    ) -> tuple[ObserverState, ObserverEstimate]:
         _, velocity, deflection = state.x
         bristle = once(bristle_at(self.friction, velocity, deflection, state.load))
         ad, bd = state_matrices(self.plant, bristle, velocity, period)
@@ -138,7 +138,7 @@ class KalmanObserver(FrictionObserver):
         load = self.load_estimator.step(state.load, velocity, before, after)
         state = once(ObserverState(updated, omega, load))
         assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
-        return state, Estimate(after, None if assumed else load, updated[1], innovation)
+        return state, ObserverEstimate(after, None if assumed else load, updated[1], innovation)
 
 
 class LoadStateTuning(eqx.Module):
@@ -189,7 +189,7 @@ class LoadStateObserver(FrictionObserver):
 
     def step(
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
-    ) -> tuple[ObserverState, Estimate]:
+    ) -> tuple[ObserverState, ObserverEstimate]:
         friction = self.friction
         _, velocity, deflection = state.x
         bristle = bristle_at(friction, velocity, deflection, state.load)
@@ -209,7 +209,7 @@ class LoadStateObserver(FrictionObserver):
         omega = kalman.update_covariance(omega, k, self.tuning.measurement)
         after = estimated_friction(friction, updated, load)
         state = once(ObserverState(updated, omega, load))
-        return state, Estimate(after, load, updated[1], innovation)
+        return state, ObserverEstimate(after, load, updated[1], innovation)
 
     def _load_column(self, bristle: Any, velocity: Scalar, deflection: Scalar, period: float) -> kalman.Vector:
         """d[x, v, z]/dW over one period: the bristle is pushed by (r z / g) mu_LC per newton of load."""

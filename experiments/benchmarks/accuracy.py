@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.controllers import PD
-from diffdrive.controllers.base import Gains, Tracking
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.model.parameters import Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -30,7 +30,7 @@ def _positions(models: Any, inputs: Any, sampling: Sampling) -> Any:
 
 def integrator_errors() -> list[list[Any]]:
     """Rows of speed (mm/s) and, for each number of substeps, the largest position error over 1 s in nm."""
-    models = as_arrays((paper_drive(quantised=False), PD(Tracking(Gains(PAPER_KP, PAPER_KD)))))
+    models = as_arrays((paper_drive(quantised=False), PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))))
     rows = []
     for speed, rounding in CASES:
         inputs = _motion_inputs(speed, rounding, 10_000.0)
@@ -54,7 +54,7 @@ def errors_of_random_drives() -> list[list[Any]]:
     rng = np.random.default_rng(0)
     drives = [dataclasses.replace(random_drive(rng), sensor=Sensor()) for _ in range(DRIVES)]
     machines = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(as_arrays(one) for one in drives))
-    control = as_arrays(PD(Tracking(Gains(PAPER_KP, PAPER_KD))))
+    control = as_arrays(PD(Tracking(PDGains(PAPER_KP, PAPER_KD))))
 
     @partial(jax.jit, static_argnums=1)
     def positions(inputs: Any, sampling: Sampling) -> Any:

@@ -16,7 +16,7 @@ from experiments.benchmarks import clock, in_c, loops
 from experiments.benchmarks.common import RATE, nanoseconds, nominal
 from experiments.benchmarks.parameters import row
 from experiments.reports.report import Report
-from tuning.sweeps.engine import Course, Precision, costs_of
+from tuning.sweeps.engine import LaneCourse, Precision, costs_of
 
 SAME = 1e-10  # m: the step by hand and ours
 LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
@@ -134,7 +134,7 @@ def swept_lanes(report: Report) -> dict[str, float]:
         machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
         top = float(given.load[-1]) * np.linspace(0.5, 1.5, count)
         ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
-        course = Course(given.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
+        course = LaneCourse(given.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
         return lambda: costs_of(machines, ramp, None, controller, course, sampling, precision)
 
     with report.working(f"{MANY} lanes on all cores"), _others(report, given, sampling, MANY) as others:

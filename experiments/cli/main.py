@@ -158,7 +158,7 @@ def tune(
     from experiments.reports.report import Report
     from experiments.reports.tuning import tune_drive
     from tuning.gains.objective import AGGREGATIONS, Objective
-    from tuning.gains.plan import Plan
+    from tuning.gains.plan import TuningPlan
     from tuning.gains.requirements import MOST_GAIN_MARGIN, Required
 
     description = read_drive(drive)
@@ -178,7 +178,7 @@ def tune(
         command_noise=None if noise is None else at_least_zero(noise, "N", "--noise"),
         load_error=None if load_error is None else at_least_zero(load_error, "N", "--load-error"),
     )
-    plan = Plan(
+    plan = TuningPlan(
         speed=number(speed, "m/s", "--speed"), max_load=highest, loads=loads, spread=spread, machines=machines,
         seed=seed,
     )  # fmt: skip

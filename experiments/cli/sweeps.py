@@ -77,13 +77,13 @@ def sweep(
     """
     from diffdrive.runtime import with_accelerator
     from experiments.reports.sweep.sweep import sweep_drive
-    from tuning.sweeps.spec import Asked
+    from tuning.sweeps.spec import SweepSpec
     from tuning.sweeps.varying import tolerance_of, varying
 
     if workers is None or cluster is not None:  # workers of this machine are processes on its cores
         with_accelerator()
     texts, correlation = varying(machine or drive, vary or (), spread, identified)
-    asked = Asked.of(
+    asked = SweepSpec.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
         seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
 from tuning.gains.objective import Objective
-from tuning.gains.plan import Plan, judge
+from tuning.gains.plan import TuningPlan, judge
 from tuning.gains.requirements import Constraints, Required
 from tuning.gains.scenarios import Ensemble, Scenario
 from tuning.gains.tune import STARTS, Tuned, default_space, require_starts, tune
@@ -44,7 +44,7 @@ def tune_drive(
     description: Axis,
     report: Report,
     *,
-    plan: Plan = Plan(),
+    plan: TuningPlan = TuningPlan(),
     limits: Required = Required(command_noise=None),
     objective: Objective = Objective(),
     friction: bool = False,
@@ -133,7 +133,7 @@ def margins_table(report: Report, both: Sequence[MarginsOf]) -> None:
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
 
 
-def loop_figures(report: Report, description: Axis, tuned: Controller, plan: Plan, limits: Required) -> None:
+def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: Required) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
     at = [Operating(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in (plan.min_load, plan.max_load)]
     with report.working("drawing the loops"):
@@ -172,7 +172,7 @@ MEASURES = ("rms", "peak", "command_noise", "load_error")
 
 def _pareto(
     report: Report, description: Axis, lanes: Ensemble, requirements: Constraints,
-    objective: Objective, noises: Sequence[float], off: list[Scenario], plan: Plan,
+    objective: Objective, noises: Sequence[float], off: list[Scenario], plan: TuningPlan,
 ) -> None:  # fmt: skip
     """Tracking error against command noise: the gains tuned again under each limit, from the ones found."""
     rows: list[list[Any]] = []
@@ -201,7 +201,7 @@ def _pareto(
     report.figure("pareto", figure)
 
 
-def _conditions(plan: Plan, prepared: Prepared, description: Axis) -> dict[str, Any]:
+def _conditions(plan: TuningPlan, prepared: Prepared, description: Axis) -> dict[str, Any]:
     """What the gains rest on."""
     asked = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
@@ -219,7 +219,7 @@ def _conditions(plan: Plan, prepared: Prepared, description: Axis) -> dict[str, 
     }
 
 
-def figure_of(tuned: Tuned, runs: list[Verified], plan: Plan) -> Any:
+def figure_of(tuned: Tuned, runs: list[Verified], plan: TuningPlan) -> Any:
     """The search, and one held-out scenario before and after."""
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.found.standing.history

@@ -11,7 +11,7 @@ from diffdrive.model.parameters import Actuator, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
 from experiments.studies.paper import scenario as paper
-from tuning.gains.constrained import Gains, problem_of
+from tuning.gains.constrained import ConstrainedGains, problem_of
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Constraints, Required, points
 from tuning.gains.scenarios import Scenario, ensemble
@@ -54,7 +54,7 @@ def question(limits=LIMITS, objective=Objective(), name="PD+FC+LS"):
     """Gains, problem and space."""
     space = default_space(controller(name))
     problem = problem_of(as_arrays(smooth(controller(name))), space, lanes(), requirements(limits))
-    return Gains(space.free, objective), problem, space
+    return ConstrainedGains(space.free, objective), problem, space
 
 
 def at(*values):

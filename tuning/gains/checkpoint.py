@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive.errors import CheckpointError
 from diffdrive.support.atomic_write import write_text
-from tuning.gains.sequential import Standing
+from tuning.gains.sequential import SearchState
 
 
 class Checkpoint:
@@ -25,7 +25,7 @@ class Checkpoint:
         """Read what is at `path`, if anything; raises `CheckpointError` if it is another problem's, or damaged."""
         self.path = path
         self.identity = _identity(problem)
-        self.standings: dict[int, Standing] = {}
+        self.standings: dict[int, SearchState] = {}
         if path is None or not path.exists():
             return
         try:
@@ -41,11 +41,11 @@ class Checkpoint:
             )
         self.standings = standings
 
-    def standing(self, start: int) -> Standing | None:
+    def standing(self, start: int) -> SearchState | None:
         """Where this start stands; an interrupted one goes on."""
         return self.standings.get(start)
 
-    def keep(self, start: int, now: Standing) -> None:
+    def keep(self, start: int, now: SearchState) -> None:
         """Write where this start stands."""
         self.standings[start] = now
         if self.path is None:
@@ -55,10 +55,10 @@ class Checkpoint:
         write_text(self.path, json.dumps(held))
 
 
-def _standing(fields: dict[str, Any]) -> Standing:
+def _standing(fields: dict[str, Any]) -> SearchState:
     history = tuple(tuple(entry) for entry in fields["history"])
     best = None if fields["best"] is None else tuple(fields["best"])
-    return Standing(**{**fields, "y": tuple(fields["y"]), "history": history, "best": best})
+    return SearchState(**{**fields, "y": tuple(fields["y"]), "history": history, "best": best})
 
 
 def _identity(problem: Any) -> str:

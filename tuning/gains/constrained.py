@@ -24,7 +24,7 @@ PENALTY, HOPELESS = 10.0, 1e6
 Named = dict[str, Float[Array, " n"]]
 
 
-class Problem(NamedTuple):
+class TuningProblem(NamedTuple):
     """The controller to tune (smooth, every number an array), where it is tried, and what it must keep."""
 
     controller: Controller
@@ -33,7 +33,7 @@ class Problem(NamedTuple):
     requirements: Constraints
 
 
-class Point(NamedTuple):
+class DesignPoint(NamedTuple):
     """What a point of the search is worth."""
 
     objective: Scalar
@@ -59,7 +59,7 @@ class Point(NamedTuple):
 class Linearised(NamedTuple):
     """A point with the derivatives of everything along the search vector."""
 
-    point: Point
+    point: DesignPoint
     slope: Float[Array, " k"]  # of the objective
     curvature: Float[Array, "k k"]  # Gauss-Newton: of the squares that have the objective's gradient here
     kept_slopes: dict[str, Float[Array, "n k"]]
@@ -68,23 +68,23 @@ class Linearised(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Gains:
+class ConstrainedGains:
     """The search as a function of y; hashed by value, so that the same question is compiled once."""
 
     free: tuple[Free, ...]
     objective: Objective
 
-    def seen(self, y: Float[Array, " k"], problem: Problem) -> tuple[Signals, Named]:
+    def seen(self, y: Float[Array, " k"], problem: TuningProblem) -> tuple[Signals, Named]:
         controller = Space(self.free, problem.origin).insert(problem.controller, y)
         signals = problem.scenarios.signals(controller)
         return signals, problem.requirements.of_loop(controller) | problem.requirements.of_signals(signals)
 
-    def at(self, y: Float[Array, " k"], problem: Problem) -> Point:
+    def at(self, y: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
         """The point's worth."""
         signals, kept = self.seen(y, problem)
-        return Point(self.objective(signals), kept)
+        return DesignPoint(self.objective(signals), kept)
 
-    def linearised(self, y: Float[Array, " k"], problem: Problem) -> Linearised:
+    def linearised(self, y: Float[Array, " k"], problem: TuningProblem) -> Linearised:
         """The point's worth with derivatives, in one forward pass for all parameters."""
 
         def along(direction: Array) -> tuple[tuple[Signals, Named], tuple[Signals, Named]]:
@@ -99,7 +99,7 @@ class Gains:
             )
         ]
         return Linearised(
-            point=Point(self.objective(signals), kept),
+            point=DesignPoint(self.objective(signals), kept),
             slope=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
             curvature=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
             kept_slopes={name: slope.T for name, slope in kept_slopes.items()},
@@ -114,17 +114,17 @@ def _products(requirements: Constraints, signals: Signals, slopes: Signals) -> d
 
 
 @eqx.filter_jit
-def worth(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Point:
-    """`Gains.at`, compiled."""
+def worth(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
+    """`ConstrainedGains.at`, compiled."""
     return gains.at(y, problem)
 
 
 @eqx.filter_jit
-def linearised(gains: Gains, y: Float[Array, " k"], problem: Problem) -> Linearised:
-    """`Gains.linearised`, compiled."""
+def linearised(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> Linearised:
+    """`ConstrainedGains.linearised`, compiled."""
     return gains.linearised(y, problem)
 
 
-def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Constraints) -> Problem:
+def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Constraints) -> TuningProblem:
     """The problem of tuning `controller` (smooth, as arrays) in `space`."""
-    return Problem(controller, jnp.asarray(np.asarray(space.origin)), scenarios, requirements)
+    return TuningProblem(controller, jnp.asarray(np.asarray(space.origin)), scenarios, requirements)

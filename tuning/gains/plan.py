@@ -30,7 +30,7 @@ DURATION = 1.2  # s
 
 
 @dataclass(frozen=True)
-class Plan:
+class TuningPlan:
     """How a tuning is set up; loads in N, speed in m/s, `spread` the relative uncertainty of machine parameters.
 
     The `motion` is a reversal at `speed`, unless one is given; what counts of it begins after `settle` (s).
@@ -98,7 +98,7 @@ def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
     return [drive, *(jax.tree.map(float, one) for one in drawn)]
 
 
-def tuned_on(description: Axis, plan: Plan) -> list[Scenario]:
+def tuned_on(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
     motion = plan.at(1.0, description.sampling.rate)
     constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(plan.min_load, plan.max_load, plan.loads)]
@@ -117,7 +117,7 @@ def tuned_on(description: Axis, plan: Plan) -> list[Scenario]:
     return found
 
 
-def held_out(description: Axis, plan: Plan) -> list[Scenario]:
+def held_out(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Loads in between, loads that change, other speeds, another machine, other noise."""
     rate, drive = description.sampling.rate, description.drive
     motion = plan.at(1.0, rate)

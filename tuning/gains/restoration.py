@@ -4,14 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.gains.constrained import Linearised, Point
+from tuning.gains.constrained import DesignPoint, Linearised
 from tuning.optimisation.least_distance import quadratic_program
 
 FARTHER = 1.3  # of what is missed: a growth rate is no straight line
 RELAXATIONS = (1.0, 0.5, 0.25, 0.1)  # share of what is missed that one step is to mend
 
 
-def simulates(point: Point) -> bool:
+def simulates(point: DesignPoint) -> bool:
     """Whether the loop is stable and its simulation stays finite, so that an objective means something."""
     return bool(np.isfinite(float(point.objective)) and float(jnp.max(point.kept["stability"])) <= 0.0)
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.gains.constrained import Gains, Linearised, Point, Problem, linearised, worth
+from tuning.gains.constrained import ConstrainedGains, DesignPoint, Linearised, TuningProblem, linearised, worth
 from tuning.gains.restoration import simulates, stabilising_step
 from tuning.optimisation.least_distance import quadratic_program
 from tuning.optimisation.least_squares import Progress, silent
@@ -32,7 +32,7 @@ RELAXATIONS = (1.0, 0.5, 0.25, 0.0)  # share of what is missed that one step is 
 
 
 @dataclass(frozen=True)
-class Standing:
+class SearchState:
     """Where a search stands after a step: all that it needs to go on, and numbers alone."""
 
     y: tuple[float, ...]
@@ -49,10 +49,10 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchEnd:
     """The end of a search: the point, its worth, and the price of each requirement there."""
 
-    standing: Standing
+    standing: SearchState
     at: Linearised
     multipliers: dict[str, Float[np.ndarray, " n"]]
 
@@ -63,14 +63,14 @@ class Found:
 
 
 def search(
-    gains: Gains,
-    problem: Problem,
-    begin: Standing,
+    gains: ConstrainedGains,
+    problem: TuningProblem,
+    begin: SearchState,
     *,
     max_steps: int = 40,
     progress: Progress = silent,
-    keep: Callable[[Standing], None] = lambda _: None,
-) -> Found:
+    keep: Callable[[SearchState], None] = lambda _: None,
+) -> SearchEnd:
     """Search on from `begin` until no step gains, `max_steps`, or Ctrl-C; `keep` is given the standing after each step.
 
     A search that is begun again from a standing takes the same steps as if it had not been stopped.
@@ -100,7 +100,7 @@ def search(
     elif missed and now.status == "converged":
         now = dataclasses.replace(now, status="infeasible: no step brings it nearer to what is required")
     prices = _program(at, max(now.radius, SMALLEST_RADIUS))[1] if simulates(at.point) else {}
-    return Found(now, at, prices)
+    return SearchEnd(now, at, prices)
 
 
 def _stalled(history: tuple[tuple[int, int, float, float, float], ...]) -> bool:
@@ -111,22 +111,24 @@ def _stalled(history: tuple[tuple[int, int, float, float, float], ...]) -> bool:
     return taken[-1 - STALLED_STEPS][3] - taken[-1][3] < GAIN * taken[-1][3]
 
 
-def _linearised(gains: Gains, problem: Problem, now: Standing) -> Linearised:
+def _linearised(gains: ConstrainedGains, problem: TuningProblem, now: SearchState) -> Linearised:
     return linearised(gains, jnp.asarray(now.y), problem)
 
 
-def _worth(point: Point) -> tuple[float, float]:
+def _worth(point: DesignPoint) -> tuple[float, float]:
     return float(point.objective), float(point.missed)
 
 
-def _merit(point: Point, price: float) -> float:
+def _merit(point: DesignPoint, price: float) -> float:
     """Objective and the price of what is missed; infinite where the loop diverges."""
     missed = sum(max(0.0, float(jnp.max(values))) for values in point.kept.values())
     merit = float(point.objective) + price * missed
     return merit if np.isfinite(merit) else np.inf
 
 
-def _stabilise(gains: Gains, problem: Problem, now: Standing, at: Linearised) -> tuple[Standing, Linearised]:
+def _stabilise(
+    gains: ConstrainedGains, problem: TuningProblem, now: SearchState, at: Linearised
+) -> tuple[SearchState, Linearised]:
     """One step of an unstable loop towards a stable one, whatever it does to the objective."""
     d = stabilising_step(at, now.radius)
     now = dataclasses.replace(now, steps=now.steps + 1)
@@ -144,7 +146,9 @@ def _stabilise(gains: Gains, problem: Problem, now: Standing, at: Linearised) ->
     return dataclasses.replace(now, radius=FIRST_RADIUS if simulates(at.point) else LARGEST_RADIUS), at
 
 
-def _step(gains: Gains, problem: Problem, now: Standing, at: Linearised) -> tuple[Standing, Linearised]:
+def _step(
+    gains: ConstrainedGains, problem: TuningProblem, now: SearchState, at: Linearised
+) -> tuple[SearchState, Linearised]:
     """One quadratic program and the trial of its answer."""
     d, prices = _program(at, now.radius)
     dearest = max(float(np.sum(one)) for one in prices.values())

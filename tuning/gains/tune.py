@@ -18,11 +18,11 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays, check, require_double_precision
 from diffdrive.support.resources import counted, require_memory
 from tuning.gains.checkpoint import Checkpoint
-from tuning.gains.constrained import Gains, Point, problem_of, worth
+from tuning.gains.constrained import ConstrainedGains, DesignPoint, problem_of, worth
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Constraints
 from tuning.gains.scenarios import Ensemble
-from tuning.gains.sequential import KEPT, Found, Standing, search
+from tuning.gains.sequential import KEPT, SearchEnd, SearchState, search
 from tuning.optimisation.least_squares import Progress, silent
 from tuning.optimisation.space import Space, around
 
@@ -73,12 +73,12 @@ class Tuned:
     before: Float[np.ndarray, " k"]
     after: Float[np.ndarray, " k"]
     at_bound: list[str]
-    point: Point  # the objective, and every requirement
-    began: Point  # the same where the controller was given
+    point: DesignPoint  # the objective, and every requirement
+    began: DesignPoint  # the same where the controller was given
     binding: list[Binding]
     tolerance: Float[np.ndarray, " k"]  # factor by which each alone may move for 5 % more of the objective; 1000: any
-    found: Found
-    searches: list[Found]  # one from each start, in the order in which they were made
+    found: SearchEnd
+    searches: list[SearchEnd]  # one from each start, in the order in which they were made
     starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it kept not what is required
     screening: float  # s, in which the starts were looked at
 
@@ -123,7 +123,7 @@ def tune(
     check(controller)
     require_starts(starts)
     space = default_space(controller) if space is None else space
-    gains = Gains(space.free, objective)
+    gains = ConstrainedGains(space.free, objective)
     problem = problem_of(as_arrays(smooth(controller)), space, scenarios, requirements)
     scattered = _scattered(len(space.free), starts, seed)
     kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
@@ -131,10 +131,10 @@ def tune(
     worths = [jax.block_until_ready(worth(gains, jnp.asarray(point), problem)) for point in scattered]
     screening = time.perf_counter() - clock
     order = np.argsort([float(one.penalised) for one in worths])
-    results: list[Found] = []
+    results: list[SearchEnd] = []
     ends = np.full(starts, np.inf)
     for k in order:
-        standing = kept.standing(int(k)) or Standing(tuple(float(one) for one in scattered[k]))
+        standing = kept.standing(int(k)) or SearchState(tuple(float(one) for one in scattered[k]))
         found = search(
             gains,
             problem,
@@ -165,7 +165,7 @@ def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
 
 
 def _tuned(
-    controller: Controller, space: Space, found: Found, began: Point, searches: list[Found],
+    controller: Controller, space: Space, found: SearchEnd, began: DesignPoint, searches: list[SearchEnd],
     ends: Float[np.ndarray, " s"], screening: float,
 ) -> Tuned:  # fmt: skip
     objective = float(found.at.point.objective)

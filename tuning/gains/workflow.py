@@ -19,7 +19,7 @@ from diffdrive.model.parameters import Friction, Sampling, as_arrays
 from diffdrive.motion.motion import Motion
 from diffdrive.results import Result, Status
 from tuning.gains.objective import Objective
-from tuning.gains.plan import Judged, Plan, held_out, judge, machines, tuned_on
+from tuning.gains.plan import Judged, TuningPlan, held_out, judge, machines, tuned_on
 from tuning.gains.requirements import MOST_GAIN_MARGIN, Constraints, Required, check_limits, points
 from tuning.gains.scenarios import Ensemble, Scenario, ensemble
 from tuning.gains.tune import STARTS, Tuned, default_space, factors_of, require_starts
@@ -78,7 +78,7 @@ class Prepared(NamedTuple):
     notes: tuple[str, ...]
 
 
-def prepare(axis: Axis, plan: Plan, required: Required, *, friction: bool = False) -> Prepared:
+def prepare(axis: Axis, plan: TuningPlan, required: Required, *, friction: bool = False) -> Prepared:
     """Scenarios, constraints and search space of a tuning as planned. Raises `ParameterError` and `MotionError`."""
     check_limits(required)
     if friction and not isinstance(axis.controller, FrictionCompensation):
@@ -110,7 +110,7 @@ def _completed(axis: Axis, required: Required, on: Sequence[Scenario], settle: f
     return required, notes
 
 
-def speeds_of(plan: Plan) -> tuple[float, ...]:
+def speeds_of(plan: TuningPlan) -> tuple[float, ...]:
     """The speeds (m/s) at which margins are looked at."""
     return tuple(speed if speed < 1.0 else speed * plan.top_speed for speed in SPEEDS)
 
@@ -127,7 +127,7 @@ class MarginsOf(NamedTuple):
     held_out: Margins
 
 
-def margins_at(axis: Axis, controllers: Sequence[Controller], plan: Plan) -> list[MarginsOf]:
+def margins_at(axis: Axis, controllers: Sequence[Controller], plan: TuningPlan) -> list[MarginsOf]:
     """Margins of each controller, also on a machine, at loads and at speeds that were not tuned on."""
     other = machines(axis.drive, 2, plan.spread, plan.seed + 1000)[1]
     low, high = plan.min_load, plan.max_load
@@ -254,7 +254,7 @@ class TuningResult(Result):
     runs: tuple[Verified, ...]
     notes: tuple[str, ...]
     given: Axis
-    plan: Plan
+    plan: TuningPlan
     required: Required
     status: Status
 
@@ -328,7 +328,7 @@ def tune(
     low, high = loads
     if not 0.0 <= low < high:
         raise ParameterError(f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {loads!r}")
-    plan = Plan(max_load=high, min_load=low, spread=spread, machines=machines, seed=seed, motion=motion)
+    plan = TuningPlan(max_load=high, min_load=low, spread=spread, machines=machines, seed=seed, motion=motion)
     if settle is not None or motion is not None:
         third = 0.0 if motion is None else motion.duration / 3.0
         plan = replace(plan, settle=min(plan.settle, third) if settle is None else settle)
@@ -349,7 +349,7 @@ def tune(
 
 
 def result_of(
-    axis: Axis, plan: Plan, prepared: Prepared, tuned: Tuned, margins: MarginsOf, runs: Sequence[Verified]
+    axis: Axis, plan: TuningPlan, prepared: Prepared, tuned: Tuned, margins: MarginsOf, runs: Sequence[Verified]
 ) -> TuningResult:
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Drive, Scalar
-from tuning.identification.problem import Innovations, Problem
+from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Unknowns, paths, placed
 from tuning.optimisation.space import Space
@@ -86,7 +86,7 @@ def reported(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list
 def estimates(
     y: Float[np.ndarray, " k"],
     innovations: Innovations,
-    problem: Problem,
+    problem: IdentificationProblem,
     covariance: Covariance,
     undetermined: set[str],
 ) -> tuple[list[Estimate], Float[np.ndarray, "q q"]]:
@@ -131,7 +131,7 @@ def estimates(
 
 
 def _ends(
-    y: Float[Array, " k"], innovations: Innovations, problem: Problem, together: frozenset[str]
+    y: Float[Array, " k"], innovations: Innovations, problem: IdentificationProblem, together: frozenset[str]
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """For each free path the bounds of what is reported of it, by name, the other unknowns as found."""
     unknowns = innovations.unpack(y, problem)[1]

@@ -19,7 +19,7 @@ from diffdrive.model import plant
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.numerics.once import once
 from diffdrive.observers.kalman import Matrix, Triangle, diagonal, gain, predict_covariance, update_covariance
-from tuning.identification.prediction import Gains, Lanes, acting_force, moving
+from tuning.identification.prediction import FilterGains, Lanes, acting_force, moving
 
 PROCESSES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
@@ -28,7 +28,7 @@ UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 class Filtered(NamedTuple):
     """Gains along the log, and how likely its innovations are."""
 
-    gains: Gains
+    gains: FilterGains
     innovation: Float[Array, "lanes n"]  # m
     deviance: Scalar  # -2 log likelihood of the innovations, up to a constant
 
@@ -72,7 +72,7 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
         state, covariance = once((state, covariance))
         state, moved = period(state, force, load)
         covariance = predict_covariance(covariance, moved, (0.0, jolt, 0.0))
-        return (state, covariance), (Gains(*pull, scatter), innovation)
+        return (state, covariance), (FilterGains(*pull, scatter), innovation)
 
     def one(lane: Lanes) -> Any:
         begin = moving(drive, lane)

@@ -20,7 +20,7 @@ from diffdrive.model.parameters import Directional, Drive, as_arrays, check_driv
 from diffdrive.support.resources import counted, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
 from tuning.identification.estimates import Estimate, estimates
-from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, Innovations, Problem, sampling_of
+from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
 from tuning.identification.setup import ask
 from tuning.identification.uncertainty import Covariance, repetition
@@ -131,7 +131,7 @@ def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray,
 
 
 def _many_starts(
-    coarse: Innovations, problem: Problem, starts: int, seed: int, progress: Progress, store: Store | None
+    coarse: Innovations, problem: IdentificationProblem, starts: int, seed: int, progress: Progress, store: Store | None
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
     """The best of several coarse searches, their costs, and whether they were interrupted.
 
@@ -162,11 +162,11 @@ def _stop(*_: object) -> None:
 
 
 @eqx.filter_jit
-def _costs(residuals: Innovations, points: Float[Array, "s k"], problem: Problem) -> Float[Array, " s"]:
+def _costs(residuals: Innovations, points: Float[Array, "s k"], problem: IdentificationProblem) -> Float[Array, " s"]:
     return jax.vmap(lambda y: jnp.linalg.norm(residuals(y, problem)))(points)
 
 
-def _best_delay(coarse: Innovations, problem: Problem) -> Float[np.ndarray, " k"]:
+def _best_delay(coarse: Innovations, problem: IdentificationProblem) -> Float[np.ndarray, " k"]:
     """The start moved to the best delay on the way from one of its bounds to the other.
 
     From a delay that is a sample off, friction first bends to make up for it, and seldom finds back.

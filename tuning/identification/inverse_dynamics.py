@@ -189,7 +189,7 @@ def evaluate(result: InverseDynamics, logs: Log | Sequence[Log]) -> Evaluation:
     return _evaluation(tables, result.coefficients, notes)
 
 
-class _Table(NamedTuple):
+class _RegressorTable(NamedTuple):
     """The decimated rows of one piece."""
 
     log: str
@@ -203,7 +203,7 @@ class _Table(NamedTuple):
 
 def _table(
     source: Stretch, regressors: Regressors, dynamics: float, min_speed: float, borders: tuple[float, float]
-) -> _Table:
+) -> _RegressorTable:
     """Differentiate, drop the border, form the columns at the full rate, and decimate them and the force alike."""
     velocity, acceleration = differentiate(source.position, source.rate, 5 * dynamics)
     begin, end = (round(share * source.border) for share in borders)
@@ -212,7 +212,7 @@ def _table(
     ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
     columns = regressors.columns(at)
     slowest = minimum_filter1d(np.abs(at.velocity), 2 * ratio + 1)
-    return _Table(
+    return _RegressorTable(
         log=source.log,
         time=source.time[border][kept(len(at.velocity), ratio)],
         at=Kinematics(*(decimate(signal, ratio) for signal in at)),
@@ -223,7 +223,9 @@ def _table(
     )
 
 
-def _evaluation(tables: Sequence[_Table], coefficients: Float[np.ndarray, " p"], notes: tuple[str, ...]) -> Evaluation:
+def _evaluation(
+    tables: Sequence[_RegressorTable], coefficients: Float[np.ndarray, " p"], notes: tuple[str, ...]
+) -> Evaluation:
     pieces = tuple(
         Piece(t.log, t.time, *t.at, force=t.force, model=t.columns @ coefficients, used=t.used) for t in tables
     )

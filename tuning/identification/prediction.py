@@ -46,7 +46,7 @@ class Lanes(NamedTuple):
         return self.position.shape[0]
 
 
-class Gains(NamedTuple):
+class FilterGains(NamedTuple):
     """Corrections per metre of innovation, and how far the innovation is expected to scatter; [lanes, n] each."""
 
     position: Float[Array, "lanes n"]  # 1
@@ -55,11 +55,11 @@ class Gains(NamedTuple):
     scatter: Float[Array, "lanes n"]  # m
 
 
-def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) -> Gains:
+def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) -> FilterGains:
     """Gains that put both poles of a free mass at exp(-bandwidth T), bandwidth in rad/s; the bristle is left alone."""
     fade = float(np.exp(-bandwidth * period))
     values = (1.0 - fade**2, (1.0 - fade) ** 2 / period, 0.0, noise)
-    return Gains(*(jnp.full(lanes.position.shape, value) for value in values))
+    return FilterGains(*(jnp.full(lanes.position.shape, value) for value in values))
 
 
 def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
@@ -111,7 +111,7 @@ class Predicted(NamedTuple):
     velocity: Float[Array, "lanes n"]  # m/s, after the correction
 
 
-def predict(drive: Drive, delay: Scalar, gains: Gains, lanes: Lanes, sampling: Sampling) -> Predicted:
+def predict(drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampling: Sampling) -> Predicted:
     """Predict each lane. Pure: for use under `jit`, `vmap` and `jacfwd`.
 
     `delay` (control periods) stands for the drive's own.
@@ -126,7 +126,7 @@ def predict(drive: Drive, delay: Scalar, gains: Gains, lanes: Lanes, sampling: S
         ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
         return ahead, Predicted(innovation, state.velocity)
 
-    def one(lane: Lanes, gains: Gains) -> Predicted:
+    def one(lane: Lanes, gains: FilterGains) -> Predicted:
         force = acting_force(drive, lane, delay)
         return lax.scan(body, moving(drive, lane), (lane.position, force, lane.load, *gains[:3]))[1]
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling
-from tuning.identification.prediction import Gains, Lanes, Predicted, begin_velocity, predict
+from tuning.identification.prediction import FilterGains, Lanes, Predicted, begin_velocity, predict
 from tuning.identification.unknowns import Unknowns
 from tuning.optimisation.space import Free, Space
 
@@ -58,21 +58,23 @@ def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:
     return float(max(stated, shown, 1e-12))
 
 
-class Problem(NamedTuple):
+class IdentificationProblem(NamedTuple):
     """What is fitted to what."""
 
     believed: Drive
     believed_unknowns: Unknowns
     unknowns: Unknowns  # where the search starts
     lanes: Lanes
-    gains: Gains
+    gains: FilterGains
     origin: Float[np.ndarray, " free"]  # of the search space
     prior: Float[np.ndarray, " free"]  # how many units of belief (a factor of five) one unit of y is; 1 in usual bounds
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
+    """Residuals of an `IdentificationProblem` as a function of y.
+
+    Hashed by value, so that the same question is compiled once.
 
     Innovations over their expected scatter, each `every`-th, then the distance of y from its start in units of belief.
     That is a prior of a factor of five: next to nothing where the log says something about a parameter, and what keeps
@@ -83,17 +85,17 @@ class Innovations:
     sampling: Sampling
     every: int = 1
 
-    def unpack(self, y: Float[Array, " k"], problem: Problem) -> tuple[Drive, Unknowns]:
+    def unpack(self, y: Float[Array, " k"], problem: IdentificationProblem) -> tuple[Drive, Unknowns]:
         """The drive and the unknowns at y."""
         unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
         return unknowns.drive(problem.believed), unknowns
 
-    def predict(self, y: Float[Array, " k"], problem: Problem) -> Predicted:
+    def predict(self, y: Float[Array, " k"], problem: IdentificationProblem) -> Predicted:
         """What the drive at y predicts."""
         drive, unknowns = self.unpack(y, problem)
         return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
 
-    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
+    def __call__(self, y: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
         innovation = self.predict(y, problem).innovation
         weighed = (innovation * problem.lanes.counts / problem.gains.scatter)[:, :: self.every] * np.sqrt(self.every)
         return jnp.concatenate([weighed.ravel(), problem.prior * y])

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from diffdrive.errors import ParameterError
-from tuning.identification.problem import Problem
+from tuning.identification.problem import IdentificationProblem
 from tuning.identification.unknowns import bounds, paths, placed, value
 from tuning.optimisation.space import Free, space_of
 
@@ -26,8 +26,8 @@ EDGE = 0.02  # of its range (of its decades, where it is positive), by which a s
 
 
 def free_space(
-    problem: Problem, held: set[str], bounded: Mapping[str, tuple[float, float]]
-) -> tuple[Problem, tuple[Free, ...], list[str]]:
+    problem: IdentificationProblem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+) -> tuple[IdentificationProblem, tuple[Free, ...], list[str]]:
     """What is free, within bounds about what was believed; the problem with its starts inside them; notes."""
     given, notes = _given(problem, held, bounded)
     unknowns, free = problem.unknowns, []
@@ -55,7 +55,7 @@ def _reach(limits: Free) -> float:
     return float(np.log(limits.high / limits.low)) if limits.low > 0 else limits.high - limits.low
 
 
-def _usual(problem: Problem, path: str) -> Free:
+def _usual(problem: IdentificationProblem, path: str) -> Free:
     """Bounds about the belief, unless inverse dynamics says that it is far off: the same for like machines."""
     believed, seeded = value(problem.believed_unknowns, path), value(problem.unknowns, path)
     trusted = 0.2 < believed / seeded < 5.0 if seeded > 0 else True
@@ -63,7 +63,7 @@ def _usual(problem: Problem, path: str) -> Free:
 
 
 def _given(
-    problem: Problem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+    problem: IdentificationProblem, held: set[str], bounded: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, Free], list[str]]:
     """The user's bounds as bounds of the unknowns, by path, and notes on what that took."""
     before, friction, found, notes = problem.believed_unknowns, problem.believed.friction, dict[str, Free](), []

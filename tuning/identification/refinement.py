@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from diffdrive.model.parameters import Drive, as_arrays
 from tuning.identification.filter_gain import PROCESSES, Likeliest, likeliest, track
 from tuning.identification.prediction import Predicted
-from tuning.identification.problem import FINEST_SUBSTEP, Innovations, Problem, sampling_of
+from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.uncertainty import Covariance, sandwich
 from tuning.identification.unknowns import placed, value
 from tuning.optimisation.least_squares import Progress, Search, levenberg_marquardt
@@ -34,7 +34,7 @@ class Fit(NamedTuple):
     """A refined fit: the last search, the gains it went by, and what it leaves."""
 
     residuals: Innovations
-    problem: Problem
+    problem: IdentificationProblem
     search: Search
     covariance: Covariance
     innovation: Float[np.ndarray, "lanes n"]  # m; zero where nothing was measured
@@ -45,7 +45,7 @@ class Fit(NamedTuple):
 
 
 def refined(
-    fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float, progress: Progress,
+    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float, progress: Progress,
     store: Store | None = None,
 ) -> Fit:  # fmt: skip
     """Search and filter in turn, until neither changes the other.
@@ -79,7 +79,7 @@ def sharpened(fit: Fit, noise: float, progress: Progress, store: Store | None = 
 def _alternated(
     fine: Innovations,
     y: Float[np.ndarray, " k"],
-    problem: Problem,
+    problem: IdentificationProblem,
     noise: float,
     progress: Progress,
     enough: float,
@@ -123,19 +123,19 @@ def interrupted(search: Search) -> bool:
     return search.status.startswith("interrupted")
 
 
-def _machine(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem) -> tuple[Drive, float]:
+def _machine(fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem) -> tuple[Drive, float]:
     drive, unknowns = fine.unpack(jnp.asarray(y), problem)
     return drive, unknowns.delay
 
 
-def _filtered(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem, noise: float) -> Likeliest:
+def _filtered(fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float) -> Likeliest:
     return likeliest(*_machine(fine, y, problem), noise, problem.lanes, fine.sampling)
 
 
 def searched(
     fine: Innovations,
     y: Float[np.ndarray, " k"],
-    problem: Problem,
+    problem: IdentificationProblem,
     progress: Progress,
     enough: float,
     most: int = MOST_STEPS,
@@ -164,12 +164,12 @@ def searched(
 
 
 @eqx.filter_jit
-def _predict(fine: Innovations, y: Float[Array, " k"], problem: Problem) -> Predicted:
+def _predict(fine: Innovations, y: Float[Array, " k"], problem: IdentificationProblem) -> Predicted:
     return fine.predict(y, problem)
 
 
 @eqx.filter_jit
-def linearised(fine: Innovations, y: Float[Array, " k"], problem: Problem) -> Any:
+def linearised(fine: Innovations, y: Float[Array, " k"], problem: IdentificationProblem) -> Any:
     """The residuals at y, [m], and their derivative, [m, k]."""
 
     def along(direction: Float[Array, " k"]) -> Any:
@@ -178,7 +178,7 @@ def linearised(fine: Innovations, y: Float[Array, " k"], problem: Problem) -> An
     return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(y)))
 
 
-def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem) -> Covariance:
+def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem) -> Covariance:
     shape = problem.lanes.position.shape
     value, slope = (np.asarray(one) for one in linearised(fine, jnp.asarray(y), as_arrays(problem)))
     samples = shape[0] * shape[1]
@@ -186,7 +186,7 @@ def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: Problem)
     return sandwich(residual, jacobian, fine.sampling.rate, np.asarray(problem.prior))
 
 
-def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, " k"], Problem]:
+def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, " k"], IdentificationProblem]:
     """The problem without the parameters in `lost`, which go back to what was believed, and y of the others.
 
     A believed value outside the bounds goes to the nearer one.

@@ -25,7 +25,7 @@ from diffdrive.model.friction import steepest_fall
 from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
 from diffdrive.motion.builders import from_array
 from diffdrive.numerics.pipeline import require_shorter
-from tuning.identification.prediction import Gains, Lanes, moving, predict
+from tuning.identification.prediction import FilterGains, Lanes, moving, predict
 from tuning.identification.problem import FINE_SUBSTEP, SHORTEST, lanes_of, sampling_of
 
 PAST = 10  # samples before the log over which the controller is warmed up
@@ -132,7 +132,7 @@ class ClosedLoop:
 
 
 @dataclass(frozen=True)
-class OpenLoop:
+class OpenLoopReplay:
     """A log beside the drive's answer to the logged command alone; `note` says what that figure is worth."""
 
     time: Float[np.ndarray, " n"]  # s
@@ -175,7 +175,7 @@ def closed_loop(drive: Drive, controller: Controller, log: Log, sampling: Sampli
     )
 
 
-def open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -> OpenLoop:
+def open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -> OpenLoopReplay:
     """The drive's answer to the logged command, without any correction; needs no reference, raises as `closed_loop`.
 
     The figure that a benchmark usually asks for, and a poor one: see `drift_note`.
@@ -184,12 +184,12 @@ def open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -> OpenL
     lanes = lanes_of([log])
     actuator = drive.actuator
     delay = actuator.delay_samples + float(actuator.delay_fraction or 0.0)
-    none = Gains(*(jnp.zeros_like(lanes.position) for _ in Gains._fields))
+    none = FilterGains(*(jnp.zeros_like(lanes.position) for _ in FilterGains._fields))
     found = _predict(as_arrays(drive), jnp.asarray(delay), none, lanes, _sampling(log, sampling))
     counted = np.asarray(lanes.counts) > 0
     measured, missed = np.asarray(lanes.position)[counted], -np.asarray(found.innovation)[counted]
     status = _status(log, missed, "measured position")
-    return OpenLoop(_time(log), measured + missed, 1e3 * _rms(missed, status), status, drift_note(drive))
+    return OpenLoopReplay(_time(log), measured + missed, 1e3 * _rms(missed, status), status, drift_note(drive))
 
 
 def drift_note(drive: Drive) -> str:

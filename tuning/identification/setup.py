@@ -13,7 +13,7 @@ from diffdrive.model.parameters import Drive, check_drive
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, SLOWEST
 from tuning.identification.prediction import LONGEST_DELAY, constant_gains
-from tuning.identification.problem import Problem, lanes_of, noise_floor
+from tuning.identification.problem import IdentificationProblem, lanes_of, noise_floor
 from tuning.identification.ranges import NAMES, free_space
 from tuning.identification.regressors import DIRECTIONAL
 from tuning.identification.seed import seed_drive
@@ -24,10 +24,10 @@ SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
 ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
 
 
-class Question(NamedTuple):
+class IdentificationSetup(NamedTuple):
     """A problem, the parameters that are free in it, the measuring noise, and what the logs cannot even be asked."""
 
-    problem: Problem
+    problem: IdentificationProblem
     free: tuple[Free, ...]
     rate: float  # Hz
     noise: float  # m
@@ -37,7 +37,7 @@ class Question(NamedTuple):
 
 def ask(
     logs: Sequence[Log], drive: Drive, fixed: Sequence[str], bounded: Mapping[str, tuple[float, float]]
-) -> Question:
+) -> IdentificationSetup:
     """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none."""
     if drive.effects:
         names = ", ".join(effect.name for effect in drive.effects)
@@ -53,7 +53,7 @@ def ask(
         )
     noise = noise_floor(drive, lanes, rate)
     believed = unknowns_of(drive, delay)
-    problem = Problem(
+    problem = IdentificationProblem(
         believed=drive,
         believed_unknowns=believed,
         unknowns=unknowns_of(seeded, delay),
@@ -77,7 +77,7 @@ def ask(
             "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
         )
     problem, free, said = free_space(_without(problem, held), held, bounded)
-    return Question(problem, free, rate, noise, unasked, (*notes, *said))
+    return IdentificationSetup(problem, free, rate, noise, unasked, (*notes, *said))
 
 
 def _one_rate(logs: Sequence[Log]) -> float:
@@ -117,13 +117,13 @@ def _rough_bandwidth(drive: Drive, rate: float) -> float:
     return float(np.clip(FASTER * max(slopes) / mass, ROUGH_BANDWIDTH, 0.3 * rate))
 
 
-def _one_load(problem: Problem) -> bool:
+def _one_load(problem: IdentificationProblem) -> bool:
     """Whether the load differs too little for friction to show it."""
     loads = np.asarray(problem.lanes.load)[np.asarray(problem.lanes.counts) > 0]
     return bool(np.ptp(loads) <= LOAD_SPREAD * np.max(np.abs(loads)))
 
 
-def _without(problem: Problem, held: set[str]) -> Problem:
+def _without(problem: IdentificationProblem, held: set[str]) -> IdentificationProblem:
     """Held parameters at the believed values; a held gap stays a gap, whatever becomes of the Coulomb friction."""
     before = problem.believed_unknowns
     values = {name: getattr(before, name) for name in held} | ({"breakaway": None} if "breakaway" in held else {})

@@ -13,8 +13,8 @@ from typing import Any
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import FULL
 from tuning.sweeps.parts import Computed, Engine, Say
-from tuning.sweeps.plan import Plan
-from tuning.sweeps.spec import Asked, to_text
+from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.spec import SweepSpec, to_text
 from tuning.sweeps.workers import run_part
 
 ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
@@ -45,7 +45,7 @@ def _await(client: Any, done: Any, where: str, say: Say) -> None:
         time.sleep(0.02)
 
 
-def on_cluster(asked: Asked, address: str) -> Engine:
+def on_cluster(asked: SweepSpec, address: str) -> Engine:
     """An engine for `parts.run`: the cluster whose scheduler is at `address`.
 
     A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
@@ -58,7 +58,7 @@ def on_cluster(asked: Asked, address: str) -> Engine:
     except ImportError:
         raise ParameterError("--cluster needs Dask: pip install 'diffdrive[cluster]'") from None
 
-    def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
+    def engine(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
         text, question = to_text(asked), plan.question()
         where = f"--cluster {address}"
         if not wanted:

@@ -26,7 +26,7 @@ from tuning.sweeps.varied import LOAD, Known, Varied
 MOST_CORNERS = 6  # settings of which every combination of ends is looked at
 
 
-class Course(NamedTuple):
+class MachineCourse(NamedTuple):
     """What one machine goes through."""
 
     motion: Motion
@@ -71,7 +71,7 @@ class Courses:
             for k, one in enumerate(self.varied)
         }
 
-    def of(self, name: str, values: Mapping[str, float]) -> Course:
+    def of(self, name: str, values: Mapping[str, float]) -> MachineCourse:
         """The course with a motion of that name and such settings. Raises `MotionError` for settings that make none."""
         motion, recipe = self.motions[name], self.recipes.get(name)
         of_motion, of_load = (
@@ -81,7 +81,7 @@ class Courses:
         if recipe is not None and of_motion:
             motion = recipe.made(rate=self.rate, **of_motion)
         loads = parse_load(self.load, motion.time) if self._load is None else self._load.made(motion.time, **of_load)
-        return Course(motion, loads)
+        return MachineCourse(motion, loads)
 
 
 def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:
@@ -91,16 +91,16 @@ def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:
     return sorted({int(np.argmax(shares @ np.asarray(way))) for way in every})
 
 
-def for_all(course: Course, settle: float, limits: Limits) -> engine.Course:
+def for_all(course: MachineCourse, settle: float, limits: Limits) -> engine.LaneCourse:
     """The course of all machines, as the engine takes it; its first `settle` seconds do not count."""
     motion, load = course
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
     counts = (motion.time >= settle).astype(float)
-    told = engine.Course(reference, load, counts, np.asarray(sane_error(motion.position, limits)))
+    told = engine.LaneCourse(reference, load, counts, np.asarray(sane_error(motion.position, limits)))
     return jax.tree.map(lambda one: jnp.asarray(one, float), told)
 
 
-def for_each(courses: Sequence[Course], settle: float, limits: Limits) -> engine.Course:
+def for_each(courses: Sequence[MachineCourse], settle: float, limits: Limits) -> engine.LaneCourse:
     """The same of several machines side by side, [n, t]; where a shorter course rests does not count."""
     shape = len(courses), _rounded_up(max(len(one.load) for one in courses))
     position, velocity, acceleration, loads, counts = (np.zeros(shape) for _ in range(5))
@@ -111,7 +111,7 @@ def for_each(courses: Sequence[Course], settle: float, limits: Limits) -> engine
         loads[k, :end], loads[k, end:] = load, load[-1]
         counts[k, :end] = motion.time >= settle
     reach = np.array([sane_error(motion.position, limits) for motion, _ in courses])
-    return engine.Course(Reference(position, velocity, acceleration), loads, counts, reach)
+    return engine.LaneCourse(Reference(position, velocity, acceleration), loads, counts, reach)
 
 
 def _rounded_up(count: int) -> int:

@@ -22,7 +22,7 @@ ON_CPU, ON_GPU, ON_GPU_OWN = 64, 65_536, 1024
 LEAST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen cores
 
 
-class Course(NamedTuple):
+class LaneCourse(NamedTuple):
     """What a machine goes through, [t] over time; [n, t] where machines differ in it."""
 
     reference: Reference
@@ -31,7 +31,7 @@ class Course(NamedTuple):
     reach: Float[Array, "*n"]  # m, the tracking error beyond which the loop has diverged
 
 
-class Lanes(NamedTuple):
+class SweepLanes(NamedTuple):
     """What differs between machines, [n] each: the leaves of the drive that vary, its load, its noise; its course, or
     None where all have the same.
     """
@@ -39,15 +39,15 @@ class Lanes(NamedTuple):
     drive: Any
     ramp: Ramp
     key: Array | None
-    course: Course | None = None
+    course: LaneCourse | None = None
 
 
 @eqx.filter_jit
 def _costs(
-    lanes: Lanes, fixed: Drive, controller: Controller, course: Course | None, sampling: Sampling, devices: int
+    lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCourse | None, sampling: Sampling, devices: int
 ) -> Costs:
-    def share(lanes: Lanes, fixed: Drive, controller: Controller, course: Course | None) -> Costs:
-        def one(lane: Lanes) -> Costs:
+    def share(lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCourse | None) -> Costs:
+        def one(lane: SweepLanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
             own = course if lane.course is None else lane.course
             inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
@@ -78,7 +78,7 @@ def most_in_a_part() -> int:
 
 
 def costs_of(
-    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: Course, sampling: Sampling,
+    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: LaneCourse, sampling: Sampling,
     precision: Precision = "double",
 ) -> Costs:  # fmt: skip
     """Costs of machines whose varied leaves, loads and keys are [n], along one course or [n] of them; [n] each.
@@ -90,7 +90,7 @@ def costs_of(
     total = -(-count // (of_each * devices)) * of_each * devices
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
     own, common = (None, course) if np.ndim(course.load) == 1 else (course, None)
-    lanes = Lanes(varied, ramp, keys, own)
+    lanes = SweepLanes(varied, ramp, keys, own)
     if total > count:  # whole blocks on every device
         lanes = jax.tree.map(lambda leaf: leaf[np.arange(total) % count], lanes)
     models = (lanes, fixed, as_arrays(controller), common)

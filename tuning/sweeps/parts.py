@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import atomic_write
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 
 QUESTION = b"diffdrive.sweep"
 Done = Callable[[int], None]  # machines that were done by now
 Say = Callable[[str], None]  # what keeps an engine from beginning
 Computed = Generator[tuple[int, pa.Table], None, None]
-Engine = Callable[[Plan, list[int], Say], Computed]  # the wanted parts, in any order
+Engine = Callable[[SweepPlan, list[int], Say], Computed]  # the wanted parts, in any order
 
 
 def path_of(folder: Path, part: int) -> Path:
@@ -33,7 +33,7 @@ def keep(table: pa.Table, path: Path, question: str) -> None:
         pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), file)
 
 
-def missing(plan: Plan, folder: Path) -> list[int]:
+def missing(plan: SweepPlan, folder: Path) -> list[int]:
     """The parts that are not there yet.
 
     Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
@@ -62,7 +62,7 @@ def _question(path: Path) -> bytes | None:
         return None
 
 
-def here(plan: Plan, wanted: list[int], say: Say) -> Computed:
+def here(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
     """The parts one after the other, in this process."""
     for part in wanted:
         yield part, plan.costs(part)
@@ -72,7 +72,7 @@ def _unsaid(_: str) -> None:
     pass
 
 
-def run(plan: Plan, folder: Path, done: Done, engine: Engine = here, say: Say = _unsaid) -> ds.Dataset:
+def run(plan: SweepPlan, folder: Path, done: Done, engine: Engine = here, say: Say = _unsaid) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
     question, left = plan.question(), missing(plan, folder)
     plan.require_possible(left)
@@ -86,7 +86,7 @@ def run(plan: Plan, folder: Path, done: Done, engine: Engine = here, say: Say = 
     return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
 
 
-def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) -> list[float] | None:
+def kept(plan: SweepPlan, folder: Path, number: int, controller: str, motion: str) -> list[float] | None:
     """RMS and peak error (m) of one run of the sweep in `folder`, and when it diverged (s; NaN if it did not).
 
     None where it is not there, or of another edition.
@@ -99,6 +99,6 @@ def kept(plan: Plan, folder: Path, number: int, controller: str, motion: str) ->
     return [np.nan if value is None else value for value in rows[0].values()] if rows else None
 
 
-def len_of(plan: Plan, part: int) -> int:
+def len_of(plan: SweepPlan, part: int) -> int:
     """How many machines a part has."""
     return min(plan.part_size, plan.samples - part * plan.part_size)

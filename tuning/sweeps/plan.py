@@ -25,7 +25,7 @@ from diffdrive.motion.text import SAME_RATE, Recipe, load_recipe, parse_load, re
 from diffdrive.runtime import arithmetic
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import edition
-from tuning.sweeps.courses import Course, Courses, at_corners, for_all, for_each, of_a_course, settings
+from tuning.sweeps.courses import Courses, MachineCourse, at_corners, for_all, for_each, of_a_course, settings
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_of
 from tuning.sweeps.machines import Values, lane, machines
 from tuning.sweeps.possible import require_made, require_on_guides, require_ordered
@@ -43,7 +43,7 @@ class Outcome(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """The machines of a sweep, and what each goes through.
 
     Every controller follows every motion on the same machines under the same loads and noise (common random numbers).
@@ -67,7 +67,7 @@ class Plan:
     def of(
         cls, axis: Axis, controllers: Mapping[str, Controller], motions: Mapping[str, Motion],
         vary: tuple[str, ...], samples: int, **more: Any,
-    ) -> "Plan":  # fmt: skip
+    ) -> "SweepPlan":  # fmt: skip
         """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
         require_double_precision()
         recipes = more.get("recipes", {})
@@ -114,7 +114,7 @@ class Plan:
         """Whether settings of the motions, or of the load, vary."""
         return any(one.name.startswith(f"{of}.") for one in self.courses.varied)
 
-    def courses_of(self, numbers: np.ndarray, motion: str) -> list[Course]:
+    def courses_of(self, numbers: np.ndarray, motion: str) -> list[MachineCourse]:
         """What machines of one part go through. Raises `ParameterError` that names one that cannot."""
         values = self.courses.values(motion, self._drawn(numbers)[:, self._settings])
         found = []
@@ -141,7 +141,7 @@ class Plan:
             for motion in self.motions if self._settings else ():
                 self.corners(motion, part)
 
-    def require_machines(self, numbers: np.ndarray, courses: Sequence[Course]) -> None:
+    def require_machines(self, numbers: np.ndarray, courses: Sequence[MachineCourse]) -> None:
         """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
         least = min((float(np.min(course.load)) for course in courses), default=np.inf)
         made = require_made(numbers, self._made)
@@ -175,11 +175,11 @@ class Plan:
         return every._replace(duration=max(one.duration for one in self.motions.values()))
 
     @property
-    def nominal(self) -> list[Course]:
+    def nominal(self) -> list[MachineCourse]:
         """What all machines go through but for settings of motions; nothing where the load over time varies."""
-        return [] if self._varies("load") else [Course(one, self.loads(one)) for one in self.motions.values()]
+        return [] if self._varies("load") else [MachineCourse(one, self.loads(one)) for one in self.motions.values()]
 
-    def corners(self, motion: str, part: int = 0) -> list[Course]:
+    def corners(self, motion: str, part: int = 0) -> list[MachineCourse]:
         """What the machines nearest to the ends of settings go through."""
         drawn = self.drawn(part)[:, self._settings]
         return self.courses_of(self.numbers(part)[at_corners(drawn)], motion)
@@ -188,14 +188,14 @@ class Plan:
         """The load (N) along a motion as --load has it, beside what varies."""
         return parse_load(self.load, motion.time)
 
-    def extremes(self, motion: str) -> list[Course]:
+    def extremes(self, motion: str) -> list[MachineCourse]:
         """What comes at worst: the ends of the settings, with the least and the most of the load that varies."""
         planned = self.motions[motion]
-        courses = self.corners(motion) if self._settings else [Course(planned, self.loads(planned))]
+        courses = self.corners(motion) if self._settings else [MachineCourse(planned, self.loads(planned))]
         ends = {one.name: one.of(np.array([0.0, 1.0])) for one in self.varied}
         behind = np.append(ends.get("load.change", []), 0.0)
         more = [load + change for load in ends.get("load", [0.0]) for change in behind]
-        return [Course(one, np.concatenate([load + each for each in more])) for one, load in courses]
+        return [MachineCourse(one, np.concatenate([load + each for each in more])) for one, load in courses]
 
     @cached_property
     def _root(self) -> np.ndarray | None:
@@ -258,7 +258,7 @@ class Plan:
 
         if not self._settings:
             planned = self.motions[motion]
-            course = for_all(Course(planned, self.loads(planned)), self.settle, limits)
+            course = for_all(MachineCourse(planned, self.loads(planned)), self.settle, limits)
             return {name: under(name, course, np.full(len(numbers), len(planned.time))) for name in controllers}
         groups: dict[str, list[Outcome]] = {name: [] for name in controllers}
         for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._at_once(motion))[1:]):
@@ -324,7 +324,9 @@ class Plan:
     def question(self) -> str:
         """What tells this sweep from any other: everything that its numbers hang on."""
         text = hashlib.sha256(
-            edition(*(one.__module__ for one in (Plan, Courses, costs_of, machines, parse_varied, shares))).encode()
+            edition(
+                *(one.__module__ for one in (SweepPlan, Courses, costs_of, machines, parse_varied, shares))
+            ).encode()
         )
         asked = [
             arithmetic(),

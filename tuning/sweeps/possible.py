@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
-from tuning.sweeps.courses import Course
+from tuning.sweeps.courses import MachineCourse
 
 Numbers = Int[np.ndarray, " n"]
 
@@ -42,7 +42,7 @@ def require_on_guides(
     drives: Drive,
     ramps: Ramp,
     least: Float[np.ndarray, " n"],
-    courses: Callable[[int], Sequence[Course]],
+    courses: Callable[[int], Sequence[MachineCourse]],
 ) -> None:
     """Raises `ParameterError` that names the first machine whose load lifts its table off the guides.
 

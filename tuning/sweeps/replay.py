@@ -13,7 +13,7 @@ from diffdrive.loop.run import Run, judged
 from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.model.parameters import Drive, as_arrays
 from tuning.sweeps.machines import lane
-from tuning.sweeps.plan import Outcome, Plan
+from tuning.sweeps.plan import Outcome, SweepPlan
 
 SIGNALS = {
     "reference": "m",
@@ -41,7 +41,7 @@ class Machine(NamedTuple):
     key: Any
 
 
-def machine_of(plan: Plan, number: int, motion: str) -> Machine:
+def machine_of(plan: SweepPlan, number: int, motion: str) -> Machine:
     """The machine of that number, as it is on a motion; raises `ParameterError` if the sweep has none."""
     if not 0 <= number < plan.samples:
         raise ParameterError(f"machine {number}: the sweep has machines 0 to {plan.samples - 1}")
@@ -56,7 +56,7 @@ def machine_of(plan: Plan, number: int, motion: str) -> Machine:
     )
 
 
-def chosen(plan: Plan, controller: str | None, motion: str | None) -> tuple[str, str]:
+def chosen(plan: SweepPlan, controller: str | None, motion: str | None) -> tuple[str, str]:
     """The controller and the motion of these names, or the first ones; raises `ParameterError` for one that is not."""
     controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
     _named(plan.controllers, controller, "--controller")
@@ -70,7 +70,7 @@ def _named(choices: Mapping[str, Any], name: str, what: str) -> Any:
     return choices[name]
 
 
-def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: int = 1) -> Run:
+def run_of(plan: SweepPlan, machine: Machine, controller: str, motion: str, every: int = 1) -> Run:
     """Every signal of a machine under a controller, with a status as any simulation has."""
     control, [(planned, over_time)] = plan.controllers[controller], plan.courses_of(np.array([machine.number]), motion)
     loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
@@ -80,20 +80,25 @@ def run_of(plan: Plan, machine: Machine, controller: str, motion: str, every: in
     return judged(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
 
 
-def errors_of(plan: Plan, run: Run) -> tuple[float, float]:
+def errors_of(plan: SweepPlan, run: Run) -> tuple[float, float]:
     """RMS and peak error (m) of a run from where errors count."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(run.error[run.time >= plan.settle])
         return float(np.sqrt(np.mean(error**2))), float(np.max(error))
 
 
-def costs_again(plan: Plan, number: int, controller: str, motion: str) -> Outcome:
+def costs_again(plan: SweepPlan, number: int, controller: str, motion: str) -> Outcome:
     """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
     return plan.costs_of(np.array([number]), motion, [controller])[controller]
 
 
 def traces(
-    plan: Plan, numbers: Iterable[int], controllers: Iterable[str], motion: str, signals: Iterable[str], every: int = 1
+    plan: SweepPlan,
+    numbers: Iterable[int],
+    controllers: Iterable[str],
+    motion: str,
+    signals: Iterable[str],
+    every: int = 1,
 ) -> Any:
     """Signals of some machines along a motion as an xarray.Dataset: [controller, machine, time] each.
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from diffdrive.errors import ParameterError
 from diffdrive.support.resources import counted, require_disk, require_memory
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 
 # the noise of a machine is drawn from its number, of which the generator takes 32 bits; Sobol's sequence has 30
 MOST = {"sobol": 2**30}
@@ -15,7 +15,7 @@ COLUMNS = 12  # of a row beside what varies, as they lie in memory with their na
 ARRAYS = 16  # over the samples of a motion: as it is planned, and as the engine takes it
 
 
-def require_room(plan: Plan, folder: Path) -> None:
+def require_room(plan: SweepPlan, folder: Path) -> None:
     """Raise `ParameterError` for a sweep that cannot be held: its results in memory, its parts on the disk of `folder`.
 
     A big one that fits goes on.

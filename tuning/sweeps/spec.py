@@ -14,14 +14,14 @@ from diffdrive.motion.motion import Motion
 from diffdrive.motion.text import MOTIONS, Recipe, motion_recipe, parse_motion, require_rate
 from diffdrive.support.atomic_write import write_text
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.samples import Method
 
 FILE = "asked.json"
 
 
 @dataclass(frozen=True)
-class Asked:
+class SweepSpec:
     """Drives as the tables of their files, motions as their texts or the whole text of their files."""
 
     name: str
@@ -43,7 +43,7 @@ class Asked:
     def of(
         cls, drive: Path, motions: Sequence[str], vary: Sequence[str], samples: int, *,
         machine: Path | None = None, against: Sequence[Path] = (), **more: Any,
-    ) -> "Asked":  # fmt: skip
+    ) -> "SweepSpec":  # fmt: skip
         """From files and texts, which are read here; raises what reading them does."""
         names = [path.stem for path in (drive, *against)]
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -60,7 +60,7 @@ class Asked:
             **{"most_in_a_part": most_in_a_part()} | more,
         )
 
-    def plan(self) -> Plan:
+    def plan(self) -> SweepPlan:
         """What is to be run. Raises `ParameterError` or `MotionError` for a sweep that cannot be."""
         believed = parse_drive(self.drive, self.name)
         axis = believed if self.machine is None else parse_drive(self.machine, "the machine")
@@ -74,7 +74,7 @@ class Asked:
             controllers[name] = other.controller
         origins = self.origins(sampling.rate)
         motions = {name: self._motion(origin, sampling.rate) for name, origin in origins.items()}
-        return Plan.of(
+        return SweepPlan.of(
             axis, controllers, motions, self.vary, self.samples, recipes=self._recipes(origins),
             method=self.method, seed=self.seed, load=self.load, settle=self.settle, correlation=self.correlation,
             most_in_a_part=self.most_in_a_part, precision=self.precision,
@@ -98,15 +98,15 @@ class Asked:
         return {name: motion_recipe(text) if self.motions[text] == text else None for name, text in origins.items()}
 
 
-def to_text(asked: Asked) -> str:
+def to_text(asked: SweepSpec) -> str:
     """As JSON."""
     return json.dumps(dataclasses.asdict(asked), indent=1) + "\n"
 
 
-def from_text(text: str) -> Asked:
+def from_text(text: str) -> SweepSpec:
     """From JSON."""
     told = json.loads(text)
-    return Asked(**told | {"vary": tuple(told["vary"])})
+    return SweepSpec(**told | {"vary": tuple(told["vary"])})
 
 
 def _motion(text: str) -> tuple[str, str]:
@@ -116,13 +116,13 @@ def _motion(text: str) -> tuple[str, str]:
     return text, read_motion(Path(text))
 
 
-def keep(asked: Asked, folder: Path) -> None:
+def keep(asked: SweepSpec, folder: Path) -> None:
     """Write it into the folder of the sweep."""
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / FILE, to_text(asked))
 
 
-def read_asked(folder: Path) -> Asked:
+def read_asked(folder: Path) -> SweepSpec:
     """What the sweep in `folder` was asked for; raises `ParameterError` where there is none."""
     path = folder / FILE
     try:

@@ -14,8 +14,8 @@ from diffdrive.runtime import configure, cores, keep_compiled, with_accelerator
 from diffdrive.support.processes import processes
 from diffdrive.support.resources import require_memory
 from tuning.sweeps.parts import Computed, Engine, Say
-from tuning.sweeps.plan import Plan
-from tuning.sweeps.spec import Asked, from_text, to_text
+from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.spec import SweepSpec, from_text, to_text
 
 WORKER = 3e8  # bytes of a process that has done nothing yet, jax and the package in it
 AHEAD = 2  # parts for each worker, one that it runs and the next: what is done waits in memory to be written
@@ -23,7 +23,7 @@ MOST_LOSSES = 3  # of workers in a row without a part done, as many as Dask allo
 
 
 @functools.lru_cache(maxsize=1)
-def _plan(text: str, devices: int | None) -> Plan:
+def _plan(text: str, devices: int | None) -> SweepPlan:
     """The plan from its text, once in a process and not once in each of its parts."""
     configure(devices)
     if devices is None:  # a machine of a cluster, not some cores of this one
@@ -43,7 +43,7 @@ def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Tab
     return plan.costs(part)
 
 
-def on_workers(asked: Asked, workers: int) -> Engine:
+def on_workers(asked: SweepSpec, workers: int) -> Engine:
     """An engine for `parts.run`: so many processes of this machine, which share its cores.
 
     A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, and where
@@ -51,7 +51,7 @@ def on_workers(asked: Asked, workers: int) -> Engine:
     """
     require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER * workers, "give fewer")
 
-    def engine(plan: Plan, wanted: list[int], say: Say) -> Computed:
+    def engine(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
         run = functools.partial(run_part, to_text(asked), plan.question(), max(1, cores() // workers))
         left, losses = list(wanted), 0
         while left:

@@ -18,7 +18,7 @@ from diffdrive.support.atomic_write import remove_temporary
 from tuning.progress import Progress, shown
 from tuning.sweeps.engine import Precision, most_in_a_part
 from tuning.sweeps.parts import Engine, here, missing, run
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.room import require_room
 from tuning.sweeps.samples import Method
 from tuning.sweeps.sensitivity import Influence, influences
@@ -45,7 +45,7 @@ class SweepResult(Result):
     """
 
     frame: pa.Table
-    plan: Plan
+    plan: SweepPlan
     vary: Mapping[str, str]
     tolerance: float | None  # m
     by: str
@@ -197,7 +197,7 @@ def sweep(
 def plan_of(
     axis: Axis, motion: Motion | Sequence[Motion], *, vary: Mapping[str, str], against: Mapping[str, Axis],
     machine: Axis | None, samples: int, load: float | str, **more: Any,
-) -> Plan:  # fmt: skip
+) -> SweepPlan:  # fmt: skip
     """The plan of a sweep; raises `ParameterError` and `MotionError` for one that cannot be."""
     if axis.name in against:
         raise ParameterError(f"against: {axis.name!r} is the axis itself; give it another name")
@@ -217,7 +217,7 @@ def plan_of(
     )  # fmt: skip
     controllers = {axis.name: axis.controller} | {name: one.controller for name, one in against.items()}
     texts = tuple(f"{name}={text}" for name, text in vary.items())
-    return Plan.of(
+    return SweepPlan.of(
         believed, controllers, motions, texts, samples, load=str(load), most_in_a_part=most_in_a_part(), **more
     )
 
@@ -233,12 +233,12 @@ def kept_in(folder: Path | None) -> Iterator[Path]:
         yield Path(room)
 
 
-def influences_of(plan: Plan, group: Group, by: str) -> list[Influence]:
+def influences_of(plan: SweepPlan, group: Group, by: str) -> list[Influence]:
     """What drives the spread of a controller on a motion."""
     return influences(list(plan.units), values_of(plan, group), group.error(by), plan.seed)
 
 
-def values_of(plan: Plan, group: Group) -> np.ndarray:
+def values_of(plan: SweepPlan, group: Group) -> np.ndarray:
     """The values of what varied, [machines, quantities]."""
     return np.stack([group.column(name) for name in plan.units], axis=1)
 

@@ -33,7 +33,7 @@ from tuning.diagnosis.workflow import (
     next_motion_of,
     result_of,
 )
-from tuning.gains.plan import Plan
+from tuning.gains.plan import TuningPlan
 from tuning.store.folder import KeptParts
 
 NEXT = "next_reference.csv"
@@ -144,7 +144,7 @@ def _pay(
     elif isinstance(description.controller, UnknownController):
         says, gains = "Nothing to tune: the drive file does not know its controller.", {}
     else:
-        plan = Plan(max_load=max_load, loads=Plan.loads if max_load > 0 else 1)
+        plan = TuningPlan(max_load=max_load, loads=TuningPlan.loads if max_load > 0 else 1)
         gains = payoff(report, description, read_drive(report.out / augmented), plan)
         says = in_words(gains)
         if told["verdict"] != "effect":

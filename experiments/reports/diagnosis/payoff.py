@@ -17,7 +17,7 @@ from diffdrive.model.parameters import as_arrays
 from experiments.reports.report import Report
 from experiments.reports.tuning import tune_drive
 from tuning.gains.handover import worst_margins
-from tuning.gains.plan import Judged, Plan, held_out, judge
+from tuning.gains.plan import Judged, TuningPlan, held_out, judge
 from tuning.gains.requirements import Constraints, Required, points
 
 STANDSTILL = 0.0  # m/s
@@ -26,7 +26,9 @@ COLUMNS = ("mean_rms_um", "worst_peak_um", "command_noise_N", "phase_deg", "gain
 CAPTION = "On the drive with what was found, in scenarios not tuned on"
 
 
-def payoff(report: Report, nominal: Axis, augmented: Axis, plan: Plan = Plan()) -> dict[str, dict[str, Any]]:
+def payoff(
+    report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan = TuningPlan()
+) -> dict[str, dict[str, Any]]:
     """Tune on both drives and judge the gains as given and both results on the augmented one.
 
     The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what
@@ -80,7 +82,7 @@ def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
     }
 
 
-def _margins(description: Axis, controller: Controller, plan: Plan) -> dict[str, float]:
+def _margins(description: Axis, controller: Controller, plan: TuningPlan) -> dict[str, float]:
     """The worst at standstill and at the speed tuned at, without load and under the highest."""
     at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
     return worst_margins(Constraints(Required(), at, description.sampling).margins(as_arrays(smooth(controller))))

@@ -18,11 +18,11 @@ from experiments.reports.sweep import figures
 from experiments.reports.sweep.tables import TOLD, Told, announce, tell
 from tuning.sweeps.engine import Precision
 from tuning.sweeps.parts import Computed, Engine, Say, here, kept, missing, run
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, chosen, costs_again, errors_of, machine_of, run_of, traces
 from tuning.sweeps.room import require_room
 from tuning.sweeps.samples import Method
-from tuning.sweeps.spec import FILE, Asked, keep, read_asked
+from tuning.sweeps.spec import FILE, SweepSpec, keep, read_asked
 from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, groups, worst
 from tuning.sweeps.workflow import PARTS, influences_of, kept_in
 
@@ -30,7 +30,7 @@ ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself m
 
 
 def sweep_drive(
-    asked: Asked, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
+    asked: SweepSpec, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
 ) -> bool:
     """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
     require_choice("--by", "error", by.removesuffix("_m"), [one.removesuffix("_m") for one in ERRORS])
@@ -69,7 +69,7 @@ def sweep_drive(
         return not any(one.diverged.any() for one in found)
 
 
-def _warnings(plan: Plan, motion: str) -> list[str]:
+def _warnings(plan: SweepPlan, motion: str) -> list[str]:
     """What to expect of each controller on a motion. Where settings vary, the first warning of each kind."""
     extremes, found = plan.extremes(motion), []
     for name, controller in plan.controllers.items():
@@ -88,12 +88,12 @@ def _legend(report: Report, origins: Mapping[str, str]) -> None:
         report.table("motions", ("motion", "as asked for"), [list(one) for one in origins.items()], "Motions")
 
 
-def _noted(asked: Asked, engine: Engine, report: Report) -> Engine:
+def _noted(asked: SweepSpec, engine: Engine, report: Report) -> Engine:
     """An engine that tells what varies and writes down what was asked when it begins: by then every machine has been
     found possible.
     """
 
-    def noted(plan: Plan, wanted: list[int], say: Say) -> Computed:
+    def noted(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
         results = engine(plan, wanted, say)  # which may find that nobody is there
         announce(report, plan)
         if report.out is not None:
@@ -103,7 +103,7 @@ def _noted(asked: Asked, engine: Engine, report: Report) -> Engine:
     return noted
 
 
-def draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+def draw(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
     """The figures of one motion."""
     every = [one for one, _ in found]
     if all(one.diverged.all() for one in every):
@@ -122,7 +122,7 @@ def draw(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | N
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)
 
 
-def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequence[str], by: str) -> None:
+def _record(report: Report, plan: SweepPlan, found: Sequence[Group], recorded: Sequence[str], by: str) -> None:
     """The signals of every controller's worst machines, under every controller."""
     assert report.out is not None
     for motion in plan.motions:
@@ -151,7 +151,7 @@ def _record(report: Report, plan: Plan, found: Sequence[Group], recorded: Sequen
                 )
 
 
-def _why_apart(plan: Plan) -> str:
+def _why_apart(plan: SweepPlan) -> str:
     if plan.precision == "single":
         return f"The signals are computed in double precision, the sweep in single, and differ by more than {ALIKE:.0%}"
     return (

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.reports.report import Report
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.sensitivity import FEWEST, Influence, influences_on_event
 from tuning.sweeps.summary import (
     ERRORS,
@@ -29,7 +29,7 @@ RARELY = 0.01  # chance, below which a quantity is said to decide over divergenc
 STUCK = 0.5  # share of the time at the force limit from which an axis is too weak
 
 
-def announce(report: Report, plan: Plan) -> None:
+def announce(report: Report, plan: SweepPlan) -> None:
     """What varies, and how far: a range without its unit is seen here."""
     numbers, motion = plan.numbers(0), next(iter(plan.motions))
     values = plan.values(numbers, motion)
@@ -54,7 +54,7 @@ def _range(interval: Interval, factor: float) -> str:
     return f"{shown(interval.value)} ({shown(interval.low)} to {shown(interval.high)})"
 
 
-def tell(report: Report, plan: Plan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+def tell(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
     """Errors, misses, comparisons, what drives the spread, what decides over divergence, and the worst machines."""
     report.data["results"] = [_numbers(one, tolerance) for one in found]
     rows, missed = [], []
@@ -136,7 +136,7 @@ def _compare(report: Report, found: Sequence[Group], by: str) -> None:
         )
 
 
-def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
+def _blame(report: Report, plan: SweepPlan, found: Sequence[Told], by: str) -> None:
     rows = [
         [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 1e6 * each.low, 1e6 * each.high]
         for one, every in found
@@ -163,7 +163,7 @@ def _blame(report: Report, plan: Plan, found: Sequence[Told], by: str) -> None:
             )
 
 
-def _blame_for_divergence(report: Report, plan: Plan, found: Sequence[Group]) -> None:
+def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group]) -> None:
     """Machines that diverged have no share in the errors' spread: what decides over that is told apart."""
     rows = []
     for one in found:

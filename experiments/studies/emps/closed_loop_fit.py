@@ -44,7 +44,7 @@ TOLERANCE = 1e-3
 PRIOR = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
 
 
-class Problem(NamedTuple):
+class ReplayProblem(NamedTuple):
     """What is fitted to what."""
 
     believed: Drive
@@ -57,7 +57,7 @@ class Problem(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class CommandGap:
-    """Residuals of a `Problem` as a function of y; hashed by value, so that the same question is compiled once.
+    """Residuals of a `ReplayProblem` as a function of y; hashed by value, so that the same question is compiled once.
 
     Simulated minus logged command in percent of the norm of the logged force: the root of their sum of squares is the
     `force_percent` of `tuning.identification.replay`. Then the distance of y from its start, next to nothing.
@@ -66,14 +66,14 @@ class CommandGap:
     free: tuple[Free, ...]
     sampling: Sampling
 
-    def drive(self, y: Float[Array, " k"], problem: Problem) -> Drive:
+    def drive(self, y: Float[Array, " k"], problem: ReplayProblem) -> Drive:
         """The drive at y."""
         unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
         drive = unknowns.drive(problem.believed)
         actuator = dataclasses.replace(drive.actuator, delay_fraction=unknowns.delay - drive.actuator.delay_samples)
         return dataclasses.replace(drive, actuator=actuator)
 
-    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
+    def __call__(self, y: Float[Array, " k"], problem: ReplayProblem) -> Float[Array, " m"]:
         lanes = problem.given.lanes
         command = replay(self.drive(y, problem), problem.controller, problem.given, self.sampling).command
         missing = jnp.where(lanes.counts > 0, command - lanes.command, 0.0)
@@ -116,7 +116,7 @@ def fit_closed_loop(
     lanes = pieces.lanes
     # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
     believed, smoothed = smooth((dataclasses.replace(start, actuator=drive.actuator, sensor=drive.sensor), controller))
-    problem = Problem(
+    problem = ReplayProblem(
         believed=believed,
         controller=smoothed,
         unknowns=unknowns,

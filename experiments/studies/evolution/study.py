@@ -37,7 +37,7 @@ FLOOR = 1e-6  # so that the best itself has a place on a logarithmic axis
 LEVELS = (0.1, 0.01, 0.001)  # of the gradient search's cost, above it
 
 
-class Case(NamedTuple):
+class EvolutionCase(NamedTuple):
     """A log, the controller under which it was made, and the drive behind it where that is known."""
 
     log: Log
@@ -84,7 +84,7 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
 
 
 def evolution_study(
-    report: Report, case: Case, *, seconds: float = 300.0, runs: int = 3, most_times: float = MOST_TIMES
+    report: Report, case: EvolutionCase, *, seconds: float = 300.0, runs: int = 3, most_times: float = MOST_TIMES
 ) -> None:
     """Both searches by turns on one log, what is compiled being compiled before; then the paper's two-stage route.
 
@@ -123,7 +123,7 @@ def evolution_study(
     _routes(report, case, with_delay(jax.tree.map(float, drive), float(unknowns.delay)))
 
 
-def _routes(report: Report, case: Case, by_gradient: Drive) -> None:
+def _routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> None:
     """The two-stage route beside the gradient search: parameters, and the force gap in closed loop."""
     with report.working("the two-stage route"):
         staged = two_stage([case.log], emps.reference_drive())
@@ -174,7 +174,7 @@ def _seconds(work: Callable[[], Any]) -> float:
     return time.perf_counter() - began
 
 
-def emps_case(folder: Path | None) -> Case:
+def emps_case(folder: Path | None) -> EvolutionCase:
     """The estimation file of EMPS; raises `ParameterError` where the folder does not hold it."""
     found = folder or emps.find_folder()
     if found is None or not (found / emps.FILES["estimation"]).is_file():
@@ -183,7 +183,7 @@ def emps_case(folder: Path | None) -> Case:
             f"{where}: no {emps.FILES['estimation']} in it; name its folder with --data, or --synthetic"
         )
     record = emps.read(found / emps.FILES["estimation"])
-    return Case(record.log, emps.controller(record), None)
+    return EvolutionCase(record.log, emps.controller(record), None)
 
 
 def synthetic_drive() -> Drive:
@@ -199,12 +199,12 @@ def synthetic_drive() -> Drive:
     return dataclasses.replace(drive, friction=friction, sensor=Sensor(resolution=emps.COUNT))
 
 
-def synthetic_case(speeds: Sequence[float] = SPEEDS, travel: float = 12e-3) -> Case:
+def synthetic_case(speeds: Sequence[float] = SPEEDS, travel: float = 12e-3) -> EvolutionCase:
     """That axis under a controller like that of EMPS, there and back over `travel` (m) at each speed (m/s)."""
     motion = staircase(speeds=speeds, travel=travel, acceleration=4.0, rate=emps.SAMPLING.rate)
     cascade = Cascade(kp=160.0, kv=8_500.0, velocity_samples=2)
     run = simulate(synthetic_drive(), cascade, motion, sampling=emps.SAMPLING).require_ok()
-    return Case(run.log("synthetic"), cascade, synthetic_drive())
+    return EvolutionCase(run.log("synthetic"), cascade, synthetic_drive())
 
 
 def reached(history: list[Visit], cost: float) -> Visit | None:

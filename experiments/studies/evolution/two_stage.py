@@ -63,7 +63,7 @@ class _Points(NamedTuple):
     friction: Float[np.ndarray, " b"]  # N, damping included
 
 
-class _Way(NamedTuple):
+class _StageWay(NamedTuple):
     """A measured motion and the friction along it."""
 
     velocity: Float[np.ndarray, " n"]  # m/s
@@ -161,7 +161,7 @@ def _misfits(
     origin: Float[Array, " k"],
     drive: Drive,
     unknowns: Unknowns,
-    way: _Way,
+    way: _StageWay,
 ) -> Float[Array, " s"]:
     def one(y: Float[Array, " k"]) -> Float[Array, ""]:
         there = Space(free, origin).insert(unknowns, y).drive(drive)
@@ -171,7 +171,7 @@ def _misfits(
     return lax.map(one, points, batch_size=BLOCK)
 
 
-def _way(along: MeasuredFriction, drive: Drive) -> _Way:
+def _way(along: MeasuredFriction, drive: Drive) -> _StageWay:
     friction = drive.friction
     levels = friction.coulomb_screw, friction.load_coefficient, friction.breakaway_gap, friction.bristle_stiffness
     screw, slope, gap, stiffness = (float(one.positive) for one in levels)
@@ -181,4 +181,4 @@ def _way(along: MeasuredFriction, drive: Drive) -> _Way:
         travelled = np.abs(along.position[one] - along.position[one.start])
         if travelled.max() > reach:  # else the table rests, or creeps
             counts[one] = travelled <= reach
-    return _Way(along.velocity, along.load, along.friction, counts, 1.0 / along.rate)
+    return _StageWay(along.velocity, along.load, along.friction, counts, 1.0 / along.rate)

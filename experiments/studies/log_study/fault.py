@@ -7,7 +7,7 @@ import numpy as np
 
 from diffdrive.logs.log import Log, Signal
 from experiments.studies.log_study.drives import StudyDrive
-from experiments.studies.log_study.sound import Case
+from experiments.studies.log_study.sound import LogCase
 
 ANY: tuple[str, ...] = ()
 COMMAND_SHARE = 0.02  # of its standard deviation: so well is a force constant known, less changes no answer
@@ -36,12 +36,12 @@ class Draw:
     """One kind of fault. `make` draws one, None where this motion cannot show it; `applies` says which axes can."""
 
     name: str
-    make: Callable[[Case, np.random.Generator], Fault | None]
+    make: Callable[[LogCase, np.random.Generator], Fault | None]
     applies: Callable[[StudyDrive], bool] = lambda drive: True
 
 
 def of_channel(
-    case: Case, channel: str, signal: Signal, amount: str, cause: str, *, undo: Callable[[Log], Log] | None = None,
+    case: LogCase, channel: str, signal: Signal, amount: str, cause: str, *, undo: Callable[[Log], Log] | None = None,
     also: tuple[str, ...] = (), channels: tuple[str, ...] | None = None, rivals: tuple[str, ...] = (),
 ) -> Fault:  # fmt: skip
     """A fault of one channel."""

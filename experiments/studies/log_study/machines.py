@@ -12,7 +12,7 @@ from diffdrive.motion.motion import Motion
 from experiments.studies.log_study.controllers import FittedVelocity, commanded
 from experiments.studies.log_study.drives import StudyDrive
 from experiments.studies.log_study.fault import COMMAND_SHARE, Draw, Fault, log_uniform
-from experiments.studies.log_study.sound import Case, changed, logged
+from experiments.studies.log_study.sound import LogCase, changed, logged
 from experiments.studies.log_study.values import known
 
 LEAST = 0.15  # change of the command, of its standard deviation, from which a machine counts as another
@@ -23,7 +23,7 @@ def differs(one: Log, other: Log) -> bool:
     return bool(np.std(one.command - other.command) > LEAST * np.std(one.command))
 
 
-def _of(case: Case, machine: Drive, amount: str) -> Fault | None:
+def _of(case: LogCase, machine: Drive, amount: str) -> Fault | None:
     try:
         log = logged(case.drive, machine, case.motion, case.seed)
     except DivergenceError:
@@ -31,7 +31,7 @@ def _of(case: Case, machine: Drive, amount: str) -> Fault | None:
     return Fault(log, log, amount, ("other machine",)) if differs(case.log, log) else None
 
 
-def other_machine(case: Case, rng: np.random.Generator) -> Fault | None:
+def other_machine(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """Mass x 0.5 to 2, Coulomb friction x 0.2 to 3, per direction."""
     mass = log_uniform(rng, 0.5, 2.0)
     friction = [log_uniform(rng, 0.2, 3.0) for _ in range(2)]
@@ -39,12 +39,12 @@ def other_machine(case: Case, rng: np.random.Generator) -> Fault | None:
     return _of(case, changed(case.description.drive, mass, friction), amount)
 
 
-def worn(case: Case, rng: np.random.Generator) -> Fault | None:
+def worn(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """The preload is lost: friction fallen to a fifth."""
     return _of(case, changed(case.machine, 1.0, 0.2), "friction x 0.2")
 
 
-def _under(case: Case, controller: Controller, amount: str) -> Fault | None:
+def _under(case: LogCase, controller: Controller, amount: str) -> Fault | None:
     """A log of another controller's loop; None where the drive file's would have commanded the same in it."""
     try:
         log = logged(case.drive, case.machine, case.motion, case.seed, controller)
@@ -57,7 +57,7 @@ def _under(case: Case, controller: Controller, amount: str) -> Fault | None:
     return Fault(log, log, amount, ("other controller",)) if np.std(off) > COMMAND_SHARE * np.std(log.command) else None
 
 
-def other_gains(case: Case, rng: np.random.Generator) -> Fault | None:
+def other_gains(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """Each gain off by 10 to 50 %, not all by the same factor: that would be the command's unit."""
     names = ("kp", "kv") if case.drive.feedback["kind"] == "cascade" else ("kp", "kd")
     off = [1.0 + rng.uniform(0.1, 0.5) * float(rng.choice([-1.0, 1.0])) for _ in names]
@@ -68,7 +68,7 @@ def other_gains(case: Case, rng: np.random.Generator) -> Fault | None:
     return _under(case, case.drive.with_feedback(gains).controller, amount)
 
 
-def fitted_velocity(case: Case, rng: np.random.Generator) -> Fault | None:
+def fitted_velocity(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """A velocity from a line through four samples in place of a difference."""
     return _under(case, FittedVelocity.of(case.description.controller), "velocity by a 4-point fit")
 
@@ -77,7 +77,7 @@ def _differences(drive: StudyDrive) -> bool:
     return isinstance(drive.description.controller, PD | Cascade)
 
 
-def lost_motion(case: Case, rng: np.random.Generator) -> Fault:
+def lost_motion(case: LogCase, rng: np.random.Generator) -> Fault:
     """20 to 400 um of play between the encoder at the motor and the scale: at a reversal the motor crosses it first."""
     play = log_uniform(rng, 20e-6, 400e-6)
     log = replace(case.log, motor_position=case.log.motor_position + 0.5 * play * side(case.motion, case.drive.rate))
@@ -107,7 +107,7 @@ MACHINES = (
 )
 
 
-def other_log_of(case: Case, motion: Motion, rng: np.random.Generator, *, mass: bool) -> tuple[Log, str] | None:
+def other_log_of(case: LogCase, motion: Motion, rng: np.random.Generator, *, mass: bool) -> tuple[Log, str] | None:
     """A log of another motion, on a machine whose mass or Coulomb friction differs by a factor of 1.3 to 3.
 
     None where that machine would not have shown in this motion, or is unstable.

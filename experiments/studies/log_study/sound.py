@@ -29,7 +29,7 @@ _rollout = eqx.filter_jit(rollout)
 
 
 @dataclass(frozen=True)
-class Case:
+class LogCase:
     """A sound log, and what made it, so that another can be made."""
 
     drive: StudyDrive
@@ -83,13 +83,13 @@ def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Moti
     }
 
 
-def sound(drive: StudyDrive, rng: np.random.Generator) -> Case:
+def sound(drive: StudyDrive, rng: np.random.Generator) -> LogCase:
     """A sound log of a machine near its drive file."""
     name = str(rng.choice(sorted(motions(drive))))
     made = motions(drive)[name](rng)
     machine = near(drive.description.drive, rng)
     seed = int(rng.integers(2**31))
-    return Case(drive, machine, made, seed, replace(logged(drive, machine, made, seed), name=name))
+    return LogCase(drive, machine, made, seed, replace(logged(drive, machine, made, seed), name=name))
 
 
 def near(drive: Drive, rng: np.random.Generator) -> Drive:

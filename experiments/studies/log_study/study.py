@@ -16,7 +16,7 @@ from experiments.studies.log_study.drives import StudyDrive, study_drives
 from experiments.studies.log_study.fault import Draw, Fault
 from experiments.studies.log_study.machines import MACHINES, other_log_of
 from experiments.studies.log_study.score import Examine, Score, scored, share
-from experiments.studies.log_study.sound import Case, logged, motions, sound
+from experiments.studies.log_study.sound import LogCase, logged, motions, sound
 from experiments.studies.log_study.timing import TIMES
 from experiments.studies.log_study.values import VALUES
 
@@ -34,7 +34,7 @@ class Drawn:
 
     number: int
     kind: str
-    case: Case
+    case: LogCase
     fault: Fault
 
 
@@ -60,7 +60,7 @@ def drawn(count: int, seed: int, axes: Sequence[StudyDrive]) -> Iterator[Drawn]:
         yield Drawn(number, kind.name, case, fault)
 
 
-def _on(kind: Draw, axis: StudyDrive, rng: np.random.Generator) -> tuple[Case, Fault] | None:
+def _on(kind: Draw, axis: StudyDrive, rng: np.random.Generator) -> tuple[LogCase, Fault] | None:
     """A case of this kind on this axis, from several motions and amounts; None where the axis cannot show it."""
     for _ in range(MOTIONS if kind.applies(axis) else 0):
         case = sound(axis, rng)
@@ -204,7 +204,9 @@ def pairs_of_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDri
     )  # fmt: skip
 
 
-def _pair(axes: Sequence[StudyDrive], what: str, turn: int, rng: np.random.Generator) -> tuple[Case, Log, str] | None:
+def _pair(
+    axes: Sequence[StudyDrive], what: str, turn: int, rng: np.random.Generator
+) -> tuple[LogCase, Log, str] | None:
     for k in range(len(axes)):
         axis = axes[(turn + k) % len(axes)]
         case = sound(axis, rng)

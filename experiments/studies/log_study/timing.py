@@ -6,7 +6,7 @@ import numpy as np
 
 from diffdrive.logs.log import Log, Signal
 from experiments.studies.log_study.fault import Draw, Fault, following_error, log_uniform, moving, of_channel
-from experiments.studies.log_study.sound import Case
+from experiments.studies.log_study.sound import LogCase
 from experiments.studies.log_study.values import known
 
 CHANNELS = ("reference", "position", "command")
@@ -18,7 +18,7 @@ def later(signal: Signal, samples: float) -> Signal:
     return np.interp(count - samples, count, signal)
 
 
-def _shifted(case: Case, rng: np.random.Generator, samples: float, also: tuple[str, ...] = ()) -> Fault | None:
+def _shifted(case: LogCase, rng: np.random.Generator, samples: float, also: tuple[str, ...] = ()) -> Fault | None:
     channel = str(rng.choice(CHANNELS))
     signal = later(getattr(case.log, channel), samples)
     if channel == "position":  # a scale has no values between its counts
@@ -37,12 +37,12 @@ def _shifted(case: Case, rng: np.random.Generator, samples: float, also: tuple[s
     return of_channel(case, channel, signal, amount, "shifted", undo=undo, also=also, channels=channels)
 
 
-def shifted_whole(case: Case, rng: np.random.Generator) -> Fault | None:
+def shifted_whole(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """By 1 to 5 samples, either way."""
     return _shifted(case, rng, float(rng.integers(1, 6)) * float(rng.choice([-1.0, 1.0])))
 
 
-def shifted_part(case: Case, rng: np.random.Generator) -> Fault | None:
+def shifted_part(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """By 0.2 to 0.8 samples, either way: interpolated, which is a mean of two neighbours."""
     return _shifted(case, rng, rng.uniform(0.2, 0.8) * float(rng.choice([-1.0, 1.0])), ("filtered",))
 
@@ -51,7 +51,7 @@ def _rows(log: Log, kept: Signal | slice) -> Log:
     return replace(log, **{name: signal[kept] for name, signal in log.channels.items()})
 
 
-def thinned(case: Case, rng: np.random.Generator) -> Fault:
+def thinned(case: LogCase, rng: np.random.Generator) -> Fault:
     """Each n-th row, and time counted as if they were all: the time of a log at a lower rate in another unit."""
     often = int(rng.integers(2, 11))
     true = _rows(case.log, slice(None, None, often))
@@ -65,14 +65,14 @@ def thinned(case: Case, rng: np.random.Generator) -> Fault:
     )  # fmt: skip
 
 
-def thinned_honestly(case: Case, rng: np.random.Generator) -> Fault:
+def thinned_honestly(case: LogCase, rng: np.random.Generator) -> Fault:
     """Each n-th row with its own time: the log is right as it is, but its controller cannot be replayed."""
     often = int(rng.integers(2, 11))
     true = _rows(case.log, slice(None, None, often))
     return Fault(true, true, f"each {often}th row", ("decimated", "rate"))
 
 
-def wrong_unit(case: Case, rng: np.random.Generator) -> Fault:
+def wrong_unit(case: LogCase, rng: np.random.Generator) -> Fault:
     """Milliseconds taken as microseconds or as seconds."""
     factor = float(rng.choice([1e3, 1e-3]))
     log = case.log
@@ -83,7 +83,7 @@ def wrong_unit(case: Case, rng: np.random.Generator) -> Fault:
     return Fault(replace(log, time=factor * log.time), log, f"time x {factor:g}", ("rate",), undo=undo)
 
 
-def lost_rows(case: Case, rng: np.random.Generator) -> Fault | None:
+def lost_rows(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """One to five places at which 1 to 50 rows are missing during the motion, the time stamps uniform all the same."""
     log = case.log
     assert log.reference is not None

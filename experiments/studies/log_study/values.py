@@ -18,7 +18,7 @@ from experiments.studies.log_study.fault import (
     of_channel,
     span,
 )
-from experiments.studies.log_study.sound import Case
+from experiments.studies.log_study.sound import LogCase
 
 RATIOS = (1000.0, 1e-3, 25.4, 1 / 25.4, 2 * np.pi, 0.5 / np.pi)
 COUNTER = 2**16
@@ -29,7 +29,7 @@ def known(drive: StudyDrive) -> bool:
     return drive.kind != "unknown"
 
 
-def swapped(case: Case, rng: np.random.Generator) -> Fault:
+def swapped(case: LogCase, rng: np.random.Generator) -> Fault:
     """Reference and position exchanged."""
     log = case.log
     return Fault(
@@ -42,31 +42,31 @@ def exchange(log: Log) -> Log:
     return replace(log, reference=log.position, position=log.reference)
 
 
-def _rounded(case: Case, channel: str, step: float) -> Fault:
+def _rounded(case: LogCase, channel: str, step: float) -> Fault:
     signal = getattr(case.log, channel)
     unit = "N" if channel == "command" else "m"
     return of_channel(case, channel, step * np.round(signal / step), f"to {step:.3g} {unit}", "rounded")
 
 
-def position_rounded(case: Case, rng: np.random.Generator) -> Fault | None:
+def position_rounded(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """To 2 to 200 times the resolution: still a position, hence at least twenty steps of travel."""
     step = case.drive.resolution * log_uniform(rng, 2.0, 200.0)
     return None if span(case.log.position) < 20 * step else _rounded(case, "position", step)
 
 
-def reference_rounded(case: Case, rng: np.random.Generator) -> Fault | None:
+def reference_rounded(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """As the position."""
     step = case.drive.resolution * log_uniform(rng, 5.0, 200.0)
     return None if span(case.log.position) < 20 * step else _rounded(case, "reference", step)
 
 
-def command_rounded(case: Case, rng: np.random.Generator) -> Fault | None:
+def command_rounded(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """To some per cent of its range, and three times its own noise: less changes nothing."""
     step = span(case.log.command) * log_uniform(rng, 0.02, 0.15)
     return None if step < 3 * flutter(case.log.command) else _worth(case, _rounded(case, "command", step))
 
 
-def _worth(case: Case, fault: Fault) -> Fault | None:
+def _worth(case: LogCase, fault: Fault) -> Fault | None:
     """The fault, if it changes the command by more than a force constant is off by."""
     change = np.std(fault.log.command - case.log.command)
     return fault if change > COMMAND_SHARE * np.std(case.log.command) else None
@@ -77,7 +77,7 @@ def averaged(signal: Signal, width: int, *, trailing: bool) -> Signal:
     return uniform_filter1d(signal, width, mode="nearest", origin=(width - 1) // 2 if trailing else 0)
 
 
-def _averaged(case: Case, rng: np.random.Generator, channel: str) -> Fault:
+def _averaged(case: LogCase, rng: np.random.Generator, channel: str) -> Fault:
     width, trailing = int(rng.integers(1, 21)) * 2 + 1, bool(rng.integers(2))
     amount = f"{width} samples, {'the last' if trailing else 'centred'}"
     return of_channel(
@@ -85,17 +85,19 @@ def _averaged(case: Case, rng: np.random.Generator, channel: str) -> Fault:
     )  # fmt: skip
 
 
-def position_averaged(case: Case, rng: np.random.Generator) -> Fault:
+def position_averaged(case: LogCase, rng: np.random.Generator) -> Fault:
     """Over 3 to 41 samples."""
     return _averaged(case, rng, "position")
 
 
-def command_averaged(case: Case, rng: np.random.Generator) -> Fault | None:
+def command_averaged(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """Over 3 to 41 samples."""
     return _worth(case, _averaged(case, rng, "command"))
 
 
-def _moved(case: Case, channel: str, amount: float, channels: tuple[str, ...], rivals: tuple[str, ...] = ()) -> Fault:
+def _moved(
+    case: LogCase, channel: str, amount: float, channels: tuple[str, ...], rivals: tuple[str, ...] = ()
+) -> Fault:
     unit = "N" if channel == "command" else "m"
 
     def undo(log: Log) -> Log:
@@ -107,7 +109,7 @@ def _moved(case: Case, channel: str, amount: float, channels: tuple[str, ...], r
     )  # fmt: skip
 
 
-def zero_of_length(case: Case, rng: np.random.Generator) -> Fault | None:
+def zero_of_length(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """Reference or position from another zero, 1 um to 50 mm: which of them moved, no log says.
 
     It must be a part of the following error that one would see: without a known controller, one that no loop has.
@@ -122,7 +124,7 @@ def zero_of_length(case: Case, rng: np.random.Generator) -> Fault | None:
     return _moved(case, str(rng.choice(["reference", "position"])), amount, channels)
 
 
-def zero_of_command(case: Case, rng: np.random.Generator) -> Fault | None:
+def zero_of_command(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """1 to 30 % of the command's range.
 
     Where an integral or an observer would have made it, the machine may have that force: nobody can tell.
@@ -133,7 +135,7 @@ def zero_of_command(case: Case, rng: np.random.Generator) -> Fault | None:
     return _moved(case, "command", amount, ("command", "reference", "position"), ("other machine",))
 
 
-def _factor(case: Case, rng: np.random.Generator, *, electric: bool) -> tuple[float, str]:
+def _factor(case: LogCase, rng: np.random.Generator, *, electric: bool) -> tuple[float, str]:
     """A unit's factor, or any; without a known controller beyond what friction can be off by."""
     least = 1.05 if known(case.drive) else 4.0
     which = rng.integers(3 if electric else 2)
@@ -145,7 +147,7 @@ def _factor(case: Case, rng: np.random.Generator, *, electric: bool) -> tuple[fl
 
 
 def _scaled(
-    case: Case, scaled: tuple[str, ...], factor: float, amount: str, *, or_else: tuple[str, ...] = (),
+    case: LogCase, scaled: tuple[str, ...], factor: float, amount: str, *, or_else: tuple[str, ...] = (),
     rivals: tuple[str, ...] = (),
 ) -> Fault:  # fmt: skip
     def times(log: Log, by: float) -> Log:
@@ -157,32 +159,32 @@ def _scaled(
     )  # fmt: skip
 
 
-def gain_of_position(case: Case, rng: np.random.Generator) -> Fault:
+def gain_of_position(case: LogCase, rng: np.random.Generator) -> Fault:
     """The position in another unit; where nothing but the two lengths speaks, the reference may be the wrong one."""
     factor, amount = _factor(case, rng, electric=False)
     return _scaled(case, ("position",), factor, amount, or_else=() if known(case.drive) else ("reference",))
 
 
-def gain_of_reference(case: Case, rng: np.random.Generator) -> Fault:
+def gain_of_reference(case: LogCase, rng: np.random.Generator) -> Fault:
     """The reference in another unit; likewise."""
     factor, amount = _factor(case, rng, electric=False)
     return _scaled(case, ("reference",), factor, amount, or_else=() if known(case.drive) else ("position",))
 
 
-def gain_of_both(case: Case, rng: np.random.Generator) -> Fault:
+def gain_of_both(case: LogCase, rng: np.random.Generator) -> Fault:
     """Both lengths in another unit."""
     factor, amount = _factor(case, rng, electric=False)
     both = ("reference", "position") + (() if case.log.motor_position is None else ("motor_position",))
     return _scaled(case, both, factor, amount)
 
 
-def gain_of_command(case: Case, rng: np.random.Generator) -> Fault:
+def gain_of_command(case: LogCase, rng: np.random.Generator) -> Fault:
     """Volts, or another factor; where no controller is known, another machine would need the same command."""
     factor, amount = _factor(case, rng, electric=True)
     return _scaled(case, ("command",), factor, amount, rivals=() if known(case.drive) else ("other machine",))
 
 
-def reversed_sign(case: Case, rng: np.random.Generator) -> Fault:
+def reversed_sign(case: LogCase, rng: np.random.Generator) -> Fault:
     """Of one channel, or of all where the drive file tells the mirrored axis."""
     names = ["reference", "position", "command"] + ([] if case.drive.reversible else ["all"])
     which = str(rng.choice(names))
@@ -194,7 +196,7 @@ def reversed_sign(case: Case, rng: np.random.Generator) -> Fault:
     return Fault(undo(case.log), case.log, which, ("reversed",), channels, undo=undo)
 
 
-def wrapped(case: Case, rng: np.random.Generator) -> Fault | None:
+def wrapped(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """The position's counter has 16 bits."""
     period, position = COUNTER * case.drive.resolution, case.log.position
     low = float(rng.choice([0.0, -0.5])) * period
@@ -209,12 +211,12 @@ def wrapped(case: Case, rng: np.random.Generator) -> Fault | None:
     return of_channel(case, "position", short, f"at {period:.3g} m", "wrapped", undo=undo)
 
 
-def rectified(case: Case, rng: np.random.Generator) -> Fault:
+def rectified(case: LogCase, rng: np.random.Generator) -> Fault:
     """The command without its sign."""
     return of_channel(case, "command", np.abs(case.log.command), "absolute value", "rectified")
 
 
-def clipped(case: Case, rng: np.random.Generator) -> Fault | None:
+def clipped(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """The command's logger saturates for one to twenty per cent of the samples."""
     size = np.abs(case.log.command)
     level = float(np.quantile(size, 1.0 - log_uniform(rng, 0.01, 0.2)))
@@ -223,7 +225,7 @@ def clipped(case: Case, rng: np.random.Generator) -> Fault | None:
     return of_channel(case, "command", np.clip(case.log.command, -level, level), f"at {level:.3g} N", "clipped")
 
 
-def frozen(case: Case, rng: np.random.Generator) -> Fault | None:
+def frozen(case: LogCase, rng: np.random.Generator) -> Fault | None:
     """The position stands for 20 to 500 ms while the table moves."""
     length = round(log_uniform(rng, 0.02, 0.5) * case.drive.rate)
     begin = int(rng.choice(moving(case.log)))
@@ -238,7 +240,7 @@ def frozen(case: Case, rng: np.random.Generator) -> Fault | None:
     return of_channel(case, "position", position, f"{1e3 * length / case.drive.rate:.3g} ms, {gone:.3g} m", "frozen")
 
 
-def outliers(case: Case, rng: np.random.Generator) -> Fault:
+def outliers(case: LogCase, rng: np.random.Generator) -> Fault:
     """One to twenty samples of position or command far from their neighbours."""
     channel = str(rng.choice(["position", "command"]))
     signal = getattr(case.log, channel).copy()
@@ -249,7 +251,7 @@ def outliers(case: Case, rng: np.random.Generator) -> Fault:
     return of_channel(case, channel, signal, f"{len(at)} of {size:.3g} in the {channel}", "outliers")
 
 
-def burst(case: Case, rng: np.random.Generator) -> Fault:
+def burst(case: LogCase, rng: np.random.Generator) -> Fault:
     """Pulses of 20 to 100 % of the command's range, 2 to 20 ms long, to which the table does not react."""
     command, places = case.log.command.copy(), int(rng.integers(1, 6))
     length = max(2, round(rng.uniform(2e-3, 20e-3) * case.drive.rate))

@@ -41,7 +41,7 @@ def figure_5(speeds: np.ndarray, stribeck: dict[float, np.ndarray], loops: dict[
     return figure
 
 
-def figure_7(scenario: paper.Scenario, runs: dict[str, Run]) -> Any:
+def figure_7(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Any:
     """Position, load and tracking errors of all controllers."""
     figure, axes = new_figure(4, 1, width=9.0, height=2.0)
     time = scenario.motion.time

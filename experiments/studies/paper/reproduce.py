@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive import motion
 from diffdrive.controllers import Controller, Feedforward, FrictionCompensation, Tracking
-from diffdrive.controllers.base import Gains
+from diffdrive.controllers.base import PDGains
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import bristle_at, coulomb, friction_force, slide, steady_friction
@@ -60,7 +60,7 @@ def static_checks(drive: Drive) -> list[tuple[str, float, float]]:
     return rows
 
 
-def table_1(drive: Drive, scenario: paper.Scenario) -> dict[str, Run]:
+def table_1(drive: Drive, scenario: paper.PaperScenario) -> dict[str, Run]:
     """Every controller over the canonical scenario."""
     runs = {}
     for name, controller in paper.controllers(drive).items():
@@ -139,7 +139,7 @@ def loaded_experiment(
     )
     mu = float(drive.friction.load_coefficient.positive)
     rippled = weight + np.sqrt(2) * ripple / mu * np.sin(2 * np.pi * to_and_fro.position / pitch)
-    tracking = Tracking(Gains(PAPER_KP, PAPER_KD), Feedforward(mass=drive.plant.mass))
+    tracking = Tracking(PDGains(PAPER_KP, PAPER_KD), Feedforward(mass=drive.plant.mass))
     plant, friction = drive.plant, drive.friction
     ours: dict[str, Controller] = {
         "PD+FC": FrictionCompensation(tracking, KalmanObserver(plant, friction)),
@@ -263,7 +263,7 @@ def _figure_4_rows(friction: Friction) -> list[list[float]]:
 def _figures(
     report: Report,
     drive: Drive,
-    scenario: paper.Scenario,
+    scenario: paper.PaperScenario,
     runs: dict[str, Run],
     unloaded: dict[str, Run],
     loaded: dict[float, dict[str, Run]],

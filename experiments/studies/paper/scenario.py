@@ -20,7 +20,7 @@ __all__ = [
     "SAMPLING",
     "TABLE_1",
     "TABLE_4",
-    "Scenario",
+    "PaperScenario",
     "canonical",
     "controllers",
 ]
@@ -43,18 +43,18 @@ TABLE_4 = {10.9: (3.08, 1.18, 1.65, 0.98, 10.9), 12.6: (4.95, 1.05, 2.18, 1.10, 
 
 
 @dataclass(frozen=True)
-class Scenario:
+class PaperScenario:
     """A motion and the load (N, per sample) that goes with it."""
 
     motion: Motion
     load: np.ndarray
 
 
-def canonical() -> Scenario:
+def canonical() -> PaperScenario:
     """Fig. 7 as we read it: 10 mm/s, reversals over 0.3 s centred at 2.05 and 4.05 s, 0 to 10 kN from 2.5 to 3.5 s."""
     # reversals 2 s apart
     motion = triangular(speed=0.010, stroke=0.0185, rounding=0.3, duration=4.5, rate=SAMPLING.rate, first_reversal=2.05)
-    return Scenario(motion, load.ramp(motion.time, start=2.5, end=3.5, to=10_000.0))
+    return PaperScenario(motion, load.ramp(motion.time, start=2.5, end=3.5, to=10_000.0))
 
 
 def controllers(drive: Drive, kp: float = PAPER_KP, kd: float = PAPER_KD) -> dict[str, Controller]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.controllers import Gains
+from diffdrive.controllers import PDGains
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.model.parameters import Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -60,7 +60,7 @@ def draw(number: int) -> dict[str, Any]:
     from tuning.identification.identify import identify
 
     drive, believed = random_drive(np.random.default_rng(number)), paper_drive()
-    motion, gains = identification_motion(RATE), Gains(PAPER_KP, PAPER_KD)
+    motion, gains = identification_motion(RATE), PDGains(PAPER_KP, PAPER_KD)
     load = ramp(motion.time, start=LOADED[0], end=LOADED[1], to=LOAD)
     log = truth_log(drive, gains, motion, load, seed=number)
     began = time.perf_counter()

@@ -29,7 +29,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.controllers import Gains
+from diffdrive.controllers import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Scalar, Sensor, as_arrays, check, check_drive, require_double_precision
@@ -40,7 +40,7 @@ LONGEST_STEP = 2e-6  # s
 SCALE = Sensor(resolution=1e-7, noise=3e-8)
 
 
-class Table(NamedTuple):
+class TruthTable(NamedTuple):
     """Position (m), velocity (m/s) and bristle deflection (m)."""
 
     position: Scalar
@@ -48,7 +48,7 @@ class Table(NamedTuple):
     bristle: Scalar
 
 
-class Signals(NamedTuple):
+class TruthSignals(NamedTuple):
     """What happened at each sample, [n]."""
 
     position: Float[Array, " n"]  # m, as logged: noisy, quantised
@@ -57,13 +57,13 @@ class Signals(NamedTuple):
 
 
 class _Loop(NamedTuple):
-    table: Table
+    table: TruthTable
     forces: tuple[Scalar, ...]  # commands after the limit, newest first
     error: Scalar
     count: Scalar
 
 
-def _rates(drive: Drive, table: Table, force: Scalar, load: Scalar) -> Table:
+def _rates(drive: Drive, table: TruthTable, force: Scalar, load: Scalar) -> TruthTable:
     """The time derivatives of eqs. (4) to (7); the position's is the velocity."""
     plant, friction, velocity, deflection = drive.plant, drive.friction, table.velocity, table.bristle
     speed = jnp.abs(velocity)
@@ -77,31 +77,31 @@ def _rates(drive: Drive, table: Table, force: Scalar, load: Scalar) -> Table:
     slip = velocity - spring * speed / level
     viscous = (friction.viscous.towards(velocity) + plant.damping.towards(velocity)) * velocity
     resistance = spring + friction.bristle_damping.towards(velocity) * slip + viscous
-    return Table(velocity, (force + plant.constant_force - resistance) / plant.mass, slip)
+    return TruthTable(velocity, (force + plant.constant_force - resistance) / plant.mass, slip)
 
 
-def _ahead(table: Table, rates: Table, step: Scalar) -> Table:
-    return Table(*(x + step * dx for x, dx in zip(table, rates, strict=True)))
+def _ahead(table: TruthTable, rates: TruthTable, step: Scalar) -> TruthTable:
+    return TruthTable(*(x + step * dx for x, dx in zip(table, rates, strict=True)))
 
 
-def _runge_kutta(drive: Drive, table: Table, force: Scalar, load: Scalar, step: Scalar) -> Table:
+def _runge_kutta(drive: Drive, table: TruthTable, force: Scalar, load: Scalar, step: Scalar) -> TruthTable:
     k1 = _rates(drive, table, force, load)
     k2 = _rates(drive, _ahead(table, k1, step / 2), force, load)
     k3 = _rates(drive, _ahead(table, k2, step / 2), force, load)
     k4 = _rates(drive, _ahead(table, k3, step), force, load)
-    mean = Table(*((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
+    mean = TruthTable(*((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
     return _ahead(table, mean, step)
 
 
 def advance(
-    drive: Drive, table: Table, before: Scalar, after: Scalar, load: Scalar, period: float, steps: int
-) -> Table:
+    drive: Drive, table: TruthTable, before: Scalar, after: Scalar, load: Scalar, period: float, steps: int
+) -> TruthTable:
     """One control period (s) on: force `before` for the share `delay_fraction` of it, then `after` (N)."""
     share = 0.0 if drive.actuator.delay_fraction is None else drive.actuator.delay_fraction
     switch = jnp.asarray(share * steps)  # counted in steps
     divided = jnp.floor(switch)  # the step that becomes two, one on each side of the switch
 
-    def step(index: Any, table: Table) -> Table:
+    def step(index: Any, table: TruthTable) -> TruthTable:
         first, second = index == divided, index == divided + 1
         width = jnp.where(first, switch - divided, jnp.where(second, 1.0 - (switch - divided), 1.0))
         force = jnp.where(index <= divided, before, after)
@@ -112,14 +112,14 @@ def advance(
 
 def run(
     drive: Drive,
-    gains: Gains,
+    gains: PDGains,
     reference: Float[Array, " n"],
     load: Float[Array, " n"],
     deflection: Scalar,
     key: Array,
     rate: float,
     steps: int | None = None,
-) -> Signals:
+) -> TruthSignals:
     """Follow `reference` (m) under `load` (N) at `rate` (Hz); pure, for use under `jit` and `vmap`.
 
     The table begins at rest, held by the controller against the bristle's `deflection` (m). `key` seeds the scale's
@@ -129,7 +129,7 @@ def run(
     sensor, actuator, period = drive.sensor, drive.actuator, 1.0 / rate
     steps = int(np.ceil(round(period / LONGEST_STEP, 6))) if steps is None else steps
 
-    def body(loop: _Loop, at: tuple[Scalar, Scalar]) -> tuple[_Loop, Signals]:
+    def body(loop: _Loop, at: tuple[Scalar, Scalar]) -> tuple[_Loop, TruthSignals]:
         wanted, weight = at
         table = loop.table.position
         measured = table + sensor.noise * jax.random.normal(jax.random.fold_in(key, loop.count), dtype=jnp.float64)
@@ -141,24 +141,26 @@ def run(
         limit = jnp.inf if actuator.force_limit is None else actuator.force_limit
         forces = (jnp.clip(command, -limit, limit), *loop.forces)
         moved = advance(drive, loop.table, forces[-1], forces[-2], weight, period, steps)
-        return _Loop(moved, forces[:-1], error, loop.count + 1), Signals(measured, command, table)
+        return _Loop(moved, forces[:-1], error, loop.count + 1), TruthSignals(measured, command, table)
 
     holding = drive.friction.bristle_stiffness.towards(deflection) * deflection - drive.plant.constant_force
     held = reference[0] - holding / gains.kp
-    rest = Table(held, jnp.zeros_like(held), jnp.zeros_like(held) + deflection)
+    rest = TruthTable(held, jnp.zeros_like(held), jnp.zeros_like(held) + deflection)
     begin = _Loop(rest, (holding,) * (actuator.delay_samples + 1), jnp.zeros_like(held), jnp.zeros((), jnp.uint32))
     return lax.scan(body, begin, (reference, load))[1]
 
 
 @partial(jax.jit, static_argnums=6)
-def _run_lanes(drives: Drive, gains: Gains, reference: Any, load: Any, deflection: Any, keys: Any, rate: float) -> Any:
+def _run_lanes(
+    drives: Drive, gains: PDGains, reference: Any, load: Any, deflection: Any, keys: Any, rate: float
+) -> Any:
     lanes = jax.vmap(partial(run, rate=rate), in_axes=(0, 0, None, 0, 0, 0))
     return lanes(drives, gains, reference, load, deflection, keys)
 
 
 def truth_logs(
     drives: Sequence[Drive],
-    gains: Gains | Sequence[Gains],
+    gains: PDGains | Sequence[PDGains],
     motion: Motion,
     loads: float | np.ndarray | Sequence[float | np.ndarray] = 0.0,
     seeds: Sequence[int] | None = None,
@@ -172,7 +174,7 @@ def truth_logs(
     """
     lanes, samples = len(drives), len(motion.time)
     seeds = range(lanes) if seeds is None else seeds
-    gains = [gains] * lanes if isinstance(gains, Gains) else gains
+    gains = [gains] * lanes if isinstance(gains, PDGains) else gains
     each = loads if isinstance(loads, Sequence) else [loads] * lanes
     if not lanes == len(seeds) == len(gains) == len(each):
         raise ParameterError(f"{lanes} drives, {len(gains)} gains, {len(each)} loads, {len(seeds)} seeds: give as many")
@@ -214,6 +216,6 @@ def _resting_deflection(drive: Drive, draw: np.random.Generator, load: float) ->
     return share * (screw + guide * (float(friction.initial_load) + load)) / stiffness
 
 
-def truth_log(drive: Drive, gains: Gains, motion: Motion, load: float | np.ndarray = 0.0, seed: int = 0) -> Log:
+def truth_log(drive: Drive, gains: PDGains, motion: Motion, load: float | np.ndarray = 0.0, seed: int = 0) -> Log:
     """The log of one machine: `truth_logs` of one."""
     return truth_logs([drive], gains, motion, [load], [seed])[0]

@@ -22,7 +22,7 @@ from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from tuning.gains.constrained import Gains, Problem
+from tuning.gains.constrained import ConstrainedGains, TuningProblem
 from tuning.gains.sequential import KEPT
 from tuning.optimisation.evolution import WORST, Budget
 
@@ -34,7 +34,7 @@ BLOCK = 32  # points that one call of the compiled program holds at most
 Points = Float[np.ndarray, "s k"]
 
 
-class Costs(NamedTuple):
+class PenalisedCosts(NamedTuple):
     """What points of the search are worth, [s] each."""
 
     penalised: Float[np.ndarray, " s"]  # what is minimised
@@ -42,10 +42,10 @@ class Costs(NamedTuple):
     missed: Float[np.ndarray, " s"]  # by how much the requirement that is missed most is missed
 
 
-Cost = Callable[[Points], Costs]
+Cost = Callable[[Points], PenalisedCosts]
 
 
-class Visit(NamedTuple):
+class BaselineVisit(NamedTuple):
     """The lowest cost after so many simulations of the whole ensemble, as in `tuning.optimisation.evolution.Visit`,
     and one more.
     """
@@ -56,23 +56,23 @@ class Visit(NamedTuple):
     feasible: float  # the lowest objective where nothing is missed by more than `KEPT`; infinite where none is yet
 
 
-Visited = Callable[[Visit], None]
-NONE_YET = Visit(0, 0.0, np.inf, np.inf)
+Visited = Callable[[BaselineVisit], None]
+NONE_YET = BaselineVisit(0, 0.0, np.inf, np.inf)
 
 
-def silent(visit: Visit) -> None:
+def silent(visit: BaselineVisit) -> None:
     """Show nothing."""
 
 
 @dataclass(frozen=True)
-class Found:
+class BaselineEnd:
     """Where a baseline ended: its best point, why it stopped, and the lowest costs along the way."""
 
     y: Float[np.ndarray, " k"]  # of the lowest penalised cost
     cost: float
     feasible: Float[np.ndarray, " k"] | None  # of the lowest objective among those that keep the requirements
     status: str
-    history: list[Visit]  # batch by batch
+    history: list[BaselineVisit]  # batch by batch
 
     @property
     def simulations(self) -> int:
@@ -93,8 +93,8 @@ class _Trail:
     visited: Visited
     y: Float[np.ndarray, " k"]
     feasible: Float[np.ndarray, " k"] | None = None
-    last: Visit = NONE_YET
-    history: list[Visit] = field(default_factory=list)
+    last: BaselineVisit = NONE_YET
+    history: list[BaselineVisit] = field(default_factory=list)
     began: float = field(default_factory=time.perf_counter)
 
     def __call__(self, points: Points) -> Float[np.ndarray, " s"]:
@@ -118,7 +118,7 @@ class _Trail:
             self.y = np.array(points[least])
         if kept[best] < self.last.feasible:
             self.feasible = np.array(points[best])
-        self.last = Visit(
+        self.last = BaselineVisit(
             self.last.simulations + len(points),
             time.perf_counter() - self.began,
             min(self.last.cost, float(penalised[least])),
@@ -138,7 +138,7 @@ class _Trail:
 Tried = Callable[[Points], Float[np.ndarray, " s"]]
 
 
-def _follow(search: Callable[[Tried], str], cost: Cost, k: int, budget: Budget, visited: Visited) -> Found:
+def _follow(search: Callable[[Tried], str], cost: Cost, k: int, budget: Budget, visited: Visited) -> BaselineEnd:
     """The search, and what is left of it when it converges, has spent its budget or is interrupted."""
     trail = _Trail(cost, budget, visited, np.zeros(k))
     try:
@@ -147,10 +147,10 @@ def _follow(search: Callable[[Tried], str], cost: Cost, k: int, budget: Budget, 
         status = str(spent)
     except KeyboardInterrupt:
         status = f"interrupted after {trail.last.simulations} simulations"
-    return Found(trail.y, trail.last.cost, trail.feasible, status, trail.history)
+    return BaselineEnd(trail.y, trail.last.cost, trail.feasible, status, trail.history)
 
 
-def cma_es(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> Found:
+def cma_es(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> BaselineEnd:
     """CMA-ES with the package's default population, 4 + 3 ln k, and its default rules of convergence."""
 
     def search(tried: Tried) -> str:
@@ -173,7 +173,7 @@ def _quiet(seed: int) -> dict[str, object]:
     return {"verbose": -9, "signals_filename": "", "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan}
 
 
-def nelder_mead(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> Found:
+def nelder_mead(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> BaselineEnd:
     """Nelder-Mead. The first simplex has a corner in the start; `seed` draws whether its edges go up or down."""
     edges = STEP * np.random.default_rng(seed).choice([-1.0, 1.0], k)
     options = {
@@ -191,7 +191,7 @@ def nelder_mead(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visi
     return _follow(search, cost, k, budget, visited)
 
 
-def random_search(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> Found:
+def random_search(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> BaselineEnd:
     """The start and random points: even between the bounds where the start is in their middle (`space.around`).
 
     The sigmoid of a logistic variable is uniform.
@@ -208,12 +208,14 @@ def random_search(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Vi
 
 @eqx.filter_jit
 def _worths(
-    gains: Gains, problem: Problem, points: Float[Array, "b k"], counts: Int[Array, " devices"]
+    gains: ConstrainedGains, problem: TuningProblem, points: Float[Array, "b k"], counts: Int[Array, " devices"]
 ) -> Float[Array, "b three"]:
     """Of the points of each device the first `counts`: so one program serves batches of all sizes."""
     arrays, rest = eqx.partition(problem, eqx.is_array)
 
-    def share(points: Float[Array, "p k"], counts: Int[Array, " one"], arrays: Problem) -> Float[Array, "p three"]:
+    def share(
+        points: Float[Array, "p k"], counts: Int[Array, " one"], arrays: TuningProblem
+    ) -> Float[Array, "p three"]:
         problem = eqx.combine(arrays, rest)
 
         def one(row: Int[Array, ""], found: Float[Array, "p three"]) -> Float[Array, "p three"]:
@@ -232,8 +234,8 @@ def _worths(
     )(points, counts, arrays)
 
 
-def costs_of(gains: Gains, problem: Problem, block: int = BLOCK) -> Cost:
-    """`Gains.at` for a batch of points, one after the other on each of the program's devices.
+def costs_of(gains: ConstrainedGains, problem: TuningProblem, block: int = BLOCK) -> Cost:
+    """`ConstrainedGains.at` for a batch of points, one after the other on each of the program's devices.
 
     Points side by side in one vectorised program, as in `tuning.optimisation.evolution`, are slower: the lanes of one
     ensemble fill the vectors already. With eight lanes on two cores: 25 ms per point, against 18 ms.
@@ -250,9 +252,9 @@ def costs_of(gains: Gains, problem: Problem, block: int = BLOCK) -> Cost:
         found = _worths(gains, problem, held.reshape(devices * each, -1), counts)
         return np.asarray(found).reshape(devices, each, 3).swapaxes(0, 1).reshape(-1, 3)[: len(points)]
 
-    def cost(points: Points) -> Costs:
+    def cost(points: Points) -> PenalisedCosts:
         most = devices * each
         found = [some(points[first : first + most]) for first in range(0, len(points), most)]
-        return Costs(*np.concatenate(found).T)
+        return PenalisedCosts(*np.concatenate(found).T)
 
     return cost

@@ -18,8 +18,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from experiments.studies.tuning_study.baselines import Found, Visit
-from tuning.gains.constrained import PENALTY, Gains, Point, Problem, worth
+from experiments.studies.tuning_study.baselines import BaselineEnd, BaselineVisit
+from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, worth
 from tuning.gains.sequential import KEPT
 from tuning.optimisation.evolution import Budget
 from tuning.optimisation.least_squares import LevenbergMarquardt, with_jacobian
@@ -32,9 +32,9 @@ NO_TAGS: frozenset[object] = frozenset()
 class _Scalar:
     """The penalised objective; hashed by value."""
 
-    gains: Gains
+    gains: ConstrainedGains
 
-    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, ""]:
+    def __call__(self, y: Float[Array, " k"], problem: TuningProblem) -> Float[Array, ""]:
         return self.gains.at(y, problem).penalised
 
 
@@ -42,9 +42,9 @@ class _Scalar:
 class _Squares:
     """Residuals: signals, each sample weighed so that the squares sum to a mean of RMS values, and penalties."""
 
-    gains: Gains
+    gains: ConstrainedGains
 
-    def __call__(self, y: Float[Array, " k"], problem: Problem) -> Float[Array, " m"]:
+    def __call__(self, y: Float[Array, " k"], problem: TuningProblem) -> Float[Array, " m"]:
         signals, kept = self.gains.seen(y, problem)
         weights = jax.lax.stop_gradient(self.gains.objective.weights(signals))
         parts = jax.tree.map(lambda weight, signal: (weight * signal).ravel(), weights, signals)
@@ -53,12 +53,12 @@ class _Squares:
         return jnp.concatenate([*jax.tree.leaves(parts), jnp.stack(missed)])
 
 
-def bfgs(gains: Gains, problem: Problem, budget: Budget) -> Found:
+def bfgs(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineEnd:
     """BFGS with Armijo's backtracking, from y = 0; an evaluation is a value with all its derivatives."""
     return _follow(optx.BFGS(rtol=TOLERANCE, atol=TOLERANCE), _Scalar(gains), gains, problem, budget)
 
 
-def levenberg_marquardt(gains: Gains, problem: Problem, budget: Budget) -> Found:
+def levenberg_marquardt(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineEnd:
     """Levenberg-Marquardt from y = 0; an evaluation is a value with all its derivatives."""
     return _follow(LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE), _Squares(gains), gains, problem, budget)
 
@@ -73,40 +73,42 @@ def _function(residuals: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @eqx.filter_jit
-def _begin(solver: Any, residuals: Callable[..., Any], y: Array, problem: Problem) -> Any:
+def _begin(solver: Any, residuals: Callable[..., Any], y: Array, problem: TuningProblem) -> Any:
     fn = _function(residuals)
     shapes = eqx.filter_eval_shape(fn, y, problem)
     return solver.init(fn, y, problem, _options(solver), *shapes, NO_TAGS)
 
 
 @eqx.filter_jit
-def _step(solver: Any, residuals: Callable[..., Any], y: Array, problem: Problem, state: Any) -> Any:
+def _step(solver: Any, residuals: Callable[..., Any], y: Array, problem: TuningProblem, state: Any) -> Any:
     fn = _function(residuals)
     y, state, _ = solver.step(fn, y, problem, _options(solver), state, NO_TAGS)
     finished, _ = solver.terminate(fn, y, problem, _options(solver), state, NO_TAGS)
     return y, state, finished
 
 
-def _follow(solver: Any, residuals: Callable[..., Any], gains: Gains, problem: Problem, budget: Budget) -> Found:
+def _follow(
+    solver: Any, residuals: Callable[..., Any], gains: ConstrainedGains, problem: TuningProblem, budget: Budget
+) -> BaselineEnd:
     """Step by step, so that the budget is kept and the best point within the requirements is known."""
     y = jnp.zeros(len(gains.free))
     state = _begin(solver, residuals, y, problem)
     jax.block_until_ready(_step(solver, residuals, y, problem, state))  # compiled before the clock starts
     began, best, feasible = time.perf_counter(), (np.inf, np.asarray(y)), (np.inf, None)
-    history: list[Visit] = []
+    history: list[BaselineVisit] = []
     status = ""
     while not status:
         y, state, finished = _step(solver, residuals, y, problem, state)
-        point: Point = worth(gains, y, problem)
+        point: DesignPoint = worth(gains, y, problem)
         penalised, objective = float(point.penalised), float(point.objective)
         best = min(best, (penalised, np.asarray(y)), key=lambda one: one[0])
         if float(point.missed) <= KEPT and objective < feasible[0]:
             feasible = (objective, np.asarray(y))
-        history.append(Visit(len(history) + 1, time.perf_counter() - began, best[0], feasible[0]))
+        history.append(BaselineVisit(len(history) + 1, time.perf_counter() - began, best[0], feasible[0]))
         if bool(finished) or not np.isfinite(np.asarray(y)).all():
             status = "converged" if bool(finished) else "diverged"
         elif len(history) >= budget.simulations:
             status = f"stopped after {len(history)} steps"
         elif history[-1].seconds >= budget.seconds:
             status = f"stopped after {history[-1].seconds:.0f} s"
-    return Found(best[1], best[0], feasible[1], status, history)
+    return BaselineEnd(best[1], best[0], feasible[1], status, history)

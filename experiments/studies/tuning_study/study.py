@@ -20,9 +20,9 @@ from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arr
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.observers.friction_observer import LoadStateObserver
 from experiments.reports.report import Report, new_figure
-from experiments.studies.tuning_study.baselines import Found, cma_es, costs_of, nelder_mead, random_search
+from experiments.studies.tuning_study.baselines import BaselineEnd, cma_es, costs_of, nelder_mead, random_search
 from experiments.studies.tuning_study.penalised import bfgs, levenberg_marquardt
-from tuning.gains.constrained import Gains, Problem, linearised, problem_of, worth
+from tuning.gains.constrained import ConstrainedGains, TuningProblem, linearised, problem_of, worth
 from tuning.gains.objective import Objective
 from tuning.gains.plan import OFF_GRID, SETTLE, machines, reversal
 from tuning.gains.requirements import Constraints, Required, points
@@ -100,7 +100,7 @@ def _race(report: Report, bench: Benchmark, space: Space, evaluations: int, runs
     count = len(space.free)
     tuned = tune(bench.controller, bench.lanes, bench.requirements, space)
     budget = Budget(simulations=evaluations, seconds=600.0)
-    found: dict[str, list[Found]] = {}
+    found: dict[str, list[BaselineEnd]] = {}
     cost = costs_of(gains, problem)
     cost(np.zeros((2, count)))
     with report.progress("other searches", len(SEARCHES) * runs + len(SMOOTH)) as advance:
@@ -132,9 +132,9 @@ SEARCHES = {"CMA-ES": cma_es, "Nelder-Mead": nelder_mead, "random": random_searc
 SMOOTH = {"BFGS, penalties": bfgs, "Levenberg-Marquardt, penalties": levenberg_marquardt}
 
 
-def _compiled(bench: Benchmark, space: Space) -> tuple[Gains, Problem]:
+def _compiled(bench: Benchmark, space: Space) -> tuple[ConstrainedGains, TuningProblem]:
     """The problem, its programs compiled."""
-    gains = Gains(space.free, Objective())
+    gains = ConstrainedGains(space.free, Objective())
     problem = problem_of(as_arrays(smooth(bench.controller)), space, bench.lanes, bench.requirements)
     begin = jnp.zeros(len(space.free))
     jax.block_until_ready((worth(gains, begin, problem), linearised(gains, begin, problem)))
@@ -165,7 +165,7 @@ def _arrivals(trail: list[tuple[int, int, float, float]], best: float) -> list[A
     return found
 
 
-def _race_figure(gradient: list[tuple[int, int, float, float]], found: dict[str, list[Found]]) -> Any:
+def _race_figure(gradient: list[tuple[int, int, float, float]], found: dict[str, list[BaselineEnd]]) -> Any:
     figure, axes = new_figure(1, 2, width=11.0, height=3.8, share_x=False)
     for axis, column, what in ((axes[0], 0, "evaluations"), (axes[1], 2, "seconds")):
         for k, (name, several) in enumerate(found.items()):

@@ -8,14 +8,14 @@ import numpy as np
 from diffdrive.model.parameters import Directional, Drive
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, Fault, between
-from experiments.studies.withheld.machine import Faults, Kind, Told
+from experiments.studies.withheld.machine import Faults, Kind, MachineTask
 from experiments.studies.withheld.motions import ROOM, told
 
 OFF = 0.03  # the most that a true parameter is off nominal, by its logarithm
 FAINT, STRONG = 0.3, 4.0  # sizes against that which is clear
 
 
-class Case(NamedTuple):
+class WithheldCase(NamedTuple):
     """One machine: believed, true, and its two logs' instructions."""
 
     nominal: Drive
@@ -23,7 +23,7 @@ class Case(NamedTuple):
     gains: tuple[float, float]
     rate: float
     faults: tuple[Fault, ...]
-    told: tuple[Told, Told]
+    told: tuple[MachineTask, MachineTask]
     noise: float
     resolution: float  # m
     pitfall: bool  # the effect is such that other parameters absorb much of it
@@ -56,7 +56,7 @@ def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
     )
 
 
-def draw(room: ROOM, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) -> Case:
+def draw(room: ROOM, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) -> WithheldCase:
     """A machine with these effects, of sizes drawn at random."""
     base, apart = axis.drive, room.spawn(1)[0]
     varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
@@ -86,7 +86,7 @@ def draw(room: ROOM, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) 
     logs = told(room, apart, *way), told(room, apart, *way)
     faults = tuple(_placed(fault, logs) for fault in faults)
     pitfall = any(name in PITFALLS for name in effects)
-    return Case(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
+    return WithheldCase(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
 
 
 def _of_size(fault: Fault, axis: StudyAxis) -> Fault:
@@ -104,7 +104,7 @@ def _of_size(fault: Fault, axis: StudyAxis) -> Fault:
     return fault._replace(faults=brought(fault.faults), traces=brought(fault.traces))
 
 
-def _placed(fault: Fault, logs: tuple[Told, Told]) -> Fault:
+def _placed(fault: Fault, logs: tuple[MachineTask, MachineTask]) -> Fault:
     """With its place in metres: a share of the longer way of the two logs."""
     name = PLACED.get(fault.effect)
     if name is None:
@@ -113,14 +113,14 @@ def _placed(fault: Fault, logs: tuple[Told, Told]) -> Fault:
     return fault._replace(faults=fault.faults | {name: low + fault.faults[name] * (high - low)})  # type: ignore[operator]
 
 
-def without(case: Case, number: int) -> Case:
+def without(case: WithheldCase, number: int) -> WithheldCase:
     """The machine without one of its faults."""
     undone = {name: 1.0 / factor for name, factor in case.faults[number].scaled.items()}
     faults = (*case.faults[:number], *case.faults[number + 1 :])
     return case._replace(true=_scaled(case.true, undone), faults=faults)
 
 
-def of_log(case: Case, log: int, peak: float | None = None) -> tuple[Faults, Kind]:
+def of_log(case: WithheldCase, log: int, peak: float | None = None) -> tuple[Faults, Kind]:
     """Faults of one log; a limit is set below the `peak` (N) of the command without it, and not without a peak."""
     values: dict[str, float] = {}
     kind: dict[str, bool] = {}

@@ -14,7 +14,7 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import write_drive
-from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
 from diffdrive.model.parameters import Sampling
@@ -24,7 +24,7 @@ from experiments.studies.withheld import axes, faults, machine, motions
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
 from experiments.studies.withheld.axes import AXES, StudyAxis
-from experiments.studies.withheld.draw import Case, draw, of_log, without
+from experiments.studies.withheld.draw import WithheldCase, draw, of_log, without
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS
 from experiments.studies.withheld.machine import run
 from experiments.studies.withheld.truth import truth
@@ -63,7 +63,7 @@ def _followed(log: Log) -> bool:
     return bool(np.all(np.abs(log.position - log.reference) < 2e-3))
 
 
-def _log(case: Case, log: int, peak: float | None = None) -> Log:
+def _log(case: WithheldCase, log: int, peak: float | None = None) -> Log:
     told = case.told[log]
     faults, kind = of_log(case, log, peak)
     position, command = run(case.true, faults, kind, case.gains, case.resolution, told, case.rate)
@@ -71,7 +71,7 @@ def _log(case: Case, log: int, peak: float | None = None) -> Log:
     return Log("ab"[log], time, position, command, reference=told.reference, load=told.load)
 
 
-def _seen(case: Case, logs: list[Log], peak: float | None) -> bool:
+def _seen(case: WithheldCase, logs: list[Log], peak: float | None) -> bool:
     """Whether each of two effects changes a log: a limit that nothing but noise exceeds is none to be found."""
     noise = np.hypot(case.noise, case.resolution / np.sqrt(12.0))
 
@@ -83,14 +83,14 @@ def _seen(case: Case, logs: list[Log], peak: float | None) -> bool:
     return len(case.faults) < 2 or all(changes(number) for number in range(len(case.faults)))
 
 
-def _logs(case: Case) -> tuple[list[Log], float | None]:
+def _logs(case: WithheldCase) -> tuple[list[Log], float | None]:
     """Both logs; of a machine with a limit also the peak (N) below which it is set, that of the first log without."""
     limited = any(fault.effect == "force_limit" for fault in case.faults)
     peak = float(np.abs(_log(case, 0).command).max()) if limited else None
     return [_log(case, log, peak) for log in range(2)], peak
 
 
-def key_of(case: Case, peak: float | None = None) -> dict[str, Any]:
+def key_of(case: WithheldCase, peak: float | None = None) -> dict[str, Any]:
     """What was done to a machine; `peak` as in `draw.of_log`."""
     return {
         "effects": [
@@ -144,7 +144,7 @@ def drawn_by() -> str:
 
 def _followable(
     seed: int, number: int, effects: tuple[str, ...], axis: StudyAxis
-) -> tuple[Case, list[Log], float | None]:
+) -> tuple[WithheldCase, list[Log], float | None]:
     for attempt in range(ATTEMPTS):
         case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects, axis)
         logs, peak = _logs(case)
@@ -153,7 +153,7 @@ def _followable(
     raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference or show its effects")
 
 
-def _write(place: Path, case: Case, logs: list[Log]) -> None:
+def _write(place: Path, case: WithheldCase, logs: list[Log]) -> None:
     place.mkdir(parents=True, exist_ok=True)
     remove_temporary(place)
     for log in logs:
@@ -161,9 +161,9 @@ def _write(place: Path, case: Case, logs: list[Log]) -> None:
     write_drive(place / "drive.toml", _believed(case))  # the last: with it a case is there
 
 
-def _believed(case: Case) -> Axis:
+def _believed(case: WithheldCase) -> Axis:
     kp, kd = case.gains
-    return Axis(case.nominal, PD(Tracking(Gains(kp, kd))), Sampling(case.rate, 10), Limits())
+    return Axis(case.nominal, PD(Tracking(PDGains(kp, kd))), Sampling(case.rate, 10), Limits())
 
 
 def write_key(path: Path, parts: Path) -> dict[str, Any]:

@@ -118,7 +118,7 @@ class State(NamedTuple):
     elements: Float[Array, " e"]
 
 
-class Told(NamedTuple):
+class MachineTask(NamedTuple):
     """What the machine is told and what happens to it, [n] each."""
 
     reference: Float[Array, " n"]  # m
@@ -214,7 +214,7 @@ def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
 
 @eqx.filter_jit
 def _run(
-    drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, told: Told, rate: float, kind: Kind
+    drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, told: MachineTask, rate: float, kind: Kind
 ) -> Any:
     period = 1.0 / rate
     term = diffrax.ODETerm(partial(_rates, kind=kind))
@@ -275,7 +275,13 @@ def _run(
 
 
 def run(
-    drive: Drive, faults: Faults, kind: Kind, gains: tuple[float, float], resolution: float, told: Told, rate: float
+    drive: Drive,
+    faults: Faults,
+    kind: Kind,
+    gains: tuple[float, float],
+    resolution: float,
+    told: MachineTask,
+    rate: float,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Measured position (m) and command (N) of a machine under PD control; `gains` are kp (N/m) and kd (N s/m)."""
     found = _run(*as_arrays((drive, faults, *gains, resolution, told)), rate, kind)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from experiments.studies.withheld.machine import Told
+from experiments.studies.withheld.machine import MachineTask
 
 SHORTEST, LONGEST = 8.0, 11.0  # s
 STROKE = 0.05  # m, to either side
@@ -56,7 +56,7 @@ def known_load(room: ROOM, n: int, rate: float) -> Float[np.ndarray, " n"]:
 
 def told(
     room: ROOM, apart: ROOM, rate: float, noise: float, traces: dict[str, float], length: float, load: float
-) -> Told:
+) -> MachineTask:
     """One log's instructions at `rate` (Hz) under `noise` (m, rms); `traces` as in `faults.Fault`.
 
     Motions are so many times as long and as fast as on the paper's axis, loads so many times as large; these are drawn
@@ -76,4 +76,4 @@ def told(
         kick = traces["share"] * np.sqrt(1 - fade**2) * room.standard_normal(n)
         for k in range(1, n):
             rub[k] = fade * rub[k - 1] + kick[k]
-    return Told(reference, load * known_load(apart, n, rate), noise * room.standard_normal(n), push, rub)
+    return MachineTask(reference, load * known_load(apart, n, rate), noise * room.standard_normal(n), push, rub)

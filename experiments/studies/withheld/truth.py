@@ -11,13 +11,13 @@ from typing import Any
 
 from diffdrive.effects.machine import AS_LOGARITHMS
 from diffdrive.model.parameters import Directional
-from experiments.studies.withheld.draw import Case, of_log
+from experiments.studies.withheld.draw import WithheldCase, of_log
 from experiments.studies.withheld.faults import Fault
 
 LOAD_RISE, PROCESS_RISE = 0.05, 0.01  # s, of the machine's windows, which the catalogue counts from halfway up
 
 
-def truth(case: Case, fault: Fault, peak: float | None = None) -> dict[str, Any]:
+def truth(case: WithheldCase, fault: Fault, peak: float | None = None) -> dict[str, Any]:
     """The true parameters of one of a machine's faults; `peak` (N) as in `draw.of_log`."""
     make = TRUE.get(fault.effect)
     if fault.effect == "force_limit":
@@ -25,10 +25,10 @@ def truth(case: Case, fault: Fault, peak: float | None = None) -> dict[str, Any]
     return {} if make is None else make(case, fault)
 
 
-def _same(**names: str) -> Callable[[Case, Fault], dict[str, Any]]:
+def _same(**names: str) -> Callable[[WithheldCase, Fault], dict[str, Any]]:
     """Numbers of the same meaning by the catalogue's name for them."""
 
-    def make(case: Case, fault: Fault) -> dict[str, Any]:
+    def make(case: WithheldCase, fault: Fault) -> dict[str, Any]:
         return {ours: fault.faults[theirs] for ours, theirs in names.items() if theirs in fault.faults}
 
     return make
@@ -45,19 +45,19 @@ def _window(fault: Fault, start: str, end: str, rise: float) -> dict[str, list[f
     return {"start": [float(t) + 0.5 * rise for t in on], "end": [float(t) - 0.5 * rise for t in off]}
 
 
-def _applied_load(case: Case, fault: Fault) -> dict[str, Any]:
+def _applied_load(case: WithheldCase, fault: Fault) -> dict[str, Any]:
     load = fault.faults["extra_load"]
     if "load_start" not in fault.faults:
         return {"load": load}
     return {"more": load} | _window(fault, "load_start", "load_end", LOAD_RISE)
 
 
-def _process_force(case: Case, fault: Fault) -> dict[str, Any]:
+def _process_force(case: WithheldCase, fault: Fault) -> dict[str, Any]:
     same = _same(amplitude="process", mean="process_mean", frequency="process_frequency")
     return same(case, fault) | _window(fault, "process_start", "process_end", PROCESS_RISE)
 
 
-def _friction_shape(case: Case, fault: Fault) -> dict[str, Any]:
+def _friction_shape(case: WithheldCase, fault: Fault) -> dict[str, Any]:
     drive = case.true
     told = {name: math.log(way) for name, way in fault.scaled.items() if name in AS_LOGARITHMS}
     if "viscous" in fault.scaled:
@@ -66,24 +66,24 @@ def _friction_shape(case: Case, fault: Fault) -> dict[str, Any]:
     return told
 
 
-def _friction_asymmetry(case: Case, fault: Fault) -> dict[str, Any]:
+def _friction_asymmetry(case: WithheldCase, fault: Fault) -> dict[str, Any]:
     screw = case.true.friction.coulomb_screw
     up, down = fault.scaled["coulomb_screw+"], fault.scaled["coulomb_screw-"]
     return {"coulomb": 0.5 * float(screw.positive * (1.0 - 1.0 / up) - screw.negative * (1.0 - 1.0 / down))}
 
 
-def _payload_mass(case: Case, fault: Fault) -> dict[str, Any]:
+def _payload_mass(case: WithheldCase, fault: Fault) -> dict[str, Any]:
     return {"mass": float(case.true.plant.mass) * (1.0 - 1.0 / fault.scaled["mass"])}
 
 
-def _elastic(case: Case, fault: Fault) -> dict[str, Any]:
+def _elastic(case: WithheldCase, fault: Fault) -> dict[str, Any]:
     same = _same(gap="gap", damping="screw_damping", motor_share="motor_share", table_friction="table_friction")
     told = same(case, fault)
     reduced = told["motor_share"] * (1.0 - told["motor_share"]) * float(case.true.plant.mass)
     return told | {"frequency": math.sqrt(fault.faults["stiffness"] / reduced) / (2.0 * math.pi)}  # type: ignore[operator]
 
 
-TRUE: dict[str, Callable[[Case, Fault], dict[str, Any]]] = {
+TRUE: dict[str, Callable[[WithheldCase, Fault], dict[str, Any]]] = {
     "applied_load": _applied_load,
     "friction_shape": _friction_shape,
     "friction_asymmetry": _friction_asymmetry,

@@ -22,8 +22,8 @@ from diffdrive.controllers import (
     DisturbanceObserver,
     Feedforward,
     FrictionCompensation,
-    Gains,
     PDFeedforwardDOB,
+    PDGains,
     Tracking,
     UnknownController,
 )
@@ -48,7 +48,7 @@ DRIVE = Drive(
 )
 PLANT, FRICTION = DRIVE.plant, DRIVE.friction
 TRACKING = paper_tracking(DRIVE, PAPER_KP, PAPER_KD)
-BARE = Tracking(Gains(kp=1e6, kd=2e3))
+BARE = Tracking(PDGains(kp=1e6, kd=2e3))
 OBSERVER = DisturbanceObserver.of(PLANT, 240.0)
 TUNING = Tuning(1e-16, 2e-10, 3e-12, 4e-16)
 
@@ -260,7 +260,7 @@ def test_bench_drives_are_read_and_survive_a_round_trip(path):
     raw = tomllib.loads(path.read_text())
     assert read.drive.plant.mass == raw["plant"]["mass"]
     assert read.sampling.rate == raw["sampling"]["rate"]
-    assert read.controller.tracking.gains == Gains(raw["controller"]["kp"], raw["controller"]["kd"])
+    assert read.controller.tracking.gains == PDGains(raw["controller"]["kp"], raw["controller"]["kd"])
     assert_same(parse_drive(drive_tables(read)), read)
 
 

@@ -18,8 +18,8 @@ from diffdrive.controllers import (
     DisturbanceObserver,
     Feedforward,
     FrictionCompensation,
-    Gains,
     PDFeedforwardDOB,
+    PDGains,
     Tracking,
 )
 from diffdrive.controllers.base import paper_tracking
@@ -64,7 +64,7 @@ def assert_command(run: Run, expected: np.ndarray) -> None:
 
 @pytest.mark.parametrize("feedforward", [Feedforward(), FEEDFORWARD])
 def test_pd_is_its_formula(feedforward):
-    run = run_of(PD(Tracking(Gains(PAPER_KP, PAPER_KD), feedforward)), ROUGH)
+    run = run_of(PD(Tracking(PDGains(PAPER_KP, PAPER_KD), feedforward)), ROUGH)
     error = run.reference - run.position
     before = np.r_[error[0], error[:-1]]
     expected = PAPER_KP * error + PAPER_KD * (error - before) * RATE
@@ -72,7 +72,7 @@ def test_pd_is_its_formula(feedforward):
 
 
 def test_the_plant_s_own_feedforward_leaves_only_friction_to_feedback():
-    run = run_of(PD(Tracking(Gains(PAPER_KP, PAPER_KD), Feedforward.of(IDEAL.plant))))
+    run = run_of(PD(Tracking(PDGains(PAPER_KP, PAPER_KD), Feedforward.of(IDEAL.plant))))
     friction = float(steady_friction(IDEAL.friction, 0.01, 0.0))
     assert PAPER_KP * run.error[SETTLED] == pytest.approx(friction, rel=1e-4)
 
@@ -80,7 +80,7 @@ def test_the_plant_s_own_feedforward_leaves_only_friction_to_feedback():
 def test_static_errors_of_the_paper_s_pd():
     motion = motions.staircase(speeds=[0.01], travel=5e-3, acceleration=1.0, rate=RATE, dwell=0.0)
     for load, positive, negative in ((0.0, 11.411e-6, -11.262e-6), (10e3, 11.870e-6, -11.721e-6)):
-        run = simulate(IDEAL, PD(Tracking(Gains(PAPER_KP, PAPER_KD))), motion, load)
+        run = simulate(IDEAL, PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), motion, load)
         middle = [np.argmin(np.abs(motion.time - share * motion.duration)) for share in (0.45, 0.95)]
         assert run.error[middle] == pytest.approx([positive, negative], abs=1e-9)
 
@@ -197,7 +197,7 @@ def test_an_exact_friction_observer_cancels_friction():
 
 def test_friction_compensation_adds_its_estimate_to_pd():
     observer = LoadStateObserver(IDEAL.plant, IDEAL.friction)
-    run = run_of(FrictionCompensation(Tracking(Gains(PAPER_KP, PAPER_KD), FEEDFORWARD), observer), ROUGH)
+    run = run_of(FrictionCompensation(Tracking(PDGains(PAPER_KP, PAPER_KD), FEEDFORWARD), observer), ROUGH)
     error = run.reference - run.position
     derivative = np.diff(error, prepend=error[0]) * RATE
     assert_command(run, PAPER_KP * error + PAPER_KD * derivative + fed_forward(run) + run.friction_estimate)

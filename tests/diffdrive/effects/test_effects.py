@@ -12,7 +12,7 @@ import scipy.integrate
 
 from diffdrive.axis_file.drive_file import drive_tables, parse_drive
 from diffdrive.controllers import PD
-from diffdrive.controllers.base import Gains, Tracking
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.effects import acting
 from diffdrive.effects.actuator import ActuatorLag, ForceGain, ForceLimit, LoopDelay
 from diffdrive.effects.base import Seen
@@ -36,7 +36,7 @@ from tuning.identification.setup import ask
 
 RATE = 2_000.0
 SAMPLING = Sampling(rate=RATE)
-CONTROLLER = PD(Tracking(Gains(1.0e6, 6_000.0)))
+CONTROLLER = PD(Tracking(PDGains(1.0e6, 6_000.0)))
 MOTION = triangular(speed=0.010, stroke=0.0014, rounding=0.02, duration=0.4, rate=RATE, first_reversal=0.15)
 INPUTS = inputs_of(MOTION, 2_000.0 * np.ones(len(MOTION.time)))
 DRIVE = dataclasses.replace(paper_drive(), sensor=Sensor(None, 0.0))

@@ -19,7 +19,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling, quantities
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.motion import Limits
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 
 DRIVE = paper_drive(quantised=False)
 CONTROLLER = PD(paper_tracking(DRIVE, PAPER_KP, PAPER_KD))
@@ -153,7 +153,7 @@ def test_a_load_whose_rounding_moves_the_table_is_refused():
 
 def test_an_impossible_machine_of_a_sweep_is_named_before_any_runs():
     axis = Axis(DRIVE, CONTROLLER, Sampling(), Limits())
-    plan = Plan.of(axis, {"PD": CONTROLLER}, {"move": MOVE}, ("effects.payload_mass.mass=uniform:-150..0 kg",), 8)
+    plan = SweepPlan.of(axis, {"PD": CONTROLLER}, {"move": MOVE}, ("effects.payload_mass.mass=uniform:-150..0 kg",), 8)
     with pytest.raises(
         ParameterError, match=r"^sweep: machine \d cannot be: effects\.payload_mass: with it the moving"
     ):

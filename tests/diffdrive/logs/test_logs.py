@@ -18,7 +18,7 @@ from diffdrive import motion
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
 from diffdrive.controllers import PD
-from diffdrive.controllers.base import Gains, Tracking
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import DriveFileError, LogError
 from diffdrive.logs import Log, Mapping, read_log, read_logs, write_log
 from diffdrive.logs.log import CHANNELS
@@ -89,7 +89,9 @@ def test_what_cannot_be_written_is_refused(tmp_path):
 @pytest.fixture(scope="module")
 def run():
     move = motion.triangular(speed=0.01, stroke=0.0015, rounding=0.1, duration=0.05, rate=10_000.0)
-    return simulate(paper_drive(), PD(Tracking(Gains(PAPER_KP, PAPER_KD))), move, load=500.0 * jnp.ones(len(move.time)))
+    return simulate(
+        paper_drive(), PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), move, load=500.0 * jnp.ones(len(move.time))
+    )
 
 
 def test_a_simulated_run_is_a_log(run, tmp_path):
@@ -213,7 +215,7 @@ MAPPINGS = [
 
 
 def described(mapping) -> Axis:
-    controller = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
+    controller = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
     return Axis(paper_drive(), controller, Sampling(1000.0), Limits(), mapping)
 
 

@@ -19,7 +19,7 @@ from diffdrive.controllers import (
     DisturbanceObserver,
     Feedforward,
     FrictionCompensation,
-    Gains,
+    PDGains,
     Tracking,
 )
 from diffdrive.controllers.base import paper_tracking
@@ -115,7 +115,7 @@ CONTROLLERS = {
     "negative kp": (lambda: pd(kp=-1.0), "tracking.gains.kp must be at least 0 N/m"),
     "infinite kd": (lambda: pd(kd=INF), "tracking.gains.kd must be finite"),
     "negative feed-forward": (
-        lambda: PD(Tracking(Gains(1.0, 1.0), Feedforward(mass=-1.0))),
+        lambda: PD(Tracking(PDGains(1.0, 1.0), Feedforward(mass=-1.0))),
         "tracking.feedforward.mass must be at least 0 kg",
     ),
     "zero cut-off": (

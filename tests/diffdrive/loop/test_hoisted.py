@@ -128,10 +128,10 @@ def swept(drive, name, noisy=False, precision="double", own_courses=False):
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
     given = inputs()
-    course = engine.Course(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
+    course = engine.LaneCourse(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
     every = jax.tree.map(lambda signal: jnp.broadcast_to(signal, (count, *signal.shape)), course)
     own, common = (every, None) if own_courses else (None, course)
-    lanes = engine.Lanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys, own)
+    lanes = engine.SweepLanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys, own)
     models = (lanes, fixed, as_arrays(CONTROLLERS[name]), common)
     models = in_precision_of(jnp.zeros((), precision), models)
     return engine._costs.lower(*models, Sampling(), len(jax.devices())).compile().compiled.as_text()

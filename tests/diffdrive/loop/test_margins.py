@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from diffdrive.controllers import PD, Reference
-from diffdrive.controllers.base import Gains, Tracking
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.linearise import OpenLoop, Operating, open_loop
 from diffdrive.loop.margins import NEUTRAL, Margins, margins
 from diffdrive.loop.simulate import Inputs, rollout, start
@@ -156,7 +156,7 @@ def pushed_pd(velocity, load, seconds):
 
     @jax.jit
     def run(factor):
-        controller = PD(Tracking(Gains(factor * PAPER_KP, factor * PAPER_KD)))
+        controller = PD(Tracking(PDGains(factor * PAPER_KP, factor * PAPER_KD)))
         force = steady_friction(drive.friction, velocity, load) + drive.plant.damping.towards(velocity) * velocity
         deflection = jnp.sign(velocity) * stribeck_level(drive.friction, velocity, load) / 3.35e7
         begin = start(drive, controller, jnp.zeros(()))
@@ -302,7 +302,7 @@ def test_an_oscillation_that_leads_has_its_derivative():
 def test_a_gain_margin_at_half_the_control_rate():
     """A light, damped table sampled slowly: its loop ends on the real axis, and is lost by flipping each sample."""
     drive = as_arrays(Drive(Plant(0.5, (380.0, 260.0)), PAPER.friction))
-    controller = as_arrays(PD(Tracking(Gains(2e5, 2e3))))
+    controller = as_arrays(PD(Tracking(PDGains(2e5, 2e3))))
     found = jax.jit(lambda v: open_loop(drive, controller, Sampling(1000.0, 32), Operating(v, 0.0)))(0.01)
     loop = jax.tree.map(np.asarray, found)
     up, _ = gains_that_hold(loop)

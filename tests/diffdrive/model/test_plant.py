@@ -14,7 +14,7 @@ from jax import lax
 from scipy.integrate import solve_ivp
 
 from diffdrive import motion
-from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.friction import PositionFriction
 from diffdrive.errors import ParameterError
 from diffdrive.loop.simulate import inputs_of, rollout, simulate
@@ -211,7 +211,7 @@ STATIC_ERRORS = [(0.01, 0.0, 11.411e-6), (0.01, 1e4, 11.870e-6), (-0.01, 0.0, -1
 def test_static_errors_of_pd(drive, speed, load, error):
     time = np.arange(5001) * PERIOD
     ramp = motion.from_array(time, speed * np.where(time < 0.1, time**2 / 0.2, time - 0.05))
-    run = simulate(drive, PD(Tracking(Gains(PAPER_KP, PAPER_KD))), ramp, load)
+    run = simulate(drive, PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), ramp, load)
     np.testing.assert_allclose(run.error[-100:], error, rtol=1e-4)
 
 
@@ -238,7 +238,7 @@ def test_mirrored_motion_gives_the_mirrored_result(drive):
     fields = {name: getattr(drive.friction, name) for name in Friction.__dataclass_fields__}
     same = {name: getattr(value, "positive", value) for name, value in fields.items()}
     symmetric = Drive(Plant(100.0, 380.0), Friction(**same))
-    pd = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
+    pd = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
     there = motion.sine(amplitude=3e-4, frequency=5.0, duration=0.4, rate=1e4)
     back = replace(there, position=-there.position, velocity=-there.velocity, acceleration=-there.acceleration)
     run, mirrored = simulate(symmetric, pd, there, LOAD), simulate(symmetric, pd, back, LOAD)
@@ -258,7 +258,7 @@ def test_a_friction_level_below_zero_is_no_friction(drive, velocity):
 def test_a_motion_into_such_a_friction_is_refused_or_no_number(drive):
     """`simulate` says so before it begins; the pure function, which cannot look at what it is given, has no number."""
     along = replace(drive, effects=(PositionFriction(slope=-20.0),))
-    pd = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
+    pd = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
     reference = motion.triangular(speed=0.2, stroke=0.09, rounding=0.1, duration=1.0, rate=10_000.0)
     with pytest.raises(ParameterError, match="it takes 180 % of the Coulomb friction off at some place"):
         simulate(along, pd, reference)

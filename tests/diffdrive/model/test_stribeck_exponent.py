@@ -9,7 +9,7 @@ import pytest
 
 from diffdrive import motion
 from diffdrive.axis_file.drive_file import parse_drive
-from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.machine import FrictionShape
 from diffdrive.errors import DriveFileError
 from diffdrive.loop import metrics
@@ -34,7 +34,7 @@ from tuning.diagnosis.search import recalibrated
 from tuning.identification.unknowns import unknowns_of
 
 LOAD = 5_000.0
-CONTROLLER = PD(Tracking(Gains(PAPER_KP, PAPER_KD)))
+CONTROLLER = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
 EXPONENTS = [0.5, 1.0, 1.7, 2.0, 4.0]
 
 

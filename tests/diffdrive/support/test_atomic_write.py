@@ -18,7 +18,7 @@ from experiments.reports.report import Report, new_figure
 from tests.support.small_disk import imagined
 from tests.support.sound_log import DRIVE, SOUND
 from tuning.gains.checkpoint import Checkpoint
-from tuning.gains.sequential import Standing
+from tuning.gains.sequential import SearchState
 from tuning.sweeps.parts import keep
 
 CODE = Path(diffdrive.__file__).parents[1]
@@ -101,7 +101,7 @@ def table(path):
 
 
 def checkpoint(path):
-    Checkpoint(path, "problem").keep(0, Standing(y=tuple(np.arange(500.0))))
+    Checkpoint(path, "problem").keep(0, SearchState(y=tuple(np.arange(500.0))))
 
 
 WRITERS = {

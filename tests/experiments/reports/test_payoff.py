@@ -9,10 +9,10 @@ from diffdrive.effects.actuator import ActuatorLag
 from experiments.reports.diagnosis.payoff import payoff
 from experiments.reports.report import Report
 from tests.support.sound_log import described
-from tuning.gains.plan import Plan
+from tuning.gains.plan import TuningPlan
 
 DRIVE = described(rate=4000.0, noise=2e-8)
-PLAN = Plan(max_load=0.0, loads=1, machines=1)
+PLAN = TuningPlan(max_load=0.0, loads=1, machines=1)
 
 
 @pytest.mark.slow

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from experiments.studies.tuning_study.baselines import KEPT, Costs, cma_es, costs_of, nelder_mead, random_search
+from experiments.studies.tuning_study.baselines import (
+    KEPT,
+    PenalisedCosts,
+    cma_es,
+    costs_of,
+    nelder_mead,
+    random_search,
+)
 from tests.support.small_tuning import question
 from tuning.gains.constrained import worth
 from tuning.optimisation.evolution import WORST, Budget
@@ -20,7 +27,7 @@ def free(objective):
 
     def cost(points):
         found = objective(points)
-        return Costs(found, found, np.zeros(len(points)))
+        return PenalisedCosts(found, found, np.zeros(len(points)))
 
     return cost
 
@@ -37,7 +44,7 @@ def rosenbrock(points):
 def half_plane(points):
     """The sphere about (0.7, -0.4) where x is at most 0.2: the least is 1.25, with a price of 10 per unit missed."""
     missed = np.maximum(points[:, 0] - 0.2, 0.0)
-    return Costs(sphere(points) + 10.0 * missed, sphere(points), missed)
+    return PenalisedCosts(sphere(points) + 10.0 * missed, sphere(points), missed)
 
 
 @pytest.mark.parametrize("search", LOCAL)
@@ -74,7 +81,9 @@ def test_requirements_are_kept_at_their_price(search):
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_nothing_is_feasible_where_every_point_misses_something(search):
-    found = search(lambda points: Costs(sphere(points), sphere(points), np.ones(len(points))), 2, Budget(50, 60.0))
+    found = search(
+        lambda points: PenalisedCosts(sphere(points), sphere(points), np.ones(len(points))), 2, Budget(50, 60.0)
+    )
     assert found.feasible is None
     assert found.history[-1].feasible == np.inf > found.cost
 
@@ -148,7 +157,7 @@ def test_an_interrupt_of_the_first_simulation_returns_the_start(search):
 def test_what_diverges_breaks_nothing(search, value):
     def broken(points):
         lost = points[:, 0] > 1.0
-        return Costs(*(np.where(lost, value, part) for part in free(sphere)(points)))
+        return PenalisedCosts(*(np.where(lost, value, part) for part in free(sphere)(points)))
 
     found = search(broken, 3, Budget(500, 60.0))
     assert found.cost < 1.3
@@ -183,7 +192,7 @@ def tiny():
 def test_a_batch_costs_what_its_points_cost_one_by_one(tiny, count):
     gains, problem, points, one_by_one = tiny
     found = costs_of(gains, problem, BLOCK)(points[:count])
-    for part in Costs._fields:
+    for part in PenalisedCosts._fields:
         expected = [float(getattr(point, part)) for point in one_by_one[:count]]
         np.testing.assert_allclose(getattr(found, part), expected, rtol=1e-9, atol=1e-12)
         assert isinstance(getattr(found, part), np.ndarray)

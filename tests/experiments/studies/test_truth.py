@@ -10,17 +10,17 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from diffdrive import motion
-from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from experiments.benchmarks.loops import one_kernel
-from experiments.studies.recovery.truth import SCALE, Table, advance, run, truth_log, truth_logs
+from experiments.studies.recovery.truth import SCALE, TruthTable, advance, run, truth_log, truth_logs
 from tests.support.lopsided import LOPSIDED, PAPER
 
 RATE, LOAD = 10_000.0, 5_000.0
-GAINS = Gains(PAPER_KP, PAPER_KD)
+GAINS = PDGains(PAPER_KP, PAPER_KD)
 LEVEL = replace(LOPSIDED, plant=replace(LOPSIDED.plant, constant_force=0.0))
 DELAYED = replace(LOPSIDED, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
 
@@ -97,7 +97,7 @@ def test_it_agrees_with_radau_through_a_reversal(drive):
 @pytest.mark.parametrize("share", [None, 0.37], ids=["one force", "the force switches within the period"])
 def test_it_converges_with_fourth_order_where_the_motion_is_smooth(share):
     drive = replace(LOPSIDED, actuator=Actuator(delay_fraction=share))
-    start = Table(*as_arrays((0.0, 0.002, 1e-6)))
+    start = TruthTable(*as_arrays((0.0, 0.002, 1e-6)))
 
     def end(steps):
         return np.array(advance(as_arrays(drive), start, 150.0, 180.0, LOAD, 2e-3, steps))
@@ -124,7 +124,7 @@ def test_it_agrees_with_the_simulator():
 def test_a_switch_within_the_period_is_two_pieces():
     drive = as_arrays(replace(LOPSIDED, actuator=Actuator(delay_fraction=0.3141)))
     whole = as_arrays(LOPSIDED)
-    start = Table(*as_arrays((0.0, 1e-4, -1e-6)))
+    start = TruthTable(*as_arrays((0.0, 1e-4, -1e-6)))
     ours = advance(drive, start, 200.0, -300.0, LOAD, 1e-4, 50)
     between = advance(whole, start, 0.0, 200.0, LOAD, 0.3141e-4, 50)
     pieces = advance(whole, between, 0.0, -300.0, LOAD, 0.6859e-4, 50)
@@ -187,7 +187,7 @@ def test_the_command_is_that_of_the_logged_position():
 
 def test_lanes_are_independent_machines():
     drives = [replace(drive, sensor=SCALE) for drive in (PAPER, LOPSIDED)]
-    gains, loads = [GAINS, Gains(0.7 * PAPER_KP, 0.7 * PAPER_KD)], [0.0, np.linspace(0.0, LOAD, 2000)]
+    gains, loads = [GAINS, PDGains(0.7 * PAPER_KP, 0.7 * PAPER_KD)], [0.0, np.linspace(0.0, LOAD, 2000)]
     reference = motion.sine(amplitude=1e-5, frequency=10.0, duration=1999 / RATE, rate=RATE)
     logs = truth_logs(drives, gains, reference, loads, [3, 4])
     for k, log in enumerate(logs):
@@ -205,7 +205,7 @@ def test_what_cannot_be_run_is_refused():
     with pytest.raises(ParameterError, match="as many"):
         truth_logs([LOPSIDED, LOPSIDED], [GAINS], reference)
     with pytest.raises(DivergenceError, match=r"drives \[1\]"):
-        truth_logs([PAPER, PAPER], [GAINS, Gains(1e12, 1e7)], reference)
+        truth_logs([PAPER, PAPER], [GAINS, PDGains(1e12, 1e7)], reference)
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="only XLA's CPU compiler hoists loops into one kernel")

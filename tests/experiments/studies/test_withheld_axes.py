@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Sampling
@@ -16,7 +16,7 @@ from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, of_log
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PLACED
-from experiments.studies.withheld.machine import Faults, Kind, Told, run
+from experiments.studies.withheld.machine import Faults, Kind, MachineTask, run
 
 OTHERS = [name for name in AXES if name != "paper"]
 
@@ -79,10 +79,12 @@ def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
     mass = float(one.drive.plant.mass)
     gains = mass * bandwidth**2, 0.6 * mass * bandwidth
     still = np.zeros_like(time)
-    position, _ = run(one.drive, Faults(), Kind(), gains, 1e-15, Told(reference, still, still, still, still), rate)
+    position, _ = run(
+        one.drive, Faults(), Kind(), gains, 1e-15, MachineTask(reference, still, still, still, still), rate
+    )
     unquantised = one.drive.__class__(**{**vars(one.drive), "sensor": one.drive.sensor.__class__(None, 0.0)})
     ours = simulate(
-        unquantised, PD(Tracking(Gains(*gains))), from_array(time, reference), sampling=Sampling(rate, 40)
+        unquantised, PD(Tracking(PDGains(*gains))), from_array(time, reference), sampling=Sampling(rate, 40)
     ).position
     bristle = float(coulomb(one.drive.friction, 1.0, 0.0)) / float(one.drive.friction.bristle_stiffness.positive)
     assert np.max(np.abs(position - ours)) < 0.01 * bristle

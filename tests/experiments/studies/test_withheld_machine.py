@@ -20,7 +20,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.motion.builders import from_array
 from experiments.studies.withheld import machine
 from experiments.studies.withheld.faults import KNOWN
-from experiments.studies.withheld.machine import Faults, Kind, Told, run
+from experiments.studies.withheld.machine import Faults, Kind, MachineTask, run
 from tests.support.sound_log import RATE, described
 
 PLAIN = described(resolution=None, noise=0.0)
@@ -98,7 +98,7 @@ def wrong(faults, noise=0.0):
     rough = noise * np.random.default_rng(0).standard_normal(len(TIME))
     kind = Kind(elastic="stiffness" in faults, lagging="lag" in faults)
     gains = (float(PLAIN.controller.tracking.gains.kp), float(PLAIN.controller.tracking.gains.kd))
-    told = Told(MOTION.position, flat, rough, flat, flat)
+    told = MachineTask(MOTION.position, flat, rough, flat, flat)
     return np.stack(run(PLAIN.drive, Faults(**faults), kind, gains, 1e-12, told, RATE))
 
 

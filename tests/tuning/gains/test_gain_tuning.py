@@ -13,10 +13,10 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays
 from experiments.studies.paper import scenario as paper
 from tests.support.small_tuning import LIMITS, controller, drive, lanes, question, requirements
-from tuning.gains.constrained import Gains, linearised, problem_of, worth
+from tuning.gains.constrained import ConstrainedGains, linearised, problem_of, worth
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Required
-from tuning.gains.sequential import CUT, KEPT, Standing, _bent, _program, search
+from tuning.gains.sequential import CUT, KEPT, SearchState, _bent, _program, search
 from tuning.gains.tune import default_space, tune
 from tuning.optimisation.space import space_of
 
@@ -68,7 +68,7 @@ def friction_of_an_observer():
     every = default_space(controller(), friction=True)
     space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
     problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
-    gains = Gains(space.free, Objective())
+    gains = ConstrainedGains(space.free, Objective())
     return gains, problem, linearised(gains, jnp.zeros(2), problem)
 
 
@@ -219,5 +219,5 @@ def test_a_search_that_runs_out_of_steps_says_so():
 
 def test_a_start_that_diverges_is_reported_and_not_searched():
     gains, problem, space = question()
-    found = search(gains, problem, Standing(tuple(30.0 for _ in space.free)))
+    found = search(gains, problem, SearchState(tuple(30.0 for _ in space.free)))
     assert found.standing.steps == 0 or found.at.point.missed <= KEPT or found.standing.status != "running"

@@ -11,7 +11,7 @@ from diffdrive.axis_file.drive_file import read_drive
 from experiments.reports.report import Report
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.tuning_study.study import DECADES, _arrivals, _drawn, _trail, benchmark, tuning_study
-from tuning.gains.plan import OFF_GRID, Plan, held_out, machines, reversal, tuned_on
+from tuning.gains.plan import OFF_GRID, TuningPlan, held_out, machines, reversal, tuned_on
 from tuning.gains.sequential import KEPT
 from tuning.gains.tune import default_space
 
@@ -22,7 +22,7 @@ def description():
 
 
 def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(description):
-    on, off = tuned_on(description, Plan()), held_out(description, Plan())
+    on, off = tuned_on(description, TuningPlan()), held_out(description, TuningPlan())
     assert not {one.seed for one in on} & {one.seed for one in off}
     assert len({one.seed for one in on + off}) == len(on + off)
     assert not {one.name for one in on} & {one.name for one in off}
@@ -34,9 +34,11 @@ def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(desc
 
 
 def test_the_held_out_machine_was_not_tuned_on(description):
-    on = {tuple(jax.tree.leaves(one.drive)) for one in tuned_on(description, Plan(machines=4))}
+    on = {tuple(jax.tree.leaves(one.drive)) for one in tuned_on(description, TuningPlan(machines=4))}
     strangers = {
-        tuple(jax.tree.leaves(one.drive)) for one in held_out(description, Plan(machines=4)) if "other" in one.name
+        tuple(jax.tree.leaves(one.drive))
+        for one in held_out(description, TuningPlan(machines=4))
+        if "other" in one.name
     }
     assert len(on) == 4
     assert not on & strangers

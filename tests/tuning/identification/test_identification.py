@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffdrive import motion
-from diffdrive.controllers import PD, Gains, Tracking
+from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Actuator, Directional, Sampling, check_drive, quantities
@@ -31,7 +31,7 @@ from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import unknowns_of
 
 RATE = 2_000.0
-GAINS = Gains(PAPER_KP, PAPER_KD)
+GAINS = PDGains(PAPER_KP, PAPER_KD)
 BELIEVED = paper_drive()
 MACHINE = random_drive(np.random.default_rng(1))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffdrive.controllers import PD, Gains
+from diffdrive.controllers import PD, PDGains
 from diffdrive.controllers.base import Tracking
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.load import ramp
@@ -21,7 +21,7 @@ def off(found, true, name):
 
 @pytest.mark.slow
 def test_a_closed_loop_fit_is_bent_by_the_noise_even_from_the_truth_and_the_prediction_error_is_not():
-    drive, gains = random_drive(np.random.default_rng(0)), Gains(PAPER_KP, PAPER_KD)
+    drive, gains = random_drive(np.random.default_rng(0)), PDGains(PAPER_KP, PAPER_KD)
     motion = identification_motion(4_000.0)
     log = truth_log(drive, gains, motion, ramp(motion.time, start=6.0, end=6.2, to=8_000.0), seed=0)
     fitted, _ = fit_closed_loop([log], paper_drive(), PD(Tracking(gains)), start=drive)

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from diffdrive.controllers import PD
-from diffdrive.controllers.base import Gains as PDGains
+from diffdrive.controllers.base import PDGains as PDGains
 from diffdrive.controllers.base import Tracking
 from diffdrive.logs import Log
 from diffdrive.loop.simulate import inputs_of, rollout
@@ -25,7 +25,7 @@ from experiments.studies.recovery.excitation import joined, resting, strokes
 from tests.support.lopsided import LOPSIDED
 from tuning.identification.filter_gain import PROCESSES, likeliest, track
 from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
-from tuning.identification.problem import Innovations, Problem, lanes_of, sampling_of
+from tuning.identification.problem import IdentificationProblem, Innovations, lanes_of, sampling_of
 from tuning.identification.refinement import linearised
 from tuning.identification.unknowns import bounds, paths, unknowns_of
 from tuning.optimisation.least_squares import with_jacobian
@@ -224,7 +224,9 @@ def problem_at(delay):
     )
     origin = space_of(believed, free).origin
     gains = track(DELAYED, delay, 1.0, NOISE, lanes, SAMPLING).gains
-    problem = Problem(DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin, np.ones_like(origin))
+    problem = IdentificationProblem(
+        DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin, np.ones_like(origin)
+    )
     return Innovations(free, SAMPLING), as_arrays(problem)
 
 

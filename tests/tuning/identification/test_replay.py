@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from diffdrive.controllers import DOBVSC, PD, Cascade, DisturbanceObserver
-from diffdrive.controllers.base import Gains, Tracking
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, as_arrays
@@ -36,7 +36,7 @@ def axis(gap=5.0, **actuator):
     return Drive(Plant(mass=95.0, damping=10.0, constant_force=2.0), friction, Actuator(**actuator))
 
 
-PD_CONTROL = PD(Tracking(Gains(1e6, 8e3)))
+PD_CONTROL = PD(Tracking(PDGains(1e6, 8e3)))
 CONTROLLERS = {
     "pd": PD_CONTROL,
     "cascade": Cascade(kp=160.0, kv=8_500.0, velocity_samples=2),

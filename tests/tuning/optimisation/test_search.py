@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.controllers.base import Gains
+from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.model.parameters import Plant, as_arrays
 from tuning.optimisation.least_squares import levenberg_marquardt
@@ -40,7 +40,7 @@ def test_a_parameter_per_direction_moves_in_both_or_in_one():
 
 
 def test_parameters_near_their_bounds_are_named():
-    space = around(Gains(1e6, 1e3), {"kp": 2.0, "kd": 2.0})
+    space = around(PDGains(1e6, 1e3), {"kp": 2.0, "kd": 2.0})
     assert space.at_bound(np.array([0.0, 0.0])) == []
     assert space.at_bound(np.array([9.0, -9.0])) == ["kp", "kd"]
 
@@ -56,11 +56,11 @@ def test_directions_that_differ_are_not_moved_as_one():
 )
 def test_impossible_spaces_are_refused(bounds, says):
     with pytest.raises(ParameterError, match=says):
-        space_of(Gains(1e6, 1e3), [bounds])
+        space_of(PDGains(1e6, 1e3), [bounds])
 
 
 def test_a_parameter_that_is_zero_stays_zero():
-    assert around(Gains(1e6, 0.0), {"kp": 2.0, "kd": 2.0}).names == ["kp"]
+    assert around(PDGains(1e6, 0.0), {"kp": 2.0, "kd": 2.0}).names == ["kp"]
 
 
 def search_rosenbrock(**settings):

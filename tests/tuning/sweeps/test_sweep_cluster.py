@@ -15,7 +15,7 @@ from experiments.cli.main import app
 from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps.cluster import on_cluster
 from tuning.sweeps.parts import run
-from tuning.sweeps.spec import Asked
+from tuning.sweeps.spec import SweepSpec
 
 distributed = pytest.importorskip("distributed")
 
@@ -23,7 +23,7 @@ distributed = pytest.importorskip("distributed")
 def asked(**more):
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.05s"
     vary = ("plant.mass=lognormal:3%", "load=uniform:0..10 kN")
-    return Asked.of(PAPER_DRIVE, [motion], vary, 96, most_in_a_part=8, **more)
+    return SweepSpec.of(PAPER_DRIVE, [motion], vary, 96, most_in_a_part=8, **more)
 
 
 def rows(found):

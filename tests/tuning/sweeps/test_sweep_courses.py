@@ -23,7 +23,7 @@ from experiments.studies.paper import scenario as paper
 from tuning.sweeps.courses import _rounded_up, at_corners
 from tuning.sweeps.engine import block
 from tuning.sweeps.machines import lane
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 
 PAPER = paper_drive()
 DRIVE = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(1e-7))
@@ -38,7 +38,7 @@ def plan(vary=VARY, samples=96, texts=(SINE,), load=REMOVAL, limits=Limits(), na
     recipes = {text: motion_recipe(text) for text in texts}
     motions = {text: parse_motion(text, RATE) for text in texts}
     axis = Axis(drive, paper.controllers(drive)[name], Sampling(RATE, 1), limits)
-    return Plan.of(axis, {name: axis.controller}, motions, vary, samples, recipes=recipes, load=load, **more)
+    return SweepPlan.of(axis, {name: axis.controller}, motions, vary, samples, recipes=recipes, load=load, **more)
 
 
 def rows(planned):
@@ -111,7 +111,7 @@ def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
     assert len(planned.numbers(0)) > 64
     found = []
     for held in (64, 128):  # in two portions, the second of them not full, and in one
-        monkeypatch.setattr(Plan, "_at_once", lambda *_, held=held: held)
+        monkeypatch.setattr(SweepPlan, "_at_once", lambda *_, held=held: held)
         found.append(planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs)
     assert all(np.array_equal(one, other) for one, other in zip(*found, strict=True))
 

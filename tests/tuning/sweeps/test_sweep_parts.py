@@ -17,7 +17,7 @@ from diffdrive.runtime import arithmetic
 from diffdrive.support.atomic_write import temporary_beside
 from experiments.studies.paper import scenario as paper
 from tuning.sweeps.parts import here, missing, path_of, run
-from tuning.sweeps.plan import Plan
+from tuning.sweeps.plan import SweepPlan
 
 PAPER = paper_drive()
 DRIVE = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(1e-7, 2e-8))
@@ -28,7 +28,7 @@ VARY = ("plant.mass=lognormal:3%", "load=uniform:0..12 kN")
 
 
 def plan(samples=20, vary=VARY, **more):
-    return Plan.of(AXIS, CONTROLLERS, MOTIONS, vary, samples, **({"seed": 5, "most_in_a_part": 8} | more))
+    return SweepPlan.of(AXIS, CONTROLLERS, MOTIONS, vary, samples, **({"seed": 5, "most_in_a_part": 8} | more))
 
 
 def rows(found):
@@ -141,7 +141,7 @@ def test_where_numpy_has_no_vectors_of_its_own_there_are_none_to_name(monkeypatc
 def test_a_motion_of_another_rate_is_refused():
     slow = {"sine": motion.sine(amplitude=1e-3, frequency=2.0, duration=0.5, rate=1e3)}
     with pytest.raises(ParameterError, match="sine: is sampled at 1000 Hz, the controller runs at 10000 Hz"):
-        Plan.of(AXIS, CONTROLLERS, slow, VARY, 8)
+        SweepPlan.of(AXIS, CONTROLLERS, slow, VARY, 8)
 
 
 GAP = ("friction.coulomb_screw=uniform:20..60", "friction.breakaway_gap=uniform:-400..0", "load=uniform:0..1 kN")
@@ -184,7 +184,9 @@ def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(t
 def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
     quiet = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(None, 0.0))
     axis = Axis(quiet, CONTROLLERS["PD"], Sampling(1e4, 4), Limits())
-    asked = Plan.of(axis, CONTROLLERS, MOTIONS, ("load=uniform:0..10 kN", "load.change=fixed:1 kN"), 5, settle=0.01)
+    asked = SweepPlan.of(
+        axis, CONTROLLERS, MOTIONS, ("load=uniform:0..10 kN", "load.change=fixed:1 kN"), 5, settle=0.01
+    )
     found = rows(run(asked, tmp_path, lambda done: None)).to_pylist()
     there = MOTIONS["sine"]
     for row in found:

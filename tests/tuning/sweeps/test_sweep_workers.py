@@ -13,14 +13,16 @@ from diffdrive.errors import ParameterError
 from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps import workers
 from tuning.sweeps.parts import run
-from tuning.sweeps.spec import Asked
+from tuning.sweeps.spec import SweepSpec
 from tuning.sweeps.workers import on_workers
 
 
 @pytest.fixture(scope="module")
 def wanted():
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.05s"
-    return Asked.of(PAPER_DRIVE, [motion], ("plant.mass=lognormal:3%", "load=uniform:0..10 kN"), 96, most_in_a_part=8)
+    return SweepSpec.of(
+        PAPER_DRIVE, [motion], ("plant.mass=lognormal:3%", "load=uniform:0..10 kN"), 96, most_in_a_part=8
+    )
 
 
 def rows(found):
