@@ -123,9 +123,9 @@ class Axis(eqx.Module):
 
     def write(self, path: str | Path, comments: tuple[str, ...] = ()) -> None:
         """Write the axis file; raises `DriveFileError` where a file cannot say this."""
-        from diffdrive.axis_file.drive_file import write_drive  # which reads axes, too
+        from diffdrive.axis_file.drive_file import write_axis  # which reads axes, too
 
-        write_drive(path, self, comments)
+        write_axis(path, self, comments)
 
     def __repr__(self) -> str:
         effects = "".join(f", {effect.name}" for effect in self.drive.effects)

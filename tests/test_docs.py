@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import read_drive, write_drive
+from diffdrive.axis_file.drive_file import read_axis, write_axis
 from diffdrive.motion.reference import markdown, reference
 from diffdrive.motion.text import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
 from experiments.studies.demo import PAPER_DRIVE
@@ -68,7 +68,7 @@ def test_every_link_leads_somewhere(page):
 @pytest.mark.parametrize("page", ["README.md", "docs/sweeps.md"])
 def test_what_the_docs_say_in_python_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    write_drive(tmp_path / "drive.toml", read_drive(PAPER_DRIVE))
+    write_axis(tmp_path / "drive.toml", read_axis(PAPER_DRIVE))
     (program,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
     exec(compile(program, page, "exec"), {})
     assert "um" in capsys.readouterr().out

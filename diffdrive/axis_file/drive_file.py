@@ -176,7 +176,7 @@ def _effects(section: Section) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def parse_drive(tables: dict[str, Any], source: str = "drive") -> Axis:
+def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
     root = Section(source, "drive file", tables)
     sections = {
@@ -225,19 +225,15 @@ def parse_drive(tables: dict[str, Any], source: str = "drive") -> Axis:
     return Axis(drive, controller, sampling, limits, mapping)
 
 
-def read_drive(path: str | Path) -> Axis:
+def read_axis(path: str | Path) -> Axis:
     """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
     origin = "'diffdrive template > drive.toml' writes one to start from"
-    return parse_drive(read_toml(Path(path), DriveFileError, origin), str(path))
+    axis = parse_axis(read_toml(Path(path), DriveFileError, origin), str(path))
+    return dataclasses.replace(axis, name=Path(path).stem)
 
 
-def read_axis(path: str | Path) -> Axis:
-    """Read the axis from its file; raises `DriveFileError`, one line that names the file, the key and the mend."""
-    return dataclasses.replace(read_drive(path), name=Path(path).stem)
-
-
-def drive_tables(description: Axis) -> dict[str, Any]:
-    """The tables of a drive file that `parse_drive` reads back to the same description."""
+def axis_tables(description: Axis) -> dict[str, Any]:
+    """The tables of a drive file that `parse_axis` reads back to the same description."""
     drive, limits = description.drive, description.limits
     tables = {
         "plant": quantity_table(drive.plant),
@@ -260,10 +256,10 @@ def drive_tables(description: Axis) -> dict[str, Any]:
     return tables | mapping_tables(description.mapping)
 
 
-def write_drive(path: str | Path, description: Axis, comments: Sequence[str] = ()) -> None:
+def write_axis(path: str | Path, description: Axis, comments: Sequence[str] = ()) -> None:
     """Write a drive file in SI units, below lines of comments; raises if it could not say what the description says."""
-    tables = drive_tables(description)
-    read_back = parse_drive(tables, str(path))
+    tables = axis_tables(description)
+    read_back = parse_axis(tables, str(path))
     for name in ("drive", "controller"):
         ours, theirs = (jax.tree.flatten(getattr(one, name)) for one in (description, read_back))
         if ours[1] != theirs[1] or [*map(float, ours[0])] != [*map(float, theirs[0])]:

@@ -152,7 +152,7 @@ def tune(
 
     Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --out tuned`
     """
-    from diffdrive.axis_file.drive_file import read_drive
+    from diffdrive.axis_file.drive_file import read_axis
     from diffdrive.errors import ParameterError
     from diffdrive.motion.text import at_least_zero, number, numbers, require_choice
     from experiments.reports.report import Report
@@ -161,7 +161,7 @@ def tune(
     from tuning.gains.plan import TuningPlan
     from tuning.gains.requirements import MOST_GAIN_MARGIN, Required
 
-    description = read_drive(drive)
+    description = read_axis(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
     highest = at_least_zero(max_load, "N", "--max-load")
     if gain_margin > MOST_GAIN_MARGIN:

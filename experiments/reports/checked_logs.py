@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.mapping import log_and_channel, means
@@ -23,7 +23,7 @@ def described(
 
     Raises `ParameterError` for a shift of none of the `logs`; one that the drive file has is of another day.
     """
-    description = read_drive(drive)
+    description = read_axis(drive)
     for text in shifts:
         log, _ = log_and_channel(text.rpartition("=")[0])
         if not any(means(log, one) for one in logs):

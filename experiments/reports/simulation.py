@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.logs.column_unit import FORCES
@@ -45,8 +45,8 @@ def simulate_drive(
     drive: Path, motion: str, load: str, machine: Path | None, settle: float, seed: int, out: Path | None
 ) -> bool:
     """`diffdrive simulate`; False if the loop diverged."""
-    description = read_drive(drive)
-    other = description if machine is None else read_drive(machine)
+    description = read_axis(drive)
+    other = description if machine is None else read_axis(machine)
     require_rate("--machine", other, description)
     planned = parse_motion(motion, description.sampling.rate)
     require_left(settle, planned.name, planned)
@@ -99,7 +99,7 @@ def run_figure(run: Run) -> Any:
 
 def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
     """`diffdrive convergence`; False if the estimator fails at one of the speeds."""
-    description = read_drive(drive)
+    description = read_axis(drive)
     controller = description.controller
     observer = getattr(controller, "observer", None)
     if (

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import Operating
 from experiments.cli.interruption import at_next_step
@@ -90,7 +90,7 @@ def tune_drive(
     accepted = is_accepted(tuned, runs)
     report.values("verdict", accepted=accepted)
     if accepted and report.out is not None:
-        write_drive(report.out / "tuned.toml", tuned_axis(description, tuned.controller))
+        write_axis(report.out / "tuned.toml", tuned_axis(description, tuned.controller))
         if friction:
             report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
             report.say("simulate it with `--machine` and the file that was given.")

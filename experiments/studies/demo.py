@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
@@ -64,7 +64,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
     if emps_folder is not None and not (emps_folder / emps.FILES["estimation"]).is_file():
         raise ParameterError(f"--emps {emps_folder}: no {emps.FILES['estimation']} in it")
     with Report("diffdrive: the paper's drive, and a real axis", out) as report:
-        description = read_drive(PAPER_DRIVE)
+        description = read_axis(PAPER_DRIVE)
         _simulate(report, description)
         _differentiate(report, description)
         report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN, within stability margins.")

@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import parse_drive
+from diffdrive.axis_file.drive_file import parse_axis
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
 from diffdrive.loop.simulate import simulate
@@ -25,7 +25,7 @@ def described(
 ) -> Axis:
     gains = {"kp": kp, "kv": kd} if kind == "cascade" else {"kp": kp, "kd": kd}
     sensor = {"noise": noise} | ({} if resolution is None else {"resolution": resolution})
-    return parse_drive(
+    return parse_axis(
         {
             "plant": {"mass": mass, "damping": [380.0, 260.0]},
             "friction": {

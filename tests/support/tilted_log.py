@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from experiments.reports.diagnosis import diagnosis as command
@@ -38,7 +38,7 @@ def telling(folder, monkeypatch):
 
     def run(found, given=None, **options):
         write_log(folder / "lap.parquet", given or log())
-        write_drive(folder / "drive.toml", DRIVE)
+        write_axis(folder / "drive.toml", DRIVE)
         monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: found)
         monkeypatch.setattr("tuning.diagnosis.workflow.next_experiment", lambda *_: UNASKED)
         out = folder / "out"

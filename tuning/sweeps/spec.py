@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.file import parse_motion_table, read_motion
 from diffdrive.motion.motion import Motion
@@ -51,25 +51,25 @@ class SweepSpec:
             raise ParameterError(f"--against: two files are called {', '.join(twice)}: give them names of their own")
         return cls(
             drive.stem,
-            drive_tables(read_drive(drive)),
+            axis_tables(read_axis(drive)),
             dict(_motion(text) for text in motions),
             tuple(vary),
             samples,
-            machine=None if machine is None else drive_tables(read_drive(machine)),
-            against={path.stem: drive_tables(read_drive(path)) for path in against},
+            machine=None if machine is None else axis_tables(read_axis(machine)),
+            against={path.stem: axis_tables(read_axis(path)) for path in against},
             **{"most_in_a_part": most_in_a_part()} | more,
         )
 
     def plan(self) -> SweepPlan:
         """What is to be run. Raises `ParameterError` or `MotionError` for a sweep that cannot be."""
-        believed = parse_drive(self.drive, self.name)
-        axis = believed if self.machine is None else parse_drive(self.machine, "the machine")
+        believed = parse_axis(self.drive, self.name)
+        axis = believed if self.machine is None else parse_axis(self.machine, "the machine")
         sampling = believed.sampling
         require_rate("--machine", axis, believed)
         axis = dataclasses.replace(axis, sampling=sampling, limits=believed.limits)
         controllers = {self.name: believed.controller}
         for name, tables in self.against.items():
-            other = parse_drive(tables, name)
+            other = parse_axis(tables, name)
             require_rate(f"--against {name}", other, believed)
             controllers[name] = other.controller
         origins = self.origins(sampling.rate)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import quantities
 from diffdrive.motion.text import number
@@ -67,7 +67,7 @@ def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
         raise ParameterError(f"--spread {spread}: give a share above 0 and up to {WIDEST:.0%}, as 3% or 0.03")
     percent = f"{100.0 * share:.12g}%"
     taken = _names(there)
-    axis = read_drive(drive).drive
+    axis = read_axis(drive).drive
     known = known_quantities(axis)
     names = [name for name, _, _ in quantities(axis) if name.startswith(("plant.", "friction."))]
     left = [one for name in names for one in (_sides(name) if taken & {*_sides(name)} else [name])]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, write_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, ParameterError
@@ -145,7 +145,7 @@ def _pay(
         says, gains = "Nothing to tune: the drive file does not know its controller.", {}
     else:
         plan = TuningPlan(max_load=max_load, loads=TuningPlan.loads if max_load > 0 else 1)
-        gains = payoff(report, description, read_drive(report.out / augmented), plan)
+        gains = payoff(report, description, read_axis(report.out / augmented), plan)
         says = in_words(gains)
         if told["verdict"] != "effect":
             says = f"The verdict is {told['verdict']}, and what was found may not act. If it does: {says}"
@@ -181,7 +181,7 @@ def _write(report: Report, description: Axis, found: Diagnosis, beside: str) -> 
         says = " ".join(found.verdict.says.split())  # in one line
         verdict = f"the verdict of the diagnosis was {found.verdict.verdict}: {says}"
         comments = [verdict, beside] if beside else [verdict]
-        write_drive(path, parse_drive(drive_tables(augmented), str(path)), comments)
+        write_axis(path, parse_axis(axis_tables(augmented), str(path)), comments)
     except DiffdriveError as problem:
         report.say(f"augmented.toml is not written, since no drive file can say this: {problem}")
         return None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, write_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
 from diffdrive.logs import Log
@@ -244,7 +244,7 @@ def _write(report: Report, description: Axis) -> None:
     assert report.out is not None
     path = report.out / "identified.toml"
     try:
-        write_drive(path, parse_drive(drive_tables(description), str(path)))
+        write_axis(path, parse_axis(axis_tables(description), str(path)))
     except DiffdriveError as problem:
         report.say(f"identified.toml is not written, since no drive file can say this: {problem}")
         return

@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, write_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.text import require_choice
 from diffdrive.observers.convergence import advice
@@ -191,7 +191,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         if report.out is not None:
             write_run(report.out / "run.csv", simulated)
             # the gains are the axis's; observers and feed-forwards in a file take the file's own model
-            tables = drive_tables(plan.axis_of(machine.drive))
-            write_drive(report.out / "machine.toml", parse_drive(tables, f"machine {number}"))
+            tables = axis_tables(plan.axis_of(machine.drive))
+            write_axis(report.out / "machine.toml", parse_axis(tables, f"machine {number}"))
             report.figure("run", run_figure(simulated))
     return simulated.status.ok and bool(np.isnan(diverged_at[0]))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import parse_drive
+from diffdrive.axis_file.drive_file import parse_axis
 
 Tables = dict[str, Any]
 
@@ -34,7 +34,7 @@ class StudyDrive:
     description: Axis = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "description", parse_drive(copy.deepcopy(self.tables), self.name))
+        object.__setattr__(self, "description", parse_axis(copy.deepcopy(self.tables), self.name))
 
     @property
     def rate(self) -> float:
@@ -68,7 +68,7 @@ class StudyDrive:
         """The same drive under a controller of the same kind with other values of these keys."""
         tables = copy.deepcopy(self.tables)
         tables["controller"] = {**copy.deepcopy(dict(self.feedback)), **gains}
-        return parse_drive(tables, self.name)
+        return parse_axis(tables, self.name)
 
 
 def _friction(coulomb: float, gap: float, viscous: float, bristle: float, damping: float, stribeck: float) -> Tables:

@@ -22,7 +22,7 @@ from typing import Any
 import jax
 from pyarrow import parquet
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.logs import read_logs
 from diffdrive.runtime import configure, keep_compiled
 from diffdrive.support.atomic_write import write_text
@@ -42,7 +42,7 @@ Question = tuple[Path, Path, tuple[str, ...]]  # the case, where its answer goes
 
 def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     """What the command says of one case, its checks of the logs and all; it draws nothing, and plans no motion."""
-    description = read_drive(place / "drive.toml")
+    description = read_axis(place / "drive.toml")
     began = time.perf_counter()
     files = sorted(place.glob("log-*.parquet"))
     checked = check_logs(description, read_logs(files, description), files=files)

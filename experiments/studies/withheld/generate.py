@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
@@ -158,7 +158,7 @@ def _write(place: Path, case: WithheldCase, logs: list[Log]) -> None:
     remove_temporary(place)
     for log in logs:
         write_log(place / f"log-{log.name}.parquet", log)
-    write_drive(place / "drive.toml", _believed(case))  # the last: with it a case is there
+    write_axis(place / "drive.toml", _believed(case))  # the last: with it a case is there
 
 
 def _believed(case: WithheldCase) -> Axis:

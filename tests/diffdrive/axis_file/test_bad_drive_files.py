@@ -6,7 +6,7 @@ import pytest
 import tomli_w
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DriveFileError
@@ -16,7 +16,7 @@ from diffdrive.motion.motion import Limits
 
 PAPER_PD = PD(paper_tracking(paper_drive(quantised=False), PAPER_KP, PAPER_KD))
 NAN, INF = float("nan"), float("inf")
-TABLES = drive_tables(Axis(paper_drive(), PAPER_PD, Sampling(), Limits((-0.075, 0.075))))
+TABLES = axis_tables(Axis(paper_drive(), PAPER_PD, Sampling(), Limits((-0.075, 0.075))))
 MISSING = object()
 
 FILES = {
@@ -176,7 +176,7 @@ def tampered(place: str, value) -> dict:
 @pytest.mark.parametrize(("place", "value", "says"), FILES.values(), ids=FILES.keys())
 def test_a_bad_drive_file_is_refused(place, value, says):
     with pytest.raises(DriveFileError, match="^axis.toml: .*" + says):
-        parse_drive(tampered(place, value), "axis.toml")
+        parse_axis(tampered(place, value), "axis.toml")
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_a_file_that_cannot_be_read_is_refused(content, says, tmp_path):
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(DriveFileError, match=says):
-        read_drive(path)
+        read_axis(path)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"])
@@ -220,12 +220,12 @@ def test_a_drive_file_is_read_in_every_encoding_that_names_itself(encoding, tmp_
     path = tmp_path / "drive.toml"
     mark = "\ufeff" if encoding.endswith(("-le", "-be")) else ""
     path.write_bytes((mark + text).replace("\n", "\r\n").encode(encoding))
-    assert drive_tables(read_drive(path)) == TABLES
+    assert axis_tables(read_axis(path)) == TABLES
 
 
 def test_a_folder_is_not_a_drive_file(tmp_path):
     with pytest.raises(DriveFileError, match="is a folder, not a file"):
-        read_drive(tmp_path)
+        read_axis(tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(DriveFileError, match="cannot be read"):
-        read_drive(tmp_path / "file" / "drive.toml")
+        read_axis(tmp_path / "file" / "drive.toml")

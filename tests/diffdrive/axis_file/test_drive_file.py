@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import KINDS
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, write_axis
 from diffdrive.controllers import (
     DOBVSC,
     PD,
@@ -77,7 +77,7 @@ def description(controller=CONTROLLERS["pd"], **changes) -> Axis:
 
 
 def paper_tables() -> dict:
-    return drive_tables(Axis(paper_drive(), PD(TRACKING), Sampling(), Limits()))
+    return axis_tables(Axis(paper_drive(), PD(TRACKING), Sampling(), Limits()))
 
 
 def assert_same(one: Axis, other: Axis) -> None:
@@ -90,15 +90,15 @@ def assert_same(one: Axis, other: Axis) -> None:
 
 
 def test_every_kind_is_round_tripped_here():
-    assert {drive_tables(description(c))["controller"]["kind"] for c in CONTROLLERS.values()} == set(KINDS)
+    assert {axis_tables(description(c))["controller"]["kind"] for c in CONTROLLERS.values()} == set(KINDS)
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS.values(), ids=CONTROLLERS.keys())
 def test_written_tables_are_read_back_equal(controller, tmp_path):
     written = description(controller)
-    assert_same(parse_drive(drive_tables(written)), written)
-    write_drive(tmp_path / "drive.toml", written)
-    assert_same(read_drive(tmp_path / "drive.toml"), written)
+    assert_same(parse_axis(axis_tables(written)), written)
+    write_axis(tmp_path / "drive.toml", written)
+    assert_same(read_axis(tmp_path / "drive.toml"), written)
 
 
 @pytest.mark.parametrize(
@@ -113,8 +113,8 @@ def test_written_tables_are_read_back_equal(controller, tmp_path):
 )
 def test_what_is_absent_stays_absent(changes, tmp_path):
     written = description(**changes)
-    write_drive(tmp_path / "drive.toml", written)
-    assert_same(read_drive(tmp_path / "drive.toml"), written)
+    write_axis(tmp_path / "drive.toml", written)
+    assert_same(read_axis(tmp_path / "drive.toml"), written)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_what_is_absent_stays_absent(changes, tmp_path):
     ids=["le", "ls"],
 )
 def test_a_load_estimate_without_floor_stays_without(floorless):
-    assert_same(parse_drive(drive_tables(description(floorless))), description(floorless))
+    assert_same(parse_axis(axis_tables(description(floorless))), description(floorless))
 
 
 @settings(max_examples=50, deadline=None)
@@ -134,8 +134,8 @@ def test_a_load_estimate_without_floor_stays_without(floorless):
 def test_numbers_survive_to_the_last_digit(mass, forward, back, rate):
     plant = dataclasses.replace(PLANT, mass=mass, damping=Directional(forward, back))
     written = description(drive=dataclasses.replace(DRIVE, plant=plant), sampling=Sampling(rate))
-    text = tomli_w.dumps(drive_tables(written))
-    assert_same(parse_drive(tomllib.loads(text)), written)
+    text = tomli_w.dumps(axis_tables(written))
+    assert_same(parse_axis(tomllib.loads(text)), written)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_numbers_survive_to_the_last_digit(mass, forward, back, rate):
 def test_units_are_converted(table, key, text, si):
     tables = paper_tables()
     tables[table][key] = text
-    read = parse_drive(tables)
+    read = parse_axis(tables)
     place = {
         "plant": read.drive.plant,
         "friction": read.drive.friction,
@@ -181,18 +181,18 @@ def test_units_are_converted(table, key, text, si):
 def test_each_direction_may_have_its_own_unit():
     tables = paper_tables()
     tables["friction"]["coulomb_screw"] = ["0.06 kN", 65]
-    assert parse_drive(tables).drive.friction.coulomb_screw == Directional(60.0, 65.0)
+    assert parse_axis(tables).drive.friction.coulomb_screw == Directional(60.0, 65.0)
 
 
 @pytest.mark.parametrize("stroke", [[-0.05, 0.1], ["-50 mm", "0.1 m"]])
 def test_stroke_from_lowest_to_highest(stroke):
-    assert parse_drive(paper_tables() | {"limits": {"stroke": stroke}}).limits.stroke == pytest.approx((-0.05, 0.1))
+    assert parse_axis(paper_tables() | {"limits": {"stroke": stroke}}).limits.stroke == pytest.approx((-0.05, 0.1))
 
 
 @pytest.mark.parametrize("length", [0.15, "150 mm", [0.1], [0.0, 0.1, 0.2]])
 def test_a_stroke_needs_both_ends(length):
     with pytest.raises(DriveFileError, match=r"\[limits\] stroke: must be \[lowest, highest\]"):
-        parse_drive(paper_tables() | {"limits": {"stroke": length}})
+        parse_axis(paper_tables() | {"limits": {"stroke": length}})
 
 
 @pytest.mark.parametrize(
@@ -214,35 +214,35 @@ def test_what_is_not_one_number_with_its_unit_is_not_guessed(key, text):
     tables = paper_tables()
     tables["plant"][key] = text
     with pytest.raises(DriveFileError, match=rf"\[plant\] {key}: .*kg"):
-        parse_drive(tables)
+        parse_axis(tables)
 
 
 @pytest.mark.parametrize("text", ["1500 rad/s", "60 rpm"])
 def test_an_angular_frequency_is_not_taken_for_hertz(text):
-    tables = drive_tables(description(CONTROLLERS["dobvsc"]))
+    tables = axis_tables(description(CONTROLLERS["dobvsc"]))
     tables["controller"]["cutoff"] = text
     with pytest.raises(DriveFileError, match=r"\[controller\] cutoff: .*must be in Hz"):
-        parse_drive(tables)
+        parse_axis(tables)
 
 
 def test_the_paper_controllers_feed_motion_forward_unless_told_otherwise_and_bare_loops_do_not():
     bare = {"pd", "cascade"}
     for controller in CONTROLLERS.values():
-        tables = drive_tables(description(controller))
+        tables = axis_tables(description(controller))
         kind = tables["controller"]["kind"]
         if kind == "unknown":
             continue
         del tables["controller"]["feedforward"]
-        read = parse_drive(tables).controller
+        read = parse_axis(tables).controller
         feedforward = read.feedforward if isinstance(read, Cascade) else read.tracking.feedforward
         assert float(feedforward.mass) == (0.0 if kind in bare else 100.0)
 
 
 def test_a_controller_believes_in_the_plant_of_its_file():
-    tables = drive_tables(description(CONTROLLERS["pd+fc"]))
+    tables = axis_tables(description(CONTROLLERS["pd+fc"]))
     tables["plant"]["mass"] = 130.0
     tables["friction"]["viscous"] = 2000.0
-    read = parse_drive(tables)
+    read = parse_axis(tables)
     assert read.controller.observer.plant == read.drive.plant
     assert read.controller.observer.friction == read.drive.friction
     assert read.controller.tracking.feedforward.mass == 130.0
@@ -256,15 +256,15 @@ def test_all_bench_drives_are_there():
 @pytest.mark.skipif(not BENCH_FILES, reason=f"{BENCH} is not there")
 @pytest.mark.parametrize("path", BENCH_FILES, ids=[path.parent.name for path in BENCH_FILES])
 def test_bench_drives_are_read_and_survive_a_round_trip(path):
-    read = read_drive(path)
+    read = read_axis(path)
     raw = tomllib.loads(path.read_text())
     assert read.drive.plant.mass == raw["plant"]["mass"]
     assert read.sampling.rate == raw["sampling"]["rate"]
     assert read.controller.tracking.gains == PDGains(raw["controller"]["kp"], raw["controller"]["kd"])
-    assert_same(parse_drive(drive_tables(read)), read)
+    assert_same(parse_axis(axis_tables(read)), read)
 
 
 @pytest.mark.skipif(not TEMPLATES, reason="experiments/drives holds no drive file")
 @pytest.mark.parametrize("path", TEMPLATES, ids=[path.stem for path in TEMPLATES])
 def test_the_drive_files_shipped_with_the_package_are_read(path):
-    assert_same(parse_drive(drive_tables(read_drive(path))), read_drive(path))
+    assert_same(parse_axis(axis_tables(read_axis(path))), read_axis(path))

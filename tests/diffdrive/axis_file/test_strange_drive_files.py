@@ -10,7 +10,7 @@ import pytest
 
 from diffdrive import motion as motions
 from diffdrive.axis_file.controller_file import KINDS
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, DriveFileError, LoadEstimatorWarning
 from diffdrive.loop.simulate import simulate
@@ -57,7 +57,7 @@ STATIC = {
 
 def tables_of(kind):
     tables = copy.deepcopy(PAPER) | {"controller": {"kind": kind} | CONTROLLERS[kind]}
-    return drive_tables(parse_drive(tables, "axis.toml"))
+    return axis_tables(parse_axis(tables, "axis.toml"))
 
 
 def places(tables, above=()):
@@ -82,7 +82,7 @@ def outcome(tables):
     """What comes of a drive file: "refused", or the status of a short run."""
     began, refused = time.perf_counter(), ""
     try:
-        description = parse_drive(tables, "axis.toml")
+        description = parse_axis(tables, "axis.toml")
         rate = description.sampling.rate
         move = motions.sine(amplitude=1e-5, frequency=rate / 100.0, duration=200.0 / rate, rate=rate)
         with warnings.catch_warnings():
@@ -139,7 +139,7 @@ def test_no_key_of_a_drive_file_takes_what_is_no_number(kind):
             if meant or late:
                 continue
             with pytest.raises(DriveFileError) as refusal:
-                parse_drive(with_value(tables, above, key, value), "axis.toml")
+                parse_axis(with_value(tables, above, key, value), "axis.toml")
             assert len(str(refusal.value)) < 600
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.effects import acting
@@ -309,9 +309,9 @@ def test_a_drive_file_holds_effects(effect):
         "controller": {"kind": "pd", "kp": 1e6, "kd": 6e3},
         "effects": {effect.name: {f.name: getattr(effect, f.name) for f in dataclasses.fields(effect)}},
     }  # fmt: skip
-    description = parse_drive(text)
+    description = parse_axis(text)
     assert description.drive.effects == (effect,)
-    assert parse_drive(drive_tables(description)).drive.effects == (effect,)
+    assert parse_axis(axis_tables(description)).drive.effects == (effect,)
 
 
 def test_a_drive_file_names_what_is_wrong_with_an_effect():
@@ -322,9 +322,9 @@ def test_a_drive_file_names_what_is_wrong_with_an_effect():
         ({"cogging": {"amplitude": 1.0}}, r"amplitude: unknown key"),
         ({"cogging": 3.0}, r"\[effects.cogging\] must be a table"),
     ):
-        full = drive_tables(parse_drive(_complete())) | {"effects": effects}
+        full = axis_tables(parse_axis(_complete())) | {"effects": effects}
         with pytest.raises(DriveFileError, match=says):
-            parse_drive(full | {k: v for k, v in tables.items() if not v and k not in full})
+            parse_axis(full | {k: v for k, v in tables.items() if not v and k not in full})
 
 
 def _complete():

@@ -8,7 +8,7 @@ import pytest
 
 from diffdrive import motion as motions
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.base import Envelope
@@ -87,14 +87,14 @@ def test_what_is_traced_is_passed_over():
 
 def test_a_drive_file_with_an_impossible_effect_is_refused_by_name():
     axis = Axis(DRIVE, CONTROLLER, Sampling(), Limits((-0.075, 0.075), 0.5))
-    tables = drive_tables(axis) | {"effects": {"payload_mass": {"mass": "-100 kg"}}}
+    tables = axis_tables(axis) | {"effects": {"payload_mass": {"mass": "-100 kg"}}}
     with pytest.raises(DriveFileError, match=r"^axis\.toml: effects\.payload_mass: with it the moving mass is 0 kg"):
-        parse_drive(tables, "axis.toml")
+        parse_axis(tables, "axis.toml")
     tables["effects"] = {"position_friction": {"slope": 20.0}}  # what it may be depends on the stroke
     with pytest.raises(DriveFileError, match="takes 150 % of the Coulomb friction off"):
-        parse_drive(tables, "axis.toml")
+        parse_axis(tables, "axis.toml")
     tables["limits"]["stroke"] = [0.0, 0.1]
-    parse_drive(tables, "axis.toml")
+    parse_axis(tables, "axis.toml")
 
 
 def test_a_run_with_an_impossible_effect_is_refused_by_name():

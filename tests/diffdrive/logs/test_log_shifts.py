@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import parse_drive, read_drive, write_drive
+from diffdrive.axis_file.drive_file import parse_axis, read_axis, write_axis
 from diffdrive.errors import LogError
 from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.checks.examine import examine
@@ -168,8 +168,8 @@ def test_a_drive_file_carries_it_and_the_command_line_overrides_it(tmp_path):
         "controller": {"kind": "pd", "kp": 1.6e6, "kd": 9e3},
         "sampling": {"rate": 2000.0},
     }  # fmt: skip
-    described = parse_drive(written)
+    described = parse_axis(written)
     assert described.mapping.shifts == {"command": -1, "position": 2}
-    write_drive(tmp_path / "drive.toml", described)
-    assert read_drive(tmp_path / "drive.toml").mapping == described.mapping
+    write_axis(tmp_path / "drive.toml", described)
+    assert read_axis(tmp_path / "drive.toml").mapping == described.mapping
     assert described.mapping.overridden(shifts=["command=+3"]).shifts == {"command": 3, "position": 2}

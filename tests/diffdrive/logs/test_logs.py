@@ -16,7 +16,7 @@ from pymatreader import read_mat
 
 from diffdrive import motion
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import drive_tables, parse_drive, read_drive, write_drive
+from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, write_axis
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import DriveFileError, LogError
@@ -221,8 +221,8 @@ def described(mapping) -> Axis:
 
 @pytest.mark.parametrize("mapping", MAPPINGS)
 def test_drive_files_carry_the_mapping(mapping, tmp_path):
-    write_drive(tmp_path / "drive.toml", described(mapping))
-    assert read_drive(tmp_path / "drive.toml").mapping == mapping
+    write_axis(tmp_path / "drive.toml", described(mapping))
+    assert read_axis(tmp_path / "drive.toml").mapping == mapping
     held = set(tomllib.loads((tmp_path / "drive.toml").read_text())) & {"columns", "units"}
     assert held == {
         name for name in ("columns", "units") if getattr(mapping, name) or (name == "units" and mapping.force_per)
@@ -244,12 +244,12 @@ BAD_TABLES = {
 @pytest.mark.parametrize(("tables", "says"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
 def test_a_drive_file_with_a_bad_mapping_is_refused(tables, says):
     with pytest.raises(DriveFileError, match=says):
-        parse_drive(drive_tables(described(Mapping())) | tables)
+        parse_axis(axis_tables(described(Mapping())) | tables)
 
 
 def test_a_gain_may_have_a_unit():
-    tables = drive_tables(described(Mapping())) | {"units": {"command": "V", "force_per_volt": "0.035 kN/V"}}
-    assert parse_drive(tables).mapping.force_per_volt == pytest.approx(35.0)
+    tables = axis_tables(described(Mapping())) | {"units": {"command": "V", "force_per_volt": "0.035 kN/V"}}
+    assert parse_axis(tables).mapping.force_per_volt == pytest.approx(35.0)
 
 
 # --- real logs --------------------------------------------------------------------------------------------------------
@@ -281,7 +281,7 @@ def test_emps_pulses_are_volts_whatever_their_name_says():
 @needs_bench
 @pytest.mark.parametrize("case", ["01", "17", "34"])
 def test_bench_logs_are_read_as_they_are(case, tmp_path):
-    description = read_drive(BENCH / case / "drive.toml")
+    description = read_axis(BENCH / case / "drive.toml")
     paths = [BENCH / case / f"log-{letter}.parquet" for letter in "ab"]
     for path, log in zip(
         paths, read_logs(paths, mapping=description.mapping, rate=description.sampling.rate), strict=True

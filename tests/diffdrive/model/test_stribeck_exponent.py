@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diffdrive import motion
-from diffdrive.axis_file.drive_file import parse_drive
+from diffdrive.axis_file.drive_file import parse_axis
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.machine import FrictionShape
 from diffdrive.errors import DriveFileError
@@ -208,10 +208,10 @@ def written(exponent):
 
 
 def test_a_drive_file_states_it():
-    assert parse_drive(written(2)).drive.friction.stribeck_exponent == 2.0
+    assert parse_axis(written(2)).drive.friction.stribeck_exponent == 2.0
 
 
 @pytest.mark.parametrize("exponent", [0.0, -1.0, 5.0, "two"])
 def test_what_is_no_exponent_is_refused_by_its_name(exponent):
     with pytest.raises(DriveFileError, match="stribeck_exponent"):
-        parse_drive(written(exponent))
+        parse_axis(written(exponent))

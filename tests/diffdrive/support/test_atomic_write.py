@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 import diffdrive
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.errors import LogError
 from diffdrive.logs import write_log
 from diffdrive.support.atomic_write import FULL, TEMPORARY, atomic_write, remove_temporary, temporary_beside, write_text
@@ -109,7 +109,7 @@ WRITERS = {
     "log.parquet": lambda path: write_log(path, SOUND),
     "log.mat": lambda path: write_log(path, SOUND),
     "log.73.mat": lambda path: write_log(path, SOUND),
-    "drive.toml": lambda path: write_drive(path, DRIVE),
+    "drive.toml": lambda path: write_axis(path, DRIVE),
     "table.csv": table,
     "figure.png": figure,
     "part-000000.parquet": lambda path: keep(pa.table({"rms_m": np.random.default_rng(0).random(4000)}), path, "?"),

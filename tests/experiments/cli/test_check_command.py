@@ -6,7 +6,7 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.logs import write_log
 from experiments.cli.main import app
 from tests.support.sound_log import DRIVE, RATE, SOUND, but, moved
@@ -17,7 +17,7 @@ def checked(tmp_path):
     """Exit code and result of a look at a log."""
 
     def check(log):
-        write_drive(tmp_path / "drive.toml", DRIVE)
+        write_axis(tmp_path / "drive.toml", DRIVE)
         write_log(tmp_path / "lap.csv", log)
         given = [str(tmp_path / one) for one in ("lap.csv", "drive.toml", "out")]
         found = CliRunner().invoke(app, ["check", given[0], "--drive", given[1], "--out", given[2]])
@@ -42,7 +42,7 @@ def test_a_sound_log_is_said_to_be_so_and_what_it_holds(checked):
 
 def test_the_option_that_a_finding_names_mends_that_log_and_no_other(tmp_path):
     """Two logs of one call, one of them late; and a name that is none of theirs is refused."""
-    write_drive(tmp_path / "drive.toml", DRIVE)
+    write_axis(tmp_path / "drive.toml", DRIVE)
     write_log(tmp_path / "in_time.csv", SOUND)
     write_log(tmp_path / "late.csv", but(command=moved(SOUND.command, 1)))
     given = ["check", *(str(tmp_path / one) for one in ("in_time.csv", "late.csv")), "--drive"]

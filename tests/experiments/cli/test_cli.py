@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError, LoadEstimatorWarning, ParameterError
 from diffdrive.logs import Mapping, read_log
 from diffdrive.motion.text import numbers as numbers_of
@@ -102,7 +102,7 @@ def test_the_keys_are_all_that_a_drive_file_may_hold(drive_file):
 
 
 def test_the_template_is_a_drive_file(drive_file):
-    assert float(read_drive(drive_file).drive.plant.mass) == 100.0
+    assert float(read_axis(drive_file).drive.plant.mass) == 100.0
 
 
 @pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")

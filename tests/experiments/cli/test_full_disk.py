@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.logs import write_log
 from experiments.cli import main as cli
 from experiments.studies.demo import PAPER_DRIVE
@@ -72,7 +72,7 @@ def ended(monkeypatch, capsys):
 def given(tmp_path_factory):
     """A folder with a drive file and a log."""
     folder = tmp_path_factory.mktemp("given")
-    write_drive(folder / "drive.toml", DRIVE)
+    write_axis(folder / "drive.toml", DRIVE)
     write_log(folder / "lap.csv", SOUND)
     return folder
 

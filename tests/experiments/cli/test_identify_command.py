@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import read_drive, write_drive
+from diffdrive.axis_file.drive_file import read_axis, write_axis
 from diffdrive.errors import LogError, MotionError, ParameterError
 from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
@@ -51,7 +51,7 @@ def folder(tmp_path_factory):
     for name, seed in (("lap", 1), ("other", 2)):
         write_log(folder / f"{name}.csv", logged(TRUE, MOTION, seed=seed))
     heavy = dataclasses.replace(TRUE.drive, plant=dataclasses.replace(TRUE.drive.plant, mass=125.0))
-    write_drive(folder / "drive.toml", dataclasses.replace(TRUE, drive=heavy))
+    write_axis(folder / "drive.toml", dataclasses.replace(TRUE, drive=heavy))
     return folder
 
 
@@ -128,7 +128,7 @@ def test_the_gap_closes_also_on_the_held_out_log(identified):
 
 def test_the_identified_drive_file_reads_back_and_simulates(identified, folder):
     _, out, written = identified
-    believed, found = read_drive(folder / "drive.toml"), read_drive(out / "identified.toml")
+    believed, found = read_axis(folder / "drive.toml"), read_axis(out / "identified.toml")
     assert float(found.drive.plant.mass) == estimates(written)["mass"]["identified"]
     for part in ("sampling", "limits", "mapping"):
         assert getattr(found, part) == getattr(believed, part)
@@ -234,7 +234,7 @@ def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path)
     simulate = ["simulate", str(drive), "--motion", motion, "--out", str(tmp_path / "run")]
     assert CliRunner().invoke(app, simulate).exit_code == 0
     with Report("simulated", None) as report:
-        (log,) = read_checked([tmp_path / "run" / "run.csv"], read_drive(drive), report, name="findings", force=False)
+        (log,) = read_checked([tmp_path / "run" / "run.csv"], read_axis(drive), report, name="findings", force=False)
     assert np.array_equal(log.command, read_log(tmp_path / "run" / "run.csv").command)
 
 
@@ -329,7 +329,7 @@ class _interrupting:  # noqa: N801
 
 def test_what_it_left_open_is_what_a_sweep_varies(identified):
     _, out, written = identified
-    axis = read_drive(out / "identified.toml")
+    axis = read_axis(out / "identified.toml")
     texts, together = varying(out / "identified.toml", [], None, out / "uncertainty.toml")
     found = estimates(written)
     fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
@@ -359,7 +359,7 @@ def test_the_emps_axis_end_to_end(tmp_path):
     from experiments.studies.demo import PAPER_DRIVE
 
     pulses = emps.read(FOLDER / emps.FILES["pulses"]).log
-    mapping = read_drive(PAPER_DRIVE.parent / "emps.toml").mapping
+    mapping = read_axis(PAPER_DRIVE.parent / "emps.toml").mapping
     columns = {mapping.columns.get(channel, channel): values for channel, values in pulses.channels.items()}
     columns["vir"] = columns["vir"] / mapping.force_per_volt
     write_csv(tmp_path / "pulses.csv", columns, {"disturbance": "N"})
@@ -379,4 +379,4 @@ def test_the_emps_axis_end_to_end(tmp_path):
         assert gaps[role, "closed loop: command, %"][0] == pytest.approx(before, rel=0.1)
         for gap in ("one-step prediction, um", "missing force, N", "closed loop: command, %"):
             assert gaps[role, gap][1] < gaps[role, gap][0], (role, gap)
-    assert read_drive(out / "identified.toml").mapping.columns["reference"] == "qg"
+    assert read_axis(out / "identified.toml").mapping.columns["reference"] == "qg"

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.logs import write_log
 from experiments.studies.emps import axis as emps
 from tests.experiments.cli.test_identify_command import MOTION, QUESTION
@@ -98,9 +98,9 @@ def commands(given):
     (here / "tuned.toml").write_text(TUNED)
     true = described()
     write_log(here / "lap.csv", logged(true, MOTION, seed=1))
-    write_drive(here / "drive.toml", true)
+    write_axis(here / "drive.toml", true)
     write_log(here / "sines.parquet", logged(DRIVE, two_sines(1.0)))
-    write_drive(here / "sines.toml", DRIVE)
+    write_axis(here / "sines.toml", DRIVE)
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.2s"
     sweep = ("sweep", here / "sines.toml", "--spread", "3%", "--samples", 8192, "--motion", motion, "--settle", 0.05)
     texts = {

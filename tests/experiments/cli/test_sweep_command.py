@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from experiments.cli.main import app
 from experiments.reports.sweep import sweep as command
@@ -110,7 +110,7 @@ def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_pat
     written = json.loads((tmp_path / "result.json").read_text())
     assert written["as_in_the_sweep"] == {"to_the_last_bit": True}
     mass = {row[0]: row[2] for row in written["tables"]["machine"]["rows"]}["plant.mass"]
-    assert float(read_drive(tmp_path / "machine.toml").drive.plant.mass) == mass
+    assert float(read_axis(tmp_path / "machine.toml").drive.plant.mass) == mass
     assert (tmp_path / "run.png").exists()
     refused = run("replay", out, "--machine", 77, "--controller", "plian")
     assert "--controller 'plian': is not of this sweep; known: axis, plain" in str(refused.exception)
@@ -164,7 +164,7 @@ def test_what_no_quantity_drives_is_said(drives, tmp_path):
 @pytest.mark.parametrize("command", ["sweep", "simulate"])
 def test_a_machine_of_another_rate_is_refused(drives, tmp_path, command):
     (tmp_path / "slow.toml").write_text((drives / "plain.toml").read_text().replace('"10 kHz"', '"4 kHz"'))
-    assert read_drive(tmp_path / "slow.toml").sampling.rate == 4e3
+    assert read_axis(tmp_path / "slow.toml").sampling.rate == 4e3
     refused = run(
         command, drives / "plain.toml", "--machine", tmp_path / "slow.toml", "--motion", MOTION, "--settle", 0
     )

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError
 from experiments.cli.main import app
 from experiments.reports.tuning import CHECKPOINT
@@ -82,7 +82,7 @@ def test_the_tuned_gains_are_better_and_everything_promised_is_written(done):
 
 def test_the_hand_over_reads_back_in_newtons_and_in_volts(done):
     handed = tomllib.loads((done / "handover.toml").read_text())
-    gains = read_drive(done / "tuned.toml").controller.tracking.gains
+    gains = read_axis(done / "tuned.toml").controller.tracking.gains
     assert handed["gains_si"] == pytest.approx({"kp": float(gains.kp), "kd": float(gains.kd)}, rel=1e-9)
     volts = handed["gains_in_command_volts"]
     assert volts["kp"] == pytest.approx(float(gains.kp) / 159.593, rel=1e-9)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.logs import write_log
 from diffdrive.logs.checks.examine import Finding
 from experiments.reports.diagnosis import diagnosis as command
@@ -32,7 +32,7 @@ def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(
     """A rejected search of minutes, and a drive file that nobody should run."""
     path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"
     write_log(path, dataclasses.replace(SOUND, command=-moved(SOUND.command, 1)))  # late as well, which is said first
-    write_drive(drive, DRIVE)
+    write_axis(drive, DRIVE)
     out.mkdir()
     for stale in ("augmented.toml", "causes.csv"):
         (out / stale).write_text("of an earlier diagnosis")
@@ -70,7 +70,7 @@ def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_
     place = tmp_path / "case"
     place.mkdir()
     write_log(place / "log-a.parquet", late)
-    write_drive(place / "drive.toml", DRIVE)
+    write_axis(place / "drive.toml", DRIVE)
     monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: tilted)
     answered = answer.answer(place)
     assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.effects.forces import ConstantForce
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.figures import _ladder
@@ -37,7 +37,7 @@ def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tm
         assert command._write(report, given, doubted, "Write more noise.") == "augmented.toml"
     begins = (tmp_path / "augmented.toml").read_text().splitlines()[:2]
     assert begins == ["# the verdict of the diagnosis was unknown: much is left", "# Write more noise."]
-    written = read_drive(tmp_path / "augmented.toml")
+    written = read_axis(tmp_path / "augmented.toml")
     assert float(written.drive.effects[0].force) == 6.0
     assert float(written.controller.observer.plant.mass) == 123.0
     assert float(written.controller.tracking.feedforward.mass) == 123.0
@@ -73,7 +73,7 @@ def with_second(found):
 
 def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_drive_has_them(tilted, told_of):
     told, out = told_of(with_second(tilted))
-    written = {one.name: one for one in read_drive(out / "augmented.toml").drive.effects}
+    written = {one.name: one for one in read_axis(out / "augmented.toml").drive.effects}
     assert set(written) == {"friction_asymmetry", "constant_force"}
     alone = as_json(tilted, tilted_log.UNASKED)["causes"][0]["parameters"]["force"]
     for cause in told["causes"]:
@@ -175,7 +175,7 @@ def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_
     told, out = told_of(tilted)
     rows = {one["parameter"]: one for one in told["recalibrated"]}
     assert set(NAMES) - {"bristle_stiffness", "bristle_damping"} < set(rows)
-    mass, drive = rows["mass"], read_drive(out / "augmented.toml").drive
+    mass, drive = rows["mass"], read_axis(out / "augmented.toml").drive
     assert (mass["drive_file"], mass["unit"]) == (float(DRIVE.drive.plant.mass), "kg")
     low, high = mass["with_effects_interval"]
     assert low < mass["with_effects"] < high

@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.loop.simulate import simulate
 from experiments.reports.identification.forest import forest
 from experiments.reports.identification.modelled_friction import friction_on, stretches_of
@@ -53,7 +53,7 @@ def test_a_forest_plot_draws_every_kind_of_row():
 
 
 def test_the_emps_drive_file_holds_the_published_parameters():
-    held = read_drive(PAPER_DRIVE.parent / "emps.toml")
+    held = read_axis(PAPER_DRIVE.parent / "emps.toml")
     published = emps.reference_drive()
     assert jax.tree.leaves((held.drive.plant, held.drive.friction)) == jax.tree.leaves(
         (published.plant, published.friction)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from diffdrive.axis_file.drive_file import read_drive, write_drive
+from diffdrive.axis_file.drive_file import read_axis, write_axis
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from diffdrive.loop.simulate import simulate
@@ -50,7 +50,7 @@ def sound():
 def tilted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tilted")
     write_log(folder / "lap.parquet", log_of(ConstantForce(6.0)))
-    write_drive(folder / "drive.toml", DRIVE)
+    write_axis(folder / "drive.toml", DRIVE)
     told = diagnose_logs([folder / "lap.parquet"], folder / "drive.toml", folder / "out")
     return folder / "out", told
 
@@ -98,7 +98,7 @@ def test_what_is_written_can_be_read(tilted):
     assert "constant_force" in page
     assert "src='http" not in page
     assert page.count("data:image/png;base64") >= 3
-    augmented = read_drive(out / "augmented.toml").drive
+    augmented = read_axis(out / "augmented.toml").drive
     assert float(augmented.effects[0].force) == pytest.approx(6.0, abs=0.1)
 
 

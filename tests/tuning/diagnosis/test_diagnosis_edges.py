@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import write_drive
+from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.friction import ViscousDrift
@@ -185,7 +185,7 @@ def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
         SOUND, time=np.arange(count) / RATE, position=flat, command=np.zeros(count), reference=flat
     )
     write_log(tmp_path / "off.parquet", off)
-    write_drive(tmp_path / "drive.toml", DRIVE)
+    write_axis(tmp_path / "drive.toml", DRIVE)
     (tmp_path / "out").mkdir()
     earlier = [tmp_path / "out" / name for name in ("causes.png", "next_reference.csv")]
     for path in earlier:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import parse_drive
+from diffdrive.axis_file.drive_file import parse_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.actuator import ForceGain
 from diffdrive.effects.catalogue import EFFECTS
@@ -27,7 +27,7 @@ configure()
 AMONG = ("cogging", "interpolation_error", "force_gain")
 OTHERS = [name for name in EFFECTS if name not in AMONG]
 FRICTION, WAVE, PERIOD = 0.5, 8.0, 2e-4
-MOTOR = parse_drive(
+MOTOR = parse_axis(
     {
         "plant": {"mass": 8.0, "damping": 0.0},
         "friction": {

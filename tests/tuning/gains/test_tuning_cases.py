@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from experiments.reports.report import Report
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.tuning_study.study import DECADES, _arrivals, _drawn, _trail, benchmark, tuning_study
@@ -18,7 +18,7 @@ from tuning.gains.tune import default_space
 
 @pytest.fixture(scope="module")
 def description():
-    return read_drive(PAPER_DRIVE)
+    return read_axis(PAPER_DRIVE)
 
 
 def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(description):

@@ -13,8 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from diffdrive.controllers import PD
-from diffdrive.controllers.base import PDGains as PDGains
-from diffdrive.controllers.base import Tracking
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.logs import Log
 from diffdrive.loop.simulate import inputs_of, rollout
 from diffdrive.model import actuator, plant

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive import motion
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.logs import Log
 from diffdrive.logs.checks.consistency import examined
@@ -18,7 +18,7 @@ from tests.support.sound_log import FORCE_PER_VOLT, but, complaints, described, 
 
 pytestmark = pytest.mark.filterwarnings(f"ignore::{LoadEstimatorWarning.__module__}.LoadEstimatorWarning")
 
-TEMPLATE = read_drive(PAPER_DRIVE)  # "pd+fc+le": a load estimator on a friction observer
+TEMPLATE = read_axis(PAPER_DRIVE)  # "pd+fc+le": a load estimator on a friction observer
 RATE = TEMPLATE.sampling.rate
 
 

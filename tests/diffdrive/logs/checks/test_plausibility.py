@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from diffdrive import motion
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import read_drive
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.log import Log
 from diffdrive.model.parameters import Sensor
@@ -201,7 +201,7 @@ def examined(machine: int, which: str):
     folder = SHARED / "bench" / f"{machine:02d}"
     table = pandas.read_parquet(folder / f"log-{which}.parquet")
     log = Log(folder.name, **{name: table[name].to_numpy() for name in table.columns})
-    return examine(log, read_drive(folder / "drive.toml"))
+    return examine(log, read_axis(folder / "drive.toml"))
 
 
 def emps_log(which: str, *, newtons: bool) -> tuple[Log, Axis]:
