@@ -6,11 +6,11 @@ from typing import Any
 import narwhals as nw
 import numpy as np
 import pyarrow as pa
+from narwhals.exceptions import DuplicateError
 
 from diffdrive.errors import LogError
 from diffdrive.logs.formats.arrow import from_arrow
 from diffdrive.logs.formats.table import Table
-from diffdrive.support.messages import listed
 
 
 def read_frame(source: Any, name: str) -> Table:
@@ -36,6 +36,8 @@ def _of_arrays(source: Mapping[str, Any], name: str) -> Table:
 def _of_frame(source: Any, name: str) -> Table:
     try:
         frame = nw.from_native(source)
+    except DuplicateError:
+        raise LogError(f"{name}: several columns have one name; give each a name of its own") from None
     except TypeError:
         raise LogError(
             f"{name}: a log is a path, a data frame or a dict of arrays by column, got {type(source).__name__}"
@@ -45,8 +47,6 @@ def _of_frame(source: Any, name: str) -> Table:
     index = nw.maybe_get_index(frame)
     if index is not None and getattr(index, "name", None) is not None:  # pandas: the time, more often than not
         frame = nw.from_native(nw.to_native(frame).reset_index())
-    if twice := sorted({str(one) for one in frame.columns if list(frame.columns).count(one) > 1}):
-        raise LogError(f"{name}: several columns are called {listed(twice)}; give each a name of its own")
     try:
         return from_arrow(frame.rename({one: str(one) for one in frame.columns}).to_arrow(), name)
     except (pa.ArrowException, TypeError, ValueError) as problem:

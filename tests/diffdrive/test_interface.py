@@ -1,0 +1,202 @@
+"""The public interface: an axis simulated and differentiated, logs from any table, an effect of one's own."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import diffdrive as dd
+from diffdrive.effects.catalogue import EFFECTS, PLACES
+from diffdrive.errors import DivergenceError, LogError, ParameterError
+from diffdrive.paper import paper_controllers
+
+AXIS = dd.paper_axis()
+LAP = dd.motion.triangular(speed=0.010, stroke=0.001, rounding=0.05, duration=0.2, rate=AXIS.rate)
+SMOOTH = AXIS.smooth()
+KINDS = list(paper_controllers(AXIS.drive))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_papers_axis_runs_and_is_written_under_every_controller(kind, tmp_path):
+    axis = dd.paper_axis(controller=kind)
+    run = dd.simulate(axis, LAP, load=1_000.0)
+    assert run.status.ok, run
+    assert len(repr(run)) < 300
+    assert axis.controller.kind == kind
+    heavier = axis.replace({"plant.mass": 130.0, "friction.coulomb_screw": (50.0, 80.0)})
+    heavier.write(tmp_path / "heavier.toml")  # a file knows no controller that believes in another machine
+    read = dd.read_axis(tmp_path / "heavier.toml")
+    assert read.value("plant.mass") == 130.0
+    assert read.value("friction.coulomb_screw") == (50.0, 80.0)
+    assert read.gains == pytest.approx(axis.gains)
+    assert read.name == "heavier"
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [("kp", None), ("kd", None), ("plant.mass", 100.0), ("friction.viscous", 1800.0), ("load", 5_000.0)],
+)
+def test_gradients_through_the_interface_are_differences(path, value):
+    def error(at):
+        if path == "load":
+            return dd.rollout(SMOOTH, LAP, load=at).rms_error(0.02)
+        axis = SMOOTH.replace({path: at}) if "." in path else SMOOTH.with_gains(**{path: at})
+        # the machine as it is: what moves is what the controller has of it
+        return dd.rollout(axis, LAP, load=3_000.0, machine=SMOOTH).rms_error(0.02)
+
+    at = AXIS.gains[path] if value is None else value
+    step = 1e-4 * at
+    difference = float((error(at + step) - error(at - step)) / (2.0 * step))
+    slope = float(jax.jit(jax.grad(error))(at))
+    if path == "friction.viscous":  # PD believes nothing of friction
+        assert slope == difference == 0.0
+    else:
+        assert slope == pytest.approx(difference, rel=1e-4)
+
+
+def test_an_axis_is_a_pytree_and_loads_are_lanes():
+    def error(axis, load):
+        return dd.rollout(axis, LAP, load=load).rms_error()
+
+    loads = jnp.array([0.0, 4_000.0, 8_000.0])
+    found = jax.jit(jax.vmap(error, (None, 0)))(SMOOTH, loads)
+    assert found == pytest.approx([float(error(SMOOTH, one)) for one in loads], rel=1e-9)
+    assert len(set(np.asarray(found).tolist())) == 3
+
+
+def test_a_roll_out_is_the_simulation():
+    run = dd.simulate(AXIS, LAP, load=2_000.0)
+    same = dd.rollout(AXIS, LAP, load=2_000.0)
+    np.testing.assert_array_equal(same.command, run.command)
+    assert float(same.rms_error()) == pytest.approx(run.rms(), rel=1e-12)
+    assert float(same.peak_error()) == pytest.approx(run.peak(), rel=1e-12)
+
+
+def test_a_machine_of_its_own_moves_under_what_the_axis_believes():
+    machine = AXIS.replace({"plant.mass": 150.0})
+    run = dd.simulate(AXIS, LAP, machine=machine)
+    ours = dd.loop.simulate.simulate(machine.drive, AXIS.controller, LAP, sampling=AXIS.sampling, limits=AXIS.limits)
+    np.testing.assert_array_equal(run.position, ours.position)
+
+
+def test_what_cannot_be_is_refused_by_name():
+    with pytest.raises(ParameterError, match=r"no such parameter; did you mean 'plant\.mass'"):
+        AXIS.replace({"plant.mas": 1.0})
+    with pytest.raises(ParameterError, match=r"plant.mass: must be a number in kg"):
+        AXIS.replace({"plant.mass": "100 kg"})
+    with pytest.raises(ParameterError, match="no such gain; did you mean 'kp'"):
+        AXIS.with_gains(kpp=1.0)
+    with pytest.raises(ParameterError, match="no kind 'pid'; known: pd, "):
+        dd.paper_axis(controller="pid")
+    slow = dd.motion.sine(amplitude=1e-3, frequency=10.0, duration=0.2, rate=5_000.0)
+    with pytest.raises(ParameterError, match="make them equal"):
+        dd.rollout(AXIS, slow)
+    unstable = AXIS.with_gains(kp=1e12)
+    assert dd.simulate(unstable, LAP).status.code == "diverged"
+    with pytest.raises(DivergenceError, match="diverged"):
+        dd.simulate(unstable, LAP, throw=True)
+
+
+def test_a_result_is_saved_with_its_schema(tmp_path):
+    path = dd.simulate(AXIS, LAP).save(tmp_path)
+    assert path.name == "run.json"
+    assert '"schema": "run/1"' in path.read_text()
+
+
+LOG = dd.simulate(AXIS, LAP).log("lap")
+TABLE = {
+    "t [ms]": 1e3 * LOG.time,
+    "SetPos": 1e3 * LOG.reference,
+    "ActPos": 1e3 * LOG.position,
+    "Torque %": LOG.command / 16.0,
+}
+COLUMNS = {"time": "t [ms]", "reference": "SetPos", "position": "ActPos", "command": "Torque %"}
+UNITS = {"reference": "mm", "position": "mm", "command": "16 N"}
+
+
+@pytest.mark.parametrize("made", [dict, pd.DataFrame, pl.DataFrame, "csv", "index"])
+def test_any_table_reads_like_a_file(made, tmp_path):
+    if made == "csv":
+        source = tmp_path / "lap.csv"
+        pd.DataFrame(TABLE).to_csv(source, index=False)
+    elif made == "index":
+        source = pd.DataFrame(TABLE).set_index("t [ms]")
+    else:
+        source = made(TABLE)
+    log = dd.read_log(source, AXIS, columns=COLUMNS, units=UNITS, name="lap")
+    for channel in ("time", "reference", "position", "command"):
+        np.testing.assert_allclose(getattr(log, channel), getattr(LOG, channel), rtol=1e-12, atol=1e-15)
+    assert repr(log).startswith("Log 'lap': 2001 samples at 10000 Hz, 0 to ")
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ({"position": [[1.0, 2.0]], "command": [1.0]}, "column 'position' has 2 dimensions"),
+        ({"position": [1j, 2j], "command": [1.0, 2.0]}, "column 'position' holds complex128"),
+        ({}, "lap: has no samples"),
+        (17, "a log is a path, a data frame or a dict of arrays by column, got int"),
+        (pd.DataFrame([[1.0, 2.0]], columns=["a", "a"]), "several columns have one name"),
+    ],
+)
+def test_what_is_no_table_is_refused(source, says):
+    with pytest.raises(LogError, match=says):
+        dd.read_log(source, AXIS, name="lap")
+
+
+@pytest.fixture
+def weakening():
+    """A registered effect, gone again afterwards."""
+
+    @dd.effects.register
+    class Weakening(dd.effects.TableForce):
+        """F = force (1 - position / length)."""
+
+        name = "weakening"
+        force: float = dd.effects.amplitude("N", "force at position zero", usual=20.0)
+        length: float = dd.effects.positive("m", "travel after which it is spent", usual=0.3)
+
+        def push(self, seen):
+            return self.force * (1.0 - seen.position / self.length)
+
+    yield Weakening
+    del EFFECTS["weakening"]
+    PLACES["plant"] = tuple(one for one in PLACES["plant"] if one is not Weakening)
+
+
+def test_an_effect_of_ones_own_is_simulated_written_and_read(weakening, tmp_path):
+    machine = AXIS.with_effects(weakening(force=25.0, length=1e6))
+    constant = AXIS.with_effects(dd.effects.ConstantForce(force=25.0))
+    np.testing.assert_allclose(
+        dd.simulate(AXIS, LAP, machine=machine).command, dd.simulate(AXIS, LAP, machine=constant).command, atol=1e-3
+    )
+    machine.write(tmp_path / "machine.toml")
+    (read,) = dd.read_axis(tmp_path / "machine.toml").drive.effects
+    assert (read.name, read.force, read.length) == ("weakening", 25.0, 1e6)
+    neutral = AXIS.with_effects(weakening())
+    np.testing.assert_array_equal(dd.simulate(neutral, LAP).position, dd.simulate(AXIS, LAP).position)
+
+
+def test_an_effect_that_is_not_whole_is_refused():
+    class Nameless(dd.effects.TableForce):
+        def push(self, seen):
+            return 0.0
+
+    class Bare(Nameless):
+        name = "bare"
+        force: float = 1.0
+
+    class Cogging(Nameless):
+        name = "cogging"
+
+    class Elsewhere(Nameless):
+        name, part = "elsewhere", "moon"
+
+    for effect, says in (
+        (Nameless, "name: must be a word"), (Bare, "declare force with its unit"),
+        (Cogging, "the catalogue has one of this name"), (Elsewhere, "no part 'moon' of a machine"),
+    ):  # fmt: skip
+        with pytest.raises(ParameterError, match=says):
+            dd.effects.register(effect)
