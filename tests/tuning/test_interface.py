@@ -1,0 +1,111 @@
+"""The public interface of tuning: what guards the command line guards Python, and results say what they are worth."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import diffdrive as dd
+import experiments
+import tuning
+from diffdrive.errors import LogError, ParameterError, ResultError
+from tests.support.sound_log import DRIVE, SOUND
+
+AXIS = dd.paper_axis(controller="pd+fc+ls")
+LAP = dd.motion.triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.2, rate=AXIS.rate)
+
+
+@pytest.mark.parametrize("call", [tuning.identify, tuning.diagnose])
+def test_logs_that_cannot_be_used_are_refused_in_python_too(call):
+    with pytest.raises(LogError, match="is sampled at"):
+        call(AXIS, SOUND)
+    with pytest.raises(LogError, match="holds the same samples as"):
+        call(DRIVE, [SOUND, dataclasses.replace(SOUND, name="again")])
+    with pytest.raises(LogError, match="no log is given"):
+        call(DRIVE, [])
+
+
+def test_a_log_that_would_mislead_is_not_identified_from():
+    with pytest.raises(LogError, match=r"reverse.*force=True identifies all the same"):
+        tuning.identify(DRIVE, SOUND.replace(command=-SOUND.command))
+
+
+def test_an_effect_that_is_not_known_cannot_be_left_out():
+    with pytest.raises(ParameterError, match="without: no effect 'cooging'"):
+        tuning.diagnose(DRIVE, SOUND, without=["cooging"])
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"requirements": tuning.Requirements(gain_margin=1e3)}, "gain_margin: must be from 0 to"),
+        ({"loads": (5.0, 1.0)}, "loads: give the lowest and the highest"),
+        ({"starts": 10**12}, "starts"),
+    ],
+)
+def test_a_tuning_that_cannot_be_is_refused_by_name(asked, says):
+    with pytest.raises(ParameterError, match=says):
+        tuning.tune(AXIS, LAP, **asked)
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    seen = []
+    result = tuning.tune(
+        AXIS, LAP, loads=(0.0, 8_000.0), machines=1, starts=1, max_steps=3, settle=0.05,
+        requirements=tuning.Requirements(command_noise=100.0), progress=lambda *step: seen.append(step),
+    )  # fmt: skip
+    return result, seen
+
+
+def test_tuned_gains_say_what_they_are_worth_held_out(tuned):
+    result, seen = tuned
+    assert result.accepted
+    assert result.status.ok
+    assert {one.role for one in result.runs} == {"tuned on", "held out"}
+    held_out = [one for one in result.runs if one.role == "held out"]
+    assert result.held_out.rms_after == pytest.approx(1e-6 * np.mean([one.after.rms for one in held_out]))
+    assert result.held_out.rms_after < result.held_out.rms_before
+    before, after = result.gains["kp"]
+    assert before == pytest.approx(AXIS.gains["kp"], rel=1e-12)
+    assert after == pytest.approx(result.axis.gains["kp"], rel=1e-12)
+    assert after > 1.1 * before
+    assert result.axis.name == "tuned"
+    assert "held out" in str(result)
+    assert seen[-1] == ("verifying on the exact simulator", 1, 1)
+
+
+def test_a_report_of_tuned_gains_has_the_axis_to_run(tuned, tmp_path):
+    experiments.report(tuned[0], tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "tuning.json").read_text())
+    assert (told["schema"], told["status"]["ok"], told["accepted"]) == ("tuning/1", True, True)
+    assert dd.read_axis(tmp_path / "out" / "tuned.toml").gains == pytest.approx(tuned[0].axis.gains)
+    assert {"nyquist.png", "tuning.png", "verification.csv"} <= {one.name for one in (tmp_path / "out").iterdir()}
+
+
+def test_a_sweep_goes_on_where_it_was_and_counts_as_by_hand(tmp_path):
+    asked = {"vary": {"load": "uniform:0..8 kN", "plant.mass": "lognormal:3%"}, "samples": 48, "tolerance": 1.5e-6}
+    found = tuning.sweep(AXIS, LAP, against={"pd": dd.paper_axis()}, out=tmp_path, **asked)
+    again = tuning.sweep(AXIS, LAP, against={"pd": dd.paper_axis()}, out=tmp_path, **asked)
+    assert again.frame.equals(found.frame)
+    frame = found.frame.to_pandas()
+    assert len(frame) == 2 * 48
+    for controller in ("paper", "pd"):
+        peaks = frame[frame.controller == controller].peak_m
+        assert found.exceedance(controller).share == pytest.approx(np.mean(peaks > 1.5e-6))
+        low, high = found.exceedance(controller).interval
+        assert low <= found.exceedance(controller).share <= high
+    assert found.quantile("pd", 0.5) > found.quantile("paper", 0.5)
+    assert "pd" in str(found)
+    assert json.loads((tmp_path / "sweep.json").read_text())["schema"] == "sweep/1"
+    with pytest.raises(ParameterError, match="no controller 'cascade'"):
+        found.exceedance("cascade")
+    with pytest.raises(ParameterError, match="is the axis itself"):
+        tuning.sweep(AXIS, LAP, against={"paper": AXIS}, **asked)
+
+
+def test_what_is_not_ok_raises_where_that_is_asked_for(tuned):
+    result = dataclasses.replace(tuned[0], status=dataclasses.replace(tuned[0].status, ok=False, message="too late"))
+    with pytest.raises(ResultError, match="too late"):
+        result.require_ok()
