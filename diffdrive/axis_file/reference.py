@@ -1,48 +1,44 @@
 """Every key of a drive file, with its unit, range and meaning; those of parameters as their classes declare them."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Any
 
-from diffdrive.axis_file.controller_file import KINDS
-from diffdrive.controllers import DOBVSC, Cascade, DisturbanceObserver, PDFeedforwardDOB, PDGains
+from diffdrive.controllers import KINDS, Keys
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Actuator, Friction, Plant, Quantity, Sensor
-from diffdrive.observers.friction_observer import LoadStateObserver, LoadStateTuning, Tuning
-from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 
-_TABLES: tuple[tuple[str, str, Any], ...] = (
-    ("plant", "", Plant),
-    ("friction", "", Friction),
-    ("actuator", "", Actuator),
-    ("sensor", "", Sensor),
-    ("controller", "all but cascade, unknown", PDGains),
-    ("controller", "cascade", Cascade),
-    ("controller", "dobvsc, pd+ff+dob", DisturbanceObserver),
-    ("controller", "dobvsc", DOBVSC),
-    ("controller", "pd+ff+dob", PDFeedforwardDOB),
-    ("controller.observer", "pd+fc, pd+fc+le", Tuning),
-    ("controller.observer", "pd+fc+ls", LoadStateTuning),
-    ("controller.load_estimator", "pd+fc", FixedLoad),
-    ("controller.load_estimator", "pd+fc+le", InnovationLoad),
-    ("controller.load_estimator", "pd+fc+ls", LoadStateObserver),
-    *((f"effects.{name}", "", effect) for name, effect in EFFECTS.items()),
+_PARTS: tuple[tuple[str, Any], ...] = (
+    ("plant", Plant),
+    ("friction", Friction),
+    ("actuator", Actuator),
+    ("sensor", Sensor),
 )
+
+
+def _label(kinds: list[str]) -> str:
+    """Those kinds of controller, or what they are all but."""
+    others = [name for name in KINDS if name not in kinds]
+    return f"all but {', '.join(others)}" if len(others) < len(kinds) else ", ".join(kinds)
+
+
+def _of_controllers() -> Iterator[tuple[str, str, Keys]]:
+    """Table, kinds and keys of every class of parameters that a controller has."""
+    every = list(dict.fromkeys(keys for kind in KINDS.values() for keys in kind.keys))
+    for keys in sorted(every, key=lambda one: one.table):
+        yield keys.table, _label([name for name, kind in KINDS.items() if keys in kind.keys]), keys
+
+
+def _options() -> Iterator[tuple[str, ...]]:
+    """Rows of the keys of [controller] that no class declares."""
+    for option in dict.fromkeys(option for kind in KINDS.values() for option in kind.options):
+        kinds = _label([name for name, kind in KINDS.items() if option in kind.options])
+        yield ("controller", kinds, *option)
+
+
 # what the parameter classes do not declare: choices, whole numbers, and what is about the axis and not in its equations
 _OTHERS = (
     ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification and diagnosis"),
-    (
-        "controller", "all but unknown", "feedforward", "", "true, false", "true; pd and cascade: false",
-        "whether inertia and damping of [plant] are fed forward",
-    ),
-    (
-        "controller", "all but cascade, unknown", "derivative", "", "backward-difference", "backward-difference",
-        "the only one",
-    ),
-    (
-        "controller", "cascade", "velocity_samples", "-", ">= 1, whole", "1",
-        "samples over which the velocity is differenced",
-    ),
     ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
     ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),
     ("sampling", "", "substeps", "-", ">= 1, whole", "of 20 us each at most", "plant steps a control period"),
@@ -65,7 +61,6 @@ _OTHERS = (
         '`"lap2:command" = -1` in lap2 alone',
     ),
 )  # fmt: skip
-_FROM_THE_PLANT = {(DisturbanceObserver, "mass"), (DisturbanceObserver, "damping")}
 COLUMNS = ("table", "for kind", "key", "unit", "range", "default", "meaning")
 
 
@@ -82,20 +77,28 @@ def _default(field: Any, declared: Quantity) -> str:
     return f"{getattr(field.default, 'positive', field.default):g}"
 
 
+def _declared(table: str, kind: str, cls: Any, names: Container[str] | None = None) -> Iterator[tuple[str, ...]]:
+    """Rows of the parameters of a class, or of those `names`."""
+    for field in dataclasses.fields(cls):
+        if "quantity" not in field.metadata or (names is not None and field.name not in names):
+            continue
+        declared: Quantity = field.metadata["quantity"]
+        each = " (per direction)" if declared.directional else ""
+        unit = "-" if declared.unit == "1" else declared.unit
+        meaning = declared.meaning + each
+        yield f"[{table}]", kind, field.name, unit, _range(declared), _default(field, declared), meaning
+
+
 def reference() -> Iterator[tuple[str, ...]]:
     """Rows of `COLUMNS`, one per key."""
-    yield from ((f"[{table}]", *row) for table, *row in _OTHERS)
-    for table, kind, cls in _TABLES:
-        for field in dataclasses.fields(cls):
-            if "quantity" not in field.metadata or (cls, field.name) in _FROM_THE_PLANT:
-                continue
-            declared: Quantity = field.metadata["quantity"]
-            each = " (per direction)" if declared.directional else ""
-            unit = "-" if declared.unit == "1" else declared.unit
-            yield (
-                f"[{table}]", kind, field.name, unit, _range(declared), _default(field, declared),
-                declared.meaning + each,
-            )  # fmt: skip
+    first, *others = _OTHERS
+    yield from ((f"[{table}]", *row) for table, *row in (first, *_options(), *others))
+    for table, cls in _PARTS:
+        yield from _declared(table, "", cls)
+    for table, kinds, keys in _of_controllers():
+        yield from _declared(table, kinds, keys.parameters, set(keys.names()))
+    for name, effect in EFFECTS.items():
+        yield from _declared(f"effects.{name}", "", effect)
 
 
 def markdown() -> str:

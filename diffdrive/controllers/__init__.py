@@ -2,15 +2,18 @@
 
 from diffdrive.controllers.base import Command, Controller, Feedforward, PDGains, Reference, Tracking
 from diffdrive.controllers.cascade import Cascade
+from diffdrive.controllers.catalogue import KINDS, register
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver
 from diffdrive.controllers.dobvsc import DOBVSC
 from diffdrive.controllers.feedforward_dob import PDFeedforwardDOB
 from diffdrive.controllers.friction_compensation import FrictionCompensation
+from diffdrive.controllers.kinds import Keys, Kind, Option
 from diffdrive.controllers.pd import PD
 from diffdrive.controllers.unknown import UnknownController
 
 __all__ = [
     "DOBVSC",
+    "KINDS",
     "PD",
     "Cascade",
     "Command",
@@ -18,9 +21,13 @@ __all__ = [
     "DisturbanceObserver",
     "Feedforward",
     "FrictionCompensation",
+    "Keys",
+    "Kind",
+    "Option",
     "PDFeedforwardDOB",
     "PDGains",
     "Reference",
     "Tracking",
     "UnknownController",
+    "register",
 ]

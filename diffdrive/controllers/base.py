@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
+from diffdrive.errors import ParameterError
+from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
 
 
@@ -53,6 +54,10 @@ class Controller(eqx.Module):
         """The gains that may be tuned, by name."""
         return {}
 
+    def table(self) -> dict[str, Any]:
+        """The keys of [controller] that state it in an axis file, but for the kind."""
+        raise ParameterError(f"no axis file can state a {type(self).__name__}: register a `Kind` of it")
+
     def remodelled(self, drive: Drive) -> "Controller":
         """The same controller with this drive for what it believes of the machine."""
         return self
@@ -91,10 +96,14 @@ class Feedforward(eqx.Module):
         """The feed-forward that this plant needs."""
         return cls(mass=plant.mass, damping=plant.damping)
 
+    @property
+    def is_on(self) -> bool:
+        """Whether it feeds anything forward; a traced one is taken to."""
+        return isinstance(self.mass, jax.core.Tracer) or bool(np.all(np.asarray(self.mass) > 0.0))
+
     def remodelled(self, plant: Plant) -> "Feedforward":
         """That of another plant; off where it is off."""
-        traced = isinstance(self.mass, jax.core.Tracer)
-        return Feedforward.of(plant) if traced or np.all(np.asarray(self.mass) > 0.0) else self
+        return Feedforward.of(plant) if self.is_on else self
 
 
 class PDGains(eqx.Module):
@@ -140,6 +149,10 @@ class Tracking(eqx.Module):
         error = reference.position - position
         force = self.gains.force(error, last.or_now(error), period) + self.feedforward.force(reference)
         return LastError.after(error), force
+
+    def table(self) -> dict[str, Any]:
+        """Its keys of [controller]."""
+        return {"feedforward": self.feedforward.is_on} | quantity_table(self.gains)
 
     def remodelled(self, plant: Plant) -> "Tracking":
         """The same gains with the feed-forward of this plant."""

@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from diffdrive.controllers.base import FEEDBACK_FACTOR, Command, Controller, Feedforward, Reference, Tunable
+from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, feedforward_of
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Drive, Scalar, quantity
+from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 from diffdrive.support.messages import shown
 
@@ -51,6 +52,10 @@ class Cascade(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
 
+    def table(self) -> dict[str, Any]:
+        fed = {"feedforward": self.feedforward.is_on, "velocity_samples": self.velocity_samples}
+        return fed | quantity_table(self)
+
     def remodelled(self, drive: Drive) -> "Cascade":
         return replace(self, feedforward=self.feedforward.remodelled(drive.plant))
 
@@ -74,3 +79,23 @@ class Cascade(Controller):
         integral = state.integral + self.ki * period * (wanted - velocity)
         force = self.kv * (wanted - velocity) + integral + self.feedforward.force(reference)
         return CascadeState(past, integral, jnp.ones_like(position)), Command(force)
+
+
+VELOCITY_SAMPLES = Option("velocity_samples", "-", ">= 1, whole", "1", "samples over which the velocity is differenced")
+
+
+def _build(section: Section, drive: Drive) -> Cascade:
+    # the loop of most CNCs has no feed-forward of force unless the file says so
+    feedforward, samples = feedforward_of(section, drive, default=False), section.take("velocity_samples", 1)
+    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
+        raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {shown(samples)}")
+    return section.build(Cascade, feedforward=feedforward, velocity_samples=samples)
+
+
+KIND = Kind(
+    "cascade",
+    "proportional position loop over a PI velocity loop",
+    _build,
+    (Keys("controller", Cascade),),
+    (FEEDFORWARD, VELOCITY_SAMPLES),
+)

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Directional, Plant, Scalar, quantity
+from diffdrive.controllers.kinds import Keys, Section
+from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
 
 
 class _Lag(NamedTuple):
@@ -67,3 +68,12 @@ class DisturbanceObserver(eqx.Module):
         acceleration = (position - 2.0 * first.output + second.output) / tau**2
         resisting = force2 - self.mass * acceleration - self.damping.towards(velocity) * velocity
         return DisturbanceState((first, second), (force1, force2)), resisting
+
+
+# what a disturbance observer believes of the machine is no key of its own
+OBSERVER_KEYS = Keys("controller", DisturbanceObserver, frozenset({"mass", "damping"}))
+
+
+def observer_of(section: Section, drive: Drive) -> DisturbanceObserver:
+    """The disturbance observer that a table of an axis file states, for this drive."""
+    return section.build(DisturbanceObserver, mass=drive.plant.mass, damping=drive.plant.damping)

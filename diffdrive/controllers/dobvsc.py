@@ -1,7 +1,7 @@
 """DOBVSC: disturbance observer plus variable-structure (sliding-mode) control."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -15,8 +15,16 @@ from diffdrive.controllers.base import (
     Tracking,
     Tunable,
 )
-from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
-from diffdrive.model.parameters import Drive, Scalar, quantity
+from diffdrive.controllers.disturbance_observer import OBSERVER_KEYS, DisturbanceObserver, DisturbanceState, observer_of
+from diffdrive.controllers.kinds import (
+    TRACKING_KEYS,
+    TRACKING_OPTIONS,
+    Keys,
+    Kind,
+    Section,
+    tracking_of,
+)
+from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
 
 SURFACE_FACTOR = 10.0  # by which a search may move what shapes the sliding surface
@@ -50,6 +58,9 @@ class DOBVSC(Controller):
         own = {name: Tunable(name, SURFACE_FACTOR) for name in ("reach", "layer", "slope")}
         return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)} | own
 
+    def table(self) -> dict[str, Any]:
+        return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
+
     def remodelled(self, drive: Drive) -> "DOBVSC":
         tracking, observer = self.tracking.remodelled(drive.plant), self.observer.remodelled(drive.plant)
         return DOBVSC(tracking, observer, self.reach, self.layer, self.slope)
@@ -67,3 +78,17 @@ class DOBVSC(Controller):
         disturbance, resisting = self.observer.step(state.disturbance, position, applied, period)
         estimate = ObserverEstimate(resisting)
         return DOBVSCState(last_error, disturbance), Command(force + switching + resisting, estimate)
+
+
+def _build(section: Section, drive: Drive) -> DOBVSC:
+    tracking = tracking_of(section, drive)
+    return section.build(DOBVSC, tracking=tracking, observer=observer_of(section, drive))
+
+
+KIND = Kind(
+    "dobvsc",
+    "disturbance observer with variable-structure control",
+    _build,
+    (TRACKING_KEYS, OBSERVER_KEYS, Keys("controller", DOBVSC)),
+    TRACKING_OPTIONS,
+)

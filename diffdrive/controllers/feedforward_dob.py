@@ -1,7 +1,7 @@
 """PD+FF+DOB: friction predicted from the reference, the rest left to a disturbance observer."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -15,9 +15,17 @@ from diffdrive.controllers.base import (
     Tracking,
     Tunable,
 )
-from diffdrive.controllers.disturbance_observer import DisturbanceObserver, DisturbanceState
+from diffdrive.controllers.disturbance_observer import OBSERVER_KEYS, DisturbanceObserver, DisturbanceState, observer_of
+from diffdrive.controllers.kinds import (
+    TRACKING_KEYS,
+    TRACKING_OPTIONS,
+    Keys,
+    Kind,
+    Section,
+    tracking_of,
+)
 from diffdrive.model.friction import bristle_at, friction_force, slide
-from diffdrive.model.parameters import Drive, Friction, Scalar, quantity
+from diffdrive.model.parameters import Drive, Friction, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
 
 
@@ -46,6 +54,9 @@ class PDFeedforwardDOB(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)}
 
+    def table(self) -> dict[str, Any]:
+        return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
+
     def remodelled(self, drive: Drive) -> "PDFeedforwardDOB":
         tracking, observer = self.tracking.remodelled(drive.plant), self.observer.remodelled(drive.plant)
         return PDFeedforwardDOB(tracking, observer, drive.friction, self.load)
@@ -66,3 +77,17 @@ class PDFeedforwardDOB(Controller):
         estimate = ObserverEstimate(predicted + resisting)
         state = FeedforwardState(last_error, deflection, predicted, disturbance)
         return state, Command(force + predicted + resisting, estimate)
+
+
+def _build(section: Section, drive: Drive) -> PDFeedforwardDOB:
+    tracking, observer = tracking_of(section, drive), observer_of(section, drive)
+    return section.build(PDFeedforwardDOB, tracking=tracking, observer=observer, friction=drive.friction)
+
+
+KIND = Kind(
+    "pd+ff+dob",
+    "friction fed forward from the reference, disturbance observer on the rest",
+    _build,
+    (TRACKING_KEYS, OBSERVER_KEYS, Keys("controller", PDFeedforwardDOB)),
+    TRACKING_OPTIONS,
+)

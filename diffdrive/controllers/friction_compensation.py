@@ -1,6 +1,6 @@
 """PD+FC and PD+FC+LE: the friction observer's estimate added to the command."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -14,8 +14,23 @@ from diffdrive.controllers.base import (
     Tracking,
     Tunable,
 )
+from diffdrive.controllers.kinds import (
+    TRACKING_KEYS,
+    TRACKING_OPTIONS,
+    Keys,
+    Kind,
+    Section,
+    tracking_of,
+)
 from diffdrive.model.parameters import Drive, Scalar
-from diffdrive.observers.friction_observer import FrictionObserver
+from diffdrive.observers.friction_observer import (
+    FrictionObserver,
+    KalmanObserver,
+    LoadStateObserver,
+    LoadStateTuning,
+    Tuning,
+)
+from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 
 
 class FrictionCompensationState(NamedTuple):
@@ -44,6 +59,9 @@ class FrictionCompensation(Controller):
         observed = {name: Tunable(f"observer.{path}", FILTER_FACTOR) for name, path in self.observer.gains.items()}
         return TRACKING_GAINS | observed
 
+    def table(self) -> dict[str, Any]:
+        return self.tracking.table() | self.observer.tables()
+
     def remodelled(self, drive: Drive) -> "FrictionCompensation":
         observer = replace(self.observer, plant=drive.plant, friction=drive.friction)
         return FrictionCompensation(self.tracking.remodelled(drive.plant), observer)
@@ -57,3 +75,53 @@ class FrictionCompensation(Controller):
         observed, estimate = self.observer.step(state.observer, applied, position, period)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
         return FrictionCompensationState(last_error, observed), Command(force + estimate.friction, estimate)
+
+
+def _with(
+    load: type[FixedLoad] | type[InnovationLoad],
+) -> Callable[[Section, Drive], FrictionCompensation]:
+    """How a friction observer with this load estimator is built."""
+
+    def build(section: Section, drive: Drive) -> FrictionCompensation:
+        tracking = tracking_of(section, drive)
+        tuning, estimator = section.subsection("observer"), section.subsection("load_estimator")
+        observer = KalmanObserver(drive.plant, drive.friction, tuning.build(Tuning), estimator.build(load))
+        tuning.done()
+        estimator.done()
+        return FrictionCompensation(tracking, observer)
+
+    return build
+
+
+def _with_load_state(section: Section, drive: Drive) -> FrictionCompensation:
+    tracking = tracking_of(section, drive)
+    tuning, estimator = section.subsection("observer"), section.subsection("load_estimator")
+    observer = estimator.build(
+        LoadStateObserver, plant=drive.plant, friction=drive.friction, tuning=tuning.build(LoadStateTuning)
+    )
+    tuning.done()
+    estimator.done()
+    return FrictionCompensation(tracking, observer)
+
+
+def _keys(tuning: type, estimator: type) -> tuple[Keys, ...]:
+    return (TRACKING_KEYS, Keys("controller.observer", tuning), Keys("controller.load_estimator", estimator))
+
+
+KINDS = (
+    Kind("pd+fc", "friction observer", _with(FixedLoad), _keys(Tuning, FixedLoad), TRACKING_OPTIONS),
+    Kind(
+        "pd+fc+le",
+        "friction observer with the load estimator of the paper's eq. (20)",
+        _with(InnovationLoad),
+        _keys(Tuning, InnovationLoad),
+        TRACKING_OPTIONS,
+    ),
+    Kind(
+        "pd+fc+ls",
+        "friction observer with the load as a state, which converges at every speed",
+        _with_load_state,
+        _keys(LoadStateTuning, LoadStateObserver),
+        TRACKING_OPTIONS,
+    ),
+)

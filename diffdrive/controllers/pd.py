@@ -1,8 +1,10 @@
 """PD: feedback and motion feed-forward alone."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from diffdrive.controllers.base import TRACKING_GAINS, Command, Controller, LastError, Reference, Tracking, Tunable
+from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, tracking_of
 from diffdrive.model.parameters import Drive, Scalar
 
 
@@ -19,6 +21,9 @@ class PD(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return TRACKING_GAINS
 
+    def table(self) -> dict[str, Any]:
+        return self.tracking.table()
+
     def remodelled(self, drive: Drive) -> "PD":
         return PD(self.tracking.remodelled(drive.plant))
 
@@ -30,3 +35,13 @@ class PD(Controller):
     ) -> tuple[LastError, Command]:
         state, force = self.tracking.step(state, reference, position, period)
         return state, Command(force)
+
+
+KIND = Kind(
+    "pd",
+    "feedback and motion feed-forward",
+    # a bare PD is what many machines run, and has no feed-forward unless the file says so
+    lambda section, drive: PD(tracking_of(section, drive, feedforward=False)),
+    (TRACKING_KEYS,),
+    TRACKING_OPTIONS,
+)

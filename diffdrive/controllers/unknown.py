@@ -3,6 +3,7 @@
 from typing import Any, NoReturn
 
 from diffdrive.controllers.base import Controller, Reference
+from diffdrive.controllers.kinds import Kind
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Scalar
 
@@ -14,6 +15,9 @@ class UnknownController(Controller):
     def kind(self) -> str:
         return "unknown"
 
+    def table(self) -> dict[str, Any]:
+        return {}
+
     def init(self, position: Scalar) -> NoReturn:
         raise ParameterError(
             "the drive file's controller is 'unknown': to simulate its loop, give [controller] a kind and its gains"
@@ -21,3 +25,8 @@ class UnknownController(Controller):
 
     def step(self, state: Any, reference: Reference, position: Scalar, applied: Scalar, period: float) -> NoReturn:
         self.init(position)
+
+
+KIND = Kind(
+    "unknown", "for identification and diagnosis, from the logged command", lambda section, drive: UnknownController()
+)

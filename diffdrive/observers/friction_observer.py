@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.model.friction import bristle_at, friction_force
-from diffdrive.model.parameters import Friction, Plant, Scalar, quantity
+from diffdrive.model.parameters import Friction, Plant, Scalar, quantity, quantity_table
 from diffdrive.numerics.once import once
 from diffdrive.numerics.transition import state_matrices, transition
 from diffdrive.observers import kalman
@@ -46,6 +46,10 @@ class FrictionObserver(eqx.Module):
     @abc.abstractmethod
     def suffix(self) -> str:
         """What it adds to the kind pd+fc of a controller."""
+
+    @abc.abstractmethod
+    def tables(self) -> dict[str, Any]:
+        """Its tables [controller.observer] and [controller.load_estimator] of an axis file."""
 
     @property
     @abc.abstractmethod
@@ -103,6 +107,9 @@ class KalmanObserver(FrictionObserver):
     @property
     def suffix(self) -> str:
         return self.load_estimator.suffix
+
+    def tables(self) -> dict[str, Any]:
+        return {"observer": quantity_table(self.tuning), "load_estimator": quantity_table(self.load_estimator)}
 
     @property
     def gains(self) -> dict[str, str]:
@@ -177,6 +184,9 @@ class LoadStateObserver(FrictionObserver):
     @property
     def suffix(self) -> str:
         return "+ls"
+
+    def tables(self) -> dict[str, Any]:
+        return {"observer": quantity_table(self.tuning), "load_estimator": quantity_table(self)}
 
     @property
     def gains(self) -> dict[str, str]:

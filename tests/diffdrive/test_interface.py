@@ -10,6 +10,7 @@ import pytest
 import diffdrive as dd
 from diffdrive.effects.catalogue import EFFECTS, PLACES
 from diffdrive.errors import DivergenceError, LogError, ParameterError
+from diffdrive.model.parameters import quantity
 from diffdrive.paper import paper_controllers
 
 AXIS = dd.paper_axis()
@@ -200,3 +201,38 @@ def test_an_effect_that_is_not_whole_is_refused():
     ):  # fmt: skip
         with pytest.raises(ParameterError, match=says):
             dd.effects.register(effect)
+
+
+def test_a_controller_of_ones_own_is_written_read_and_simulated(tmp_path):
+    class Damper(dd.controllers.Controller):
+        """u = -c v, of a velocity by backward difference."""
+
+        damping: float = quantity("N*s/m", "damping", at_least=0.0)
+
+        @property
+        def kind(self):
+            return "damper"
+
+        def table(self):
+            return {"damping": float(self.damping)}
+
+        def init(self, position):
+            return position
+
+        def step(self, state, reference, position, applied, period):
+            return position, dd.controllers.Command(-self.damping * (position - state) / period)
+
+    kind = dd.controllers.Kind(
+        "damper", "damping alone", lambda section, drive: section.build(Damper),
+        (dd.controllers.Keys("controller", Damper),),
+    )  # fmt: skip
+    dd.controllers.register(kind)
+    try:
+        with pytest.raises(ParameterError, match="there is one of this name"):
+            dd.controllers.register(kind)
+        AXIS.with_controller(Damper(100.0)).write(tmp_path / "damped.toml")
+        read = dd.read_axis(tmp_path / "damped.toml")
+        assert read.controller == Damper(100.0)
+        assert np.max(np.abs(dd.rollout(read, LAP).position)) < 1e-9  # nobody asks it to move
+    finally:
+        del dd.controllers.KINDS["damper"]

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.controller_file import KINDS
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, write_axis
 from diffdrive.controllers import (
     DOBVSC,
+    KINDS,
     PD,
     Cascade,
     DisturbanceObserver,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from diffdrive import motion as motions
-from diffdrive.axis_file.controller_file import KINDS
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis
+from diffdrive.controllers import KINDS
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, DriveFileError, LoadEstimatorWarning
 from diffdrive.loop.simulate import simulate

@@ -43,7 +43,7 @@ def test_every_motion_can_be_written_in_one_line(name):
 
 def test_a_line_means_what_the_function_means():
     ours = parse_motion("triangular:speed=10mm/s,stroke=0.02,rounding=300 ms,duration=4.5", RATE)
-    theirs = triangular(speed=0.01, stroke=0.0185, rounding=0.3, duration=4.5, rate=RATE)
+    theirs = triangular(speed=0.01, stroke=0.02, rounding=0.3, duration=4.5, rate=RATE)
     np.testing.assert_allclose(ours.position, theirs.position, rtol=0, atol=1e-15)
 
 
