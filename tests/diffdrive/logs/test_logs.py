@@ -21,6 +21,8 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import DriveFileError, LogError
 from diffdrive.logs import Log, Mapping, read_log, read_logs, write_log
+from diffdrive.logs.formats import registry
+from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling
@@ -292,3 +294,20 @@ def test_bench_logs_are_read_as_they_are(case, tmp_path):
         assert log.notes == ()
         write_log(tmp_path / path.name, dataclasses.replace(log, notes=()))
         assert_same(read_log(tmp_path / path.name), log)
+
+
+def test_a_format_of_ones_own_is_read_like_any_other(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "READERS", dict(registry.READERS))
+    monkeypatch.setattr("diffdrive.logs.read.READERS", registry.READERS)
+
+    @registry.register(".trc")
+    def read_trace(path):
+        values = np.loadtxt(path)
+        return Table(str(path), {"time": values[:, 0], "position": values[:, 1], "command": values[:, 2]})
+
+    time = np.arange(400) / 1000.0
+    rows = np.stack([time, 1e3 * np.sin(time), np.cos(time)], axis=1)
+    np.savetxt(tmp_path / "lap.trc", rows)
+    log = read_log(tmp_path / "lap.trc", units={"position": "mm"})
+    np.testing.assert_allclose(log.position, np.sin(time), atol=1e-12)
+    assert log.name == "lap"
