@@ -311,11 +311,20 @@ def diagnose(
 
 
 @app.command()
-def template(out: Out = None) -> None:
-    """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml."""
-    from experiments.studies.demo import PAPER_DRIVE
+def template(
+    out: Out = None,
+    controller: Annotated[
+        str, typer.Option(help="Its controller: pd+fc+ls, cascade (as most CNCs), pd, or another of the paper's.")
+    ] = "pd+fc+ls",
+) -> None:
+    """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml.
 
-    _text(PAPER_DRIVE.read_text(encoding="utf-8"), out, "drive.toml")
+    Its friction observer estimates the load at every speed. `--controller cascade` is the loop of most CNCs,
+    `--controller pd+fc+le` the paper's own.
+    """
+    from experiments.cli.template import template as text_of
+
+    _text(text_of(controller), out, "drive.toml")
 
 
 @app.command()

@@ -18,9 +18,11 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.controllers import KINDS
 from diffdrive.errors import DiffdriveError, LoadEstimatorWarning, ParameterError
 from diffdrive.logs import Mapping, read_log
 from diffdrive.motion.text import numbers as numbers_of
+from diffdrive.paper import paper_axis
 from experiments.cli import main as cli
 from experiments.cli.main import app
 from experiments.reports.report import Report
@@ -31,7 +33,7 @@ SHORT = "triangular:speed=10mm/s,stroke=2mm,rounding=0.05s,duration=0.3s"
 @pytest.fixture
 def drive_file(tmp_path):
     path = tmp_path / "drive.toml"
-    path.write_text(CliRunner().invoke(app, ["template"]).output, encoding="utf-8")
+    path.write_text(CliRunner().invoke(app, ["template", "--controller", "pd+fc+le"]).output, encoding="utf-8")
     return path
 
 
@@ -378,3 +380,19 @@ def test_no_numeric_option_takes_what_no_number_is(command, files, option, value
     said = f"{answer.exception} {answer.output}"
     assert isinstance(answer.exception, ParameterError) or answer.exit_code == 2
     assert option in said
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "unknown"])
+def test_the_template_states_any_controller(kind, tmp_path):
+    path = tmp_path / "drive.toml"
+    path.write_text(CliRunner().invoke(app, ["template", "--controller", kind]).output, encoding="utf-8")
+    axis, paper = read_axis(path), paper_axis(controller=kind)
+    assert axis.controller.kind == kind
+    assert axis.gains == pytest.approx(paper.gains, rel=1e-6)
+    assert axis.parameters == paper.parameters
+    assert axis.mapping.force_per_volt == pytest.approx(paper.mapping.force_per_volt, rel=1e-5)
+
+
+def test_the_template_is_of_a_controller_that_follows_any_load():
+    assert 'kind = "pd+fc+ls"' in CliRunner().invoke(app, ["template"]).output
+    assert "no kind 'pid'" in refused("template", "--controller", "pid")

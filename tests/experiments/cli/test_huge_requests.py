@@ -21,7 +21,7 @@ SECONDS = 20.0  # with what is imported and compiled once
 @pytest.fixture
 def drive_file(tmp_path):
     path = tmp_path / "drive.toml"
-    path.write_text(CliRunner().invoke(app, ["template"]).output, encoding="utf-8")
+    path.write_text(CliRunner().invoke(app, ["template", "--controller", "pd+fc+le"]).output, encoding="utf-8")
     return path
 
 

@@ -1,0 +1,45 @@
+"""A complete drive file to start from: the paper's testbed under a controller of one's choice."""
+
+import tomli_w
+
+from diffdrive.axis_file.controller_file import controller_table
+from diffdrive.paper import paper_axis
+from experiments.studies.demo import PAPER_DRIVE
+
+THE_PAPERS = "pd+fc+le"
+SECTION, AFTER = "[controller]", "[units]"
+COMMENTED = {
+    "pd+fc+ls": """[controller]
+kind = "pd+fc+ls"               # pd, dobvsc, pd+ff+dob, pd+fc, pd+fc+le (the paper's), pd+fc+ls or cascade
+kp = 7979645.34                 # N/m: 50,000 command volts per metre
+kd = 15959.29                   # N s/m: 100 command volts per metre per second
+
+[controller.observer]           # Q = diag(position, velocity, bristle, load) and R of the Kalman filter
+position = 1e-16                # m^2
+velocity = 1e-11                # m^2/s^2
+bristle = 1e-15                 # m^2
+load = 1000.0                   # N^2 per control step: larger follows a changing load faster, and is noisier
+measurement = 8.3e-16           # m^2: resolution^2 / 12
+
+""",
+    "cascade": """[controller]
+kind = "cascade"                # position P, velocity PI: the loop of most CNCs
+kp = 50.0                       # 1/s: the position loop's K_v
+kv = 1e5                        # N s/m: the velocity loop's gain
+ki = 1e6                        # N/m: its integral gain; left out: none
+velocity_feedforward = 1.0      # share of the reference velocity that is fed forward
+# feedforward = true            # inertia and damping of [plant] as well
+
+""",
+}
+
+
+def template(kind: str) -> str:
+    """The file's text; raises `ParameterError` for a kind of controller that is not known."""
+    axis = paper_axis(controller=kind)
+    text = PAPER_DRIVE.read_text(encoding="utf-8")
+    if kind == THE_PAPERS:
+        return text
+    before, _, rest = text.partition(SECTION)
+    own = COMMENTED.get(kind) or tomli_w.dumps({"controller": controller_table(axis.controller)}) + "\n"
+    return before + own + AFTER + rest.partition(AFTER)[2]
