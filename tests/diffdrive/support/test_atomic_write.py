@@ -157,6 +157,8 @@ def _writes(node):
     if method and name in LIBRARIES:
         places = [one.id for one in node.args if isinstance(one, ast.Name)]
         in_memory = name == "to_netcdf" and not node.args
+        # a result's own `save` goes by the helper
+        in_memory |= name == "save" and getattr(node.func.value, "id", "") not in ("np", "numpy", "jnp")
         return None if in_memory or set(places) & {"file", "written"} else name
     return None
 

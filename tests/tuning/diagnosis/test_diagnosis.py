@@ -15,7 +15,7 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from diffdrive.loop.simulate import simulate
 from diffdrive.motion.builders import from_array
-from experiments.reports.diagnosis.diagnosis import _write_reference, augmented_drive, diagnose_logs
+from experiments.reports.diagnosis.diagnosis import augmented_drive, diagnose_logs, write_reference
 from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
@@ -131,7 +131,7 @@ def test_parameters_come_with_intervals_that_hold_the_truth(tilted):
 def test_the_motion_that_would_decide_is_written_to_be_run(tmp_path):
     motion = list(candidates(DRIVE.drive, DRIVE.limits, RATE).values())[-1]
     with Report("motion", tmp_path, Console(quiet=True)) as report:
-        _write_reference(report, motion)
+        write_reference(report, motion)
     time, position = np.loadtxt(tmp_path / "next_reference.csv", delimiter=",", skiprows=1).T
     again = from_array(time, position)
     run = simulate(DRIVE.drive, DRIVE.controller, again, sampling=DRIVE.sampling)
