@@ -56,12 +56,19 @@ def _readable(log: Log) -> list[Finding]:
 
 
 def _found(log: Log, description: Axis | None) -> list[Finding]:
-    """All findings of a readable log; what is said of the command comes first, since it has looked at all channels."""
+    """All findings of a readable log: of the log without its overflows, where there are any."""
     resolution = None if description is None else description.drive.sensor.resolution
     overflows = [*wraps.wrapped(log, resolution), *wraps.wrapped_command(log)]
-    for finding in overflows:
-        assert finding.repair is not None
-        log = finding.repair.apply(log)
+    return [*overflows, *_shown(_mended(log, overflows), description)]
+
+
+def _mended(log: Log, findings: list[Finding]) -> Log:
+    """The log after all repairs that the findings state."""
+    return Repair(tuple(step for one in findings if one.repair is not None for step in one.repair.steps)).apply(log)
+
+
+def _shown(log: Log, description: Axis | None) -> list[Finding]:
+    """All findings but overflows; what is said of the command comes first, since it has looked at all channels."""
     clocks = [*clock.rate(log, description)] if description is not None else []
     # a channel that stands still where it should move spoils every comparison with the others
     related, given = ([], None) if [*stuck.frozen_position(log)] else _command(log, description)
@@ -70,7 +77,7 @@ def _found(log: Log, description: Axis | None) -> list[Finding]:
     if steps:  # what goes with the fault that all channels show together is part of it
         left = {(one.cause, one.channel) for one in _by_themselves(Repair(steps).apply(log), description, given)}
         single = [one for one in single if (one.cause, one.channel) in left]
-    return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
+    return [*clocks, *related, *(one for one in single if not _is_said(one, related))]
 
 
 def _by_themselves(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
@@ -103,11 +110,13 @@ def _is_said(finding: Finding, related: list[Finding]) -> bool:
 
 def _confirmed(findings: list[Finding], log: Log, description: Axis | None) -> list[Finding]:
     """The findings, each without its repair if the mended log shows anything that the log does not."""
-    steps = tuple(step for one in findings if one.repair is not None for step in one.repair.steps)
-    if not steps:
+    if all(one.repair is None for one in findings):
         return findings
-    left = [one for one in _found(Repair(steps).apply(log), description) if one.severity != "note"]
-    return [finding if finding.repair is None else _doubted(finding, findings, left) for finding in findings]
+    left = [one for one in _found(_mended(log, findings), description) if one.severity != "note"]
+    # the log as it was given, its overflows included: what only an unwrapped channel shows speaks against them
+    overflows = [one for one in findings if one.cause == "wrapped"]
+    given = [*overflows, *_shown(log, description)] if overflows else findings
+    return [finding if finding.repair is None else _doubted(finding, given, left) for finding in findings]
 
 
 def _doubted(finding: Finding, findings: list[Finding], left: list[Finding]) -> Finding:
