@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 
 from diffdrive.logs.checks.examine import examine
-from tests.diffdrive.logs.checks.test_log_hypotheses import DRIVE, SOUND, UNKNOWN, but, complaints, rounded
+from tests.diffdrive.logs.checks.test_log_hypotheses import (
+    DRIVE,
+    HAPPENED,
+    SOUND,
+    UNKNOWN,
+    averaged,
+    but,
+    complaints,
+    machine,
+    of,
+    rounded,
+    triangle,
+)
+from tests.support import sound_log
 from tests.support.sound_log import described, logged
 
 COUNT = len(SOUND.time)
@@ -44,3 +57,51 @@ def test_a_counter_that_overflows_once_each_way_is_unwrapped(bits):
     log = but(position=((counts + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)) * 1e-7)
     [finding] = wrapped(examine(log, UNKNOWN))
     np.testing.assert_allclose(finding.repair.apply(log).position, 1e-7 * counts, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [5, 21])
+def test_a_set_point_on_counts_and_an_averaged_position_are_not_exchanged(count):
+    log = but(reference=rounded(SOUND.reference, 1e-7), position=averaged(SOUND.position, count))
+    assert [one.cause for one in complaints(examine(log, UNKNOWN))] == ["filtered"]
+
+
+def test_exchanged_columns_without_a_controller_leave_a_filter_as_their_rival():
+    """A loop whose feedforward is too large is ahead of its reference."""
+    [finding] = complaints(examine(HAPPENED["reference and position swapped"][0], UNKNOWN))
+    assert (finding.cause, finding.rivals, finding.repair) == ("swapped", ("filtered",), None)
+
+
+def test_rows_left_out_of_the_log_of_a_heavier_machine_name_other_numbers():
+    """Of 150 kg every fifth row looks like 100 kg and every fourth."""
+    heavy = of(machine(mass=150.0))
+    kept = {name: signal[::5] for name, signal in heavy.channels.items() if name != "time"}
+    log = dataclasses.replace(heavy, **kept, time=heavy.time[: len(kept["position"])])
+    [finding] = complaints(examine(log, UNKNOWN))
+    assert (finding.cause, finding.repair) == ("decimated", None)
+    assert "decimated" in finding.rivals
+    assert "multiply the time by 5" in finding.mend
+
+
+def test_a_force_constant_from_mass_and_friction_is_known_to_their_tolerance():
+    [finding] = complaints(examine(HAPPENED["volts"][0], UNKNOWN))
+    assert (finding.cause, finding.rivals, finding.repair) == ("gain", ("other machine",), None)
+    low, high = (float(one) for one in finding.mend.split("command, ")[1].split(" N where")[0].split(" to "))
+    assert low < sound_log.FORCE_PER_VOLT < high
+    assert high == pytest.approx(4 * low, rel=0.01)
+
+
+def test_a_shift_that_hardly_explains_more_than_nothing_is_not_certain():
+    some = {name: signal[2000:2400] for name, signal in sound_log.SOUND.channels.items()}
+    noise = 0.03 * np.std(some["command"]) * np.random.default_rng(1).standard_normal(400)
+    some["command"] = np.roll(some["command"], 1) + noise
+    first = complaints(examine(sound_log.but(**some), sound_log.DRIVE))[0]
+    assert (first.severity, first.cause, first.rivals, first.repair) == ("warning", "shifted", ("nothing",), None)
+    assert "nothing at all" in first.mend
+
+
+def test_a_known_disturbance_is_no_part_of_the_gains():
+    """Its coefficient in the command is 0 but for rounding, of either sign."""
+    log = logged(described(kp=2.8e6, kd=4e4, noise=0.0), triangle())
+    disturbance = np.random.default_rng(1).choice([-1.0, 1.0], 41).repeat(200)[: len(log.time)]
+    [finding] = complaints(examine(dataclasses.replace(log, disturbance=disturbance), DRIVE))
+    assert "whose parts are 0.7, 1.333 times" in finding.found
