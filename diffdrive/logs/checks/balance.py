@@ -136,8 +136,8 @@ def _gain(fault: Fault) -> tuple[str, str]:
     return (
         f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per "
         "cent taken as newtons?",
-        f"give the force constant (about {1 / ratio:.3g} N per unit of the command, {_range(1 / ratio)} N where mass and "
-        "friction are the drive file's within a factor of two), or correct the drive file",
+        f"give the force constant (about {1 / ratio:.3g} N per unit of the command, {_range(1 / ratio)} N where mass "
+        "and friction are the drive file's within a factor of two), or correct the drive file",
     )
 
 

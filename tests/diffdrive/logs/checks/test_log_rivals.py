@@ -6,21 +6,25 @@ import numpy as np
 import pytest
 
 from diffdrive.logs.checks.examine import examine
+from diffdrive.motion.builders import from_array
 from tests.diffdrive.logs.checks.test_log_hypotheses import (
     DRIVE,
     HAPPENED,
+    OTHERS,
+    RATE,
     SOUND,
     UNKNOWN,
     averaged,
     but,
     complaints,
     machine,
+    motor,
     of,
     rounded,
     triangle,
 )
 from tests.support import sound_log
-from tests.support.sound_log import described, logged
+from tests.support.sound_log import FORCE_PER_VOLT, described, held, logged
 
 COUNT = len(SOUND.time)
 STEPS = 1e-4 * (np.arange(COUNT) // 1000 % 2)
@@ -86,7 +90,7 @@ def test_a_force_constant_from_mass_and_friction_is_known_to_their_tolerance():
     [finding] = complaints(examine(HAPPENED["volts"][0], UNKNOWN))
     assert (finding.cause, finding.rivals, finding.repair) == ("gain", ("other machine",), None)
     low, high = (float(one) for one in finding.mend.split("command, ")[1].split(" N where")[0].split(" to "))
-    assert low < sound_log.FORCE_PER_VOLT < high
+    assert low < FORCE_PER_VOLT < high
     assert high == pytest.approx(4 * low, rel=0.01)
 
 
@@ -105,3 +109,75 @@ def test_a_known_disturbance_is_no_part_of_the_gains():
     disturbance = np.random.default_rng(1).choice([-1.0, 1.0], 41).repeat(200)[: len(log.time)]
     [finding] = complaints(examine(dataclasses.replace(log, disturbance=disturbance), DRIVE))
     assert "whose parts are 0.7, 1.333 times" in finding.found
+
+
+LIMIT = 160.0  # N
+ACTUATOR = dataclasses.replace(DRIVE.drive.actuator, force_limit=LIMIT)
+LIMITED = of(dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, actuator=ACTUATOR)))
+SATURATED = dataclasses.replace(LIMITED, command=np.clip(LIMITED.command, -LIMIT, LIMIT))
+IN_VOLTS = dataclasses.replace(SATURATED, command=SATURATED.command / FORCE_PER_VOLT)
+
+
+def clipped(log, drive=DRIVE):
+    found = [one for one in complaints(examine(log, drive)) if one.cause == "clipped"]
+    assert len(found) == 2  # either way
+    return found
+
+
+@pytest.mark.parametrize("log", [SATURATED, IN_VOLTS], ids=["N", "V"])
+def test_a_limit_of_the_amplifier_is_stated_in_newtons(log):
+    assert {one.mend for one in clipped(log)} == {"set actuator.force_limit = 160 N"}
+
+
+def test_a_limit_in_a_unit_that_is_not_known_is_not_stated_in_newtons():
+    for one in clipped(IN_VOLTS, UNKNOWN):
+        assert "settle the unit" in one.mend
+        assert " N" not in one.mend
+
+
+def test_a_command_that_only_the_recorder_clipped_sets_no_limit_of_the_drive():
+    for one in clipped(but(command=np.clip(SOUND.command, -130.0, 130.0))):
+        assert "recorder alone" in one.found
+        assert "force_limit" not in one.mend
+
+
+def test_a_motor_in_millimetres_has_no_lost_motion():
+    [finding] = complaints(examine(but(motor_position=1e3 * motor(0.0)), DRIVE))
+    assert (finding.cause, finding.channel) == ("gain", "motor_position")
+
+
+def test_a_drive_that_is_switched_off_after_its_motion_is_looked_at():
+    cascade = OTHERS["cascade"]
+    log = logged(cascade, triangle())
+    rest = np.zeros(2 * len(log.time))
+    after = {name: np.r_[signal, rest + signal[-1]] for name, signal in log.channels.items()}
+    after |= {"time": np.arange(3 * len(log.time)) / RATE, "command": np.r_[log.command, rest]}
+    assert not [one for one in examine(dataclasses.replace(log, **after), cascade) if one.severity == "fatal"]
+
+
+@pytest.mark.parametrize("drive", [DRIVE, *OTHERS.values()], ids=["pd", *OTHERS])
+def test_a_set_point_in_steps_is_not_frozen(drive):
+    time = np.arange(int(8 * RATE)) / RATE
+    findings = examine(logged(drive, from_array(time, 1e-4 * np.floor(time / 0.8))), drive)
+    assert not [one for one in findings if one.severity == "fatal" or one.channel == "reference"]
+
+
+@pytest.mark.parametrize("stop", [3008, 3200, 3900])
+def test_a_reference_that_stands_while_the_table_moves_is_frozen(stop):
+    [finding] = complaints(examine(but(reference=held(SOUND.reference, 3000, stop)), DRIVE))
+    assert (finding.severity, finding.cause, finding.channel) == ("fatal", "frozen", "reference")
+
+
+def test_a_second_encoder_that_is_dead_hides_no_sign_and_is_no_rival_of_it():
+    findings = complaints(examine(but(command=-SOUND.command, motor_position=held(motor(0.0), 2000, 4000)), DRIVE))
+    assert [one.cause for one in findings] == ["reversed", "frozen"]
+    sign = findings[0]
+    assert (sign.rivals, sign.repair) == ((), None)
+    assert "besides, motor_position" in sign.mend
+    assert "not certain" not in sign.mend
+
+
+def test_a_log_of_many_short_pieces_is_refused():
+    [finding] = examine(but(gaps=tuple(range(4, COUNT, 4))), DRIVE)
+    assert (finding.severity, finding.cause) == ("fatal", "unreadable")
+    assert "no more than 4 of them" in finding.found
