@@ -103,24 +103,16 @@ def _by_themselves(log: Log, description: Axis | None, given: Signal | None) -> 
 
 
 def _is_said(finding: Finding, related: list[Finding]) -> bool:
-    """Whether what one channel shows by itself is part of what all of them show together."""
-    explains = {
-        "rounded": ("rounded", "gain"),
-        "offset": ("offset", "swapped", "gain", "reversed"),
-        "filtered": ("filtered", "swapped"),
-        "gain": ("gain", "reversed"),
-        "reversed": ("gain", "reversed"),
-        "motion": ("swapped", "decimated"),
-    }
+    """Whether what one channel shows by itself is part of what all show together, and no mended log can tell.
+
+    Where there is a mended log, it has told already: this is for what cannot be undone, or has rivals.
+    """
+    lengths = {"position", "reference"}
     return any(
-        (
-            one.severity != "note"
-            and one.cause in explains.get(finding.cause, ())
-            and (
-                finding.channel in (one.channel, "time") or {finding.channel, one.channel} <= {"position", "reference"}
-            )
-        )
-        or (one.cause in ("swapped", "decimated") and finding.cause in ("filtered", "motion"))
+        one.repair is None
+        and one.severity != "note"
+        and one.cause == finding.cause
+        and (finding.channel == one.channel or {finding.channel, one.channel} <= lengths)
         for one in related
     )
 
