@@ -13,13 +13,15 @@ from diffdrive.logs.checks.finding import CAUSES, Finding
 from diffdrive.logs.checks.hypotheses import SKIPPED, on_grid
 from diffdrive.logs.checks.relation import Relation, Signals
 from diffdrive.logs.checks.repair import Repair, Scale, Swap
+from diffdrive.logs.checks.rivals import causes_of, told
 from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step
 from diffdrive.logs.log import Log
 
 # Mass and friction must explain the command but for a tenth of its power, or they say nothing of it.
 EXPLAINS = 0.3
-# nats: a filtered position and a set-point on just the counts of the scale are two coincidences
-COUNTS = 3 * FAULT
+# nats: without a filter no position is off its counts, and of ten loops one is ahead of its reference
+NO_COUNTS, AHEAD = 2 * FAULT, float(np.log(10.0))
+LEADS = -0.5  # correlation of following error and speed: a loop that follows has 0.9
 
 
 def command(log: Log, description: Axis) -> Iterator[Finding]:
@@ -44,10 +46,12 @@ def command(log: Log, description: Axis) -> Iterator[Finding]:
 
 
 def _judged(relation: Relation, faults: tuple[Fault, ...], signals: Signals) -> Explanation:
-    """The explanation; that a reference lies on the scale's counts and the position does not asks for a fault."""
+    """The explanation; what makes the two columns look exchanged asks for a fault."""
     found = judged(relation, faults, signals, None)
-    unexplained = counts_exchanged(relation) and not any(one.cause == "swapped" for one in faults)
-    return replace(found, cost=found.cost + COUNTS) if unexplained else found
+    named = {one.cause for one in faults}
+    if "swapped" in named or not looks_exchanged(relation):
+        return found
+    return replace(found, cost=found.cost + AHEAD + (0.0 if "filtered" in named else NO_COUNTS))
 
 
 def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[Fault, ...], Signals]]:
@@ -71,9 +75,10 @@ def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[
         )
         lengths = Fault("gain", "position", {"ratio": ratio}, both)
         yield (lengths,), now._replace(position=now.position / ratio, reference=now.reference / ratio)
-    if relation.log.reference is not None and counts_exchanged(relation):
+    if looks_exchanged(relation):
         exchanged = Fault("swapped", "position", {}, (Swap("reference", "position"),))
         yield (exchanged,), now._replace(reference=now.position, position=now.reference)
+        yield (Fault("filtered", "position", {}),), now
     for count in SKIPPED:
         slower = Fault("decimated", "time", {"skipped": float(count)}, (Scale("time", float(count)),))
         yield (slower,), now._replace(period=count * now.period)
@@ -82,25 +87,41 @@ def _hypotheses(relation: Relation, dynamics: Dynamics) -> Iterator[tuple[tuple[
         yield (Fault("rectified", "command", {}),), now._replace(command=now.command * np.sign(speed))
 
 
-def counts_exchanged(relation: Relation) -> bool:
-    """Whether the reference lies on the counts of the scale, and the position does not."""
+def looks_exchanged(relation: Relation) -> bool:
+    """Whether the reference lies on the scale's counts and the position does not, but is ahead of the reference.
+
+    Counts alone say nothing: a set-point may be rounded to them, and a simulated or averaged position has none.
+    """
     now, stated = relation.logged, relation.description.drive.sensor.resolution
-    if stated is None:
+    if stated is None or relation.log.reference is None or not _is_ahead(now):
         return False
     return on_grid(now.reference, float(stated)) and not on_grid(now.position, float(stated))
 
 
+def _is_ahead(now: Signals) -> bool:
+    """Whether the position moves before the reference does: a loop follows."""
+    error, speed = now.reference - now.position, derivative(now.position, now.period, 1)
+    return np.std(error) > 0 and np.std(speed) > 0 and float(np.corrcoef(error, speed)[0, 1]) < LEADS
+
+
 def _faults(best: Explanation, rivals: list[Explanation]) -> Iterator[Finding]:
-    others = sorted({cause for one in rivals for cause in one.causes} - best.causes)
-    changed = [one for one in rivals if not one.faults]
-    causes = (*dict.fromkeys(cause for cause, _ in others), *(("other machine",) if changed else ()))
+    unchanged = any(not one.faults for one in rivals)
+    causes = tuple("other machine" if one == "nothing" else one for one in causes_of(best, rivals))
+    if any(one.cause == "gain" for one in best.faults):  # that of a machine which is known within a factor of two alone
+        causes = (*causes, *(("other machine",) if "other machine" not in causes else ()))
+    doubts = told(best, rivals, lambda fault: _SENTENCES[fault.cause](fault)[1], CAUSES["other machine"])
+    mendable = not causes and all(one.steps for one in best.faults)
     for fault in best.faults:
         found, mend = _SENTENCES[fault.cause](fault)
-        if causes:
-            mend += "; the log does not rule out: " + "; ".join(CAUSES[cause] for cause in causes)
-        repair = None if causes or not fault.steps else Repair(fault.steps)
-        severity = "warning" if changed else "fatal"
-        yield Finding(severity, fault.channel, found, mend, fault.cause, causes, repair)
+        repair = Repair(fault.steps) if mendable else None
+        yield Finding(
+            "warning" if unchanged else "fatal", fault.channel, found, mend + doubts, fault.cause, causes, repair
+        )
+
+
+def _range(middle: float) -> str:
+    """What the drive file's tolerance leaves of a factor."""
+    return f"{middle / 2:.3g} to {2 * middle:.3g}"
 
 
 def _gain(fault: Fault) -> tuple[str, str]:
@@ -109,12 +130,14 @@ def _gain(fault: Fault) -> tuple[str, str]:
         return (
             f"position and reference are {ratio:.3g} times what mass of the drive file asks for, while friction is in "
             f"order{name_in_brackets(ratio)}",
-            "correct the unit of position and reference",
+            f"correct the unit of position and reference: a factor of {_range(1 / ratio)}, as far as the mass is the "
+            "drive file's within a factor of two",
         )
     return (
         f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per "
         "cent taken as newtons?",
-        f"give the force constant (about {1 / ratio:.3g} N per unit of the command), or correct the drive file",
+        f"give the force constant (about {1 / ratio:.3g} N per unit of the command, {_range(1 / ratio)} N where mass "
+        "and friction are the drive file's within a factor of two), or correct the drive file",
     )
 
 
@@ -140,8 +163,13 @@ _SENTENCES = {
     "reversed": _reversed,
     "decimated": _decimated,
     "swapped": lambda fault: (
-        "reference and position are exchanged: the reference lies on the counts of the scale, the position does not",
+        "reference and position are exchanged: the reference lies on the counts of the scale and follows the position, "
+        "which has no counts",
         "exchange the two columns",
+    ),
+    "filtered": lambda fault: (
+        "the position is off the counts of the scale and ahead of the reference: it was averaged or resampled",
+        "log the raw counts",
     ),
     "rectified": lambda fault: (
         "the command is never negative, although the table moves both ways: its absolute value was logged",

@@ -7,11 +7,11 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
-from diffdrive.logs.checks import balance, consistency, words
+from diffdrive.logs.checks import balance, consistency, rivals, words
 from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, Outcome
 from diffdrive.logs.checks.explanation import WRONG_UNIT
-from diffdrive.logs.checks.finding import CAUSES, Finding
+from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.relation import Relation, relation_of
 from diffdrive.logs.checks.repair import Repair, shifted
 from diffdrive.logs.checks.replay import remembers_nothing
@@ -108,19 +108,17 @@ def _around(outcome: Outcome) -> tuple[float, float, float]:
 
 def faults(log: Log, outcome: Outcome, description: Axis) -> Iterator[Finding]:
     """What the best explanation says. Where the log does not rule out another one, no mend is certain."""
-    best = outcome.best
-    others = sorted({cause for one in outcome.rivals for cause in one.causes} - best.causes)
-    rivals = tuple(dict.fromkeys(cause for cause, _ in others))
-    mendable = not rivals and all(one.steps for one in best.faults)
+    best, unsure = outcome.best, rivals.causes_of(outcome.best, outcome.rivals)
+    mendable = not outcome.rivals and all(one.steps for one in best.faults)
+    sound = any(not one.faults for one in outcome.rivals)
+    doubts = rivals.told(best, outcome.rivals, lambda fault: words.of(fault, log, outcome, description).mend)
     for fault in best.faults:
         said = words.of(fault, log, outcome, description)
-        mend = said.mend
-        if others:
-            mend += "; the log does not rule out: " + "; ".join(f"{on}: {CAUSES[cause]}" for cause, on in others)
+        severity = "warning" if sound and said.severity == "fatal" else said.severity
         repair = Repair(fault.steps) if mendable else None
         yield Finding(
-            said.severity, said.channel, said.found, mend, fault.cause, rivals, repair,
-            said.resembles, said.amount, said.voids,
+            severity, said.channel, said.found, said.mend + doubts, fault.cause, unsure, repair,
+            said.resembles, said.amount, said.voids and not sound,
         )  # fmt: skip
 
 

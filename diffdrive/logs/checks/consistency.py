@@ -165,7 +165,7 @@ def _finalists(relation: Relation, family: list[Hypothesis]) -> Iterator[tuple[H
 def _quick(relation: Relation, one: Hypothesis, output: Signal) -> float:
     """The misfit by plain least squares, without the worst hundredth."""
     given, mine = relation.judged(one.signals.command), relation.judged(output)
-    if np.std(mine) == 0 or not np.all(np.isfinite(mine)):
+    if np.std(given) == 0 or np.std(mine) == 0 or not np.all(np.isfinite(mine)):
         return np.inf
     slope = float(np.cov(given, mine)[0, 1] / np.var(mine))
     left = np.abs(given - given.mean() - slope * (mine - mine.mean()))

@@ -9,6 +9,7 @@ from diffdrive.axis import Axis
 from diffdrive.logs.checks import (
     balance,
     bursts,
+    clipping,
     clock,
     command,
     derived,
@@ -56,21 +57,44 @@ def _readable(log: Log) -> list[Finding]:
 
 
 def _found(log: Log, description: Axis | None) -> list[Finding]:
-    """All findings of a readable log; what is said of the command comes first, since it has looked at all channels."""
+    """All findings of a readable log: of the log without its overflows, where there are any."""
     resolution = None if description is None else description.drive.sensor.resolution
     overflows = [*wraps.wrapped(log, resolution), *wraps.wrapped_command(log)]
-    for finding in overflows:
-        assert finding.repair is not None
-        log = finding.repair.apply(log)
+    return [*overflows, *_shown(_mended(log, overflows), description)]
+
+
+def _mended(log: Log, findings: list[Finding]) -> Log:
+    """The log after all repairs that the findings state."""
+    return Repair(tuple(step for one in findings if one.repair is not None for step in one.repair.steps)).apply(log)
+
+
+def _shown(log: Log, description: Axis | None) -> list[Finding]:
+    """All findings but overflows; what is said of the command comes first, since it has looked at all channels."""
     clocks = [*clock.rate(log, description)] if description is not None else []
     # a channel that stands still where it should move spoils every comparison with the others
-    related, given = ([], None) if [*stuck.frozen_position(log)] else _command(log, description)
+    frozen = any(one.channel in ("reference", "position") for one in stuck.frozen_position(log))
+    related, given = ([], None) if frozen else _command(log, description)
     steps = tuple(step for one in related if one.repair is not None for step in one.repair.steps)
     single = _by_themselves(log, description, None if steps else given)
-    if steps:  # what goes with the fault that all channels show together is part of it
-        left = {(one.cause, one.channel) for one in _by_themselves(Repair(steps).apply(log), description, given)}
-        single = [one for one in single if (one.cause, one.channel) in left]
-    return [*overflows, *clocks, *related, *(one for one in single if not _is_said(one, related))]
+    if steps:  # what goes with the fault that all channels show together is part of it; the rest counts in true units
+        shown = {(one.cause, one.channel) for one in single}
+        single = [
+            one
+            for one in _by_themselves(Repair(steps).apply(log), description, given)
+            if (one.cause, one.channel) in shown
+        ]
+    return [*clocks, *related, *(_in_its_unit(one, related) for one in single if not _is_said(one, related))]
+
+
+def _in_its_unit(finding: Finding, related: list[Finding]) -> Finding:
+    """What is said of the command's limit, where its unit may be another one than the limit's."""
+    unsure = any(one.cause == "gain" and one.repair is None and one.channel == finding.channel for one in related)
+    if (finding.cause, finding.channel) != ("clipped", "command") or not unsure:
+        return finding
+    return replace(
+        finding,
+        mend="settle the unit of the command first; then this is actuator.force_limit, or the recorder's range ends",
+    )
 
 
 def _by_themselves(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
@@ -79,57 +103,60 @@ def _by_themselves(log: Log, description: Axis | None, given: Signal | None) -> 
 
 
 def _is_said(finding: Finding, related: list[Finding]) -> bool:
-    """Whether what one channel shows by itself is part of what all of them show together."""
-    explains = {
-        "rounded": ("rounded", "gain"),
-        "offset": ("offset", "swapped", "gain", "reversed"),
-        "filtered": ("filtered", "swapped"),
-        "gain": ("gain", "reversed"),
-        "reversed": ("gain", "reversed"),
-        "motion": ("swapped", "decimated"),
-    }
+    """Whether what one channel shows by itself is part of what all show together, and no mended log can tell.
+
+    Where there is a mended log, it has told already: this is for what cannot be undone, or has rivals.
+    """
+    lengths = {"position", "reference"}
     return any(
-        (
-            one.severity != "note"
-            and one.cause in explains.get(finding.cause, ())
-            and (
-                finding.channel in (one.channel, "time") or {finding.channel, one.channel} <= {"position", "reference"}
-            )
-        )
-        or (one.cause in ("swapped", "decimated") and finding.cause in ("filtered", "motion"))
+        one.repair is None
+        and one.severity != "note"
+        and one.cause == finding.cause
+        and (finding.channel == one.channel or {finding.channel, one.channel} <= lengths)
         for one in related
     )
 
 
 def _confirmed(findings: list[Finding], log: Log, description: Axis | None) -> list[Finding]:
     """The findings, each without its repair if the mended log shows anything that the log does not."""
-    steps = tuple(step for one in findings if one.repair is not None for step in one.repair.steps)
-    if not steps:
+    if all(one.repair is None for one in findings):
         return findings
-    left = [one for one in _found(Repair(steps).apply(log), description) if one.severity != "note"]
-    return [finding if finding.repair is None else _doubted(finding, findings, left) for finding in findings]
+    left = [one for one in _found(_mended(log, findings), description) if one.severity != "note"]
+    # the log as it was given, its overflows included: what only an unwrapped channel shows speaks against them
+    overflows = [one for one in findings if one.cause == "wrapped"]
+    given = [*overflows, *_shown(log, description)] if overflows else findings
+    return [finding if finding.repair is None else _doubted(finding, given, left) for finding in findings]
 
 
-def _doubted(finding: Finding, findings: list[Finding], left: list[Finding]) -> Finding:
-    """The finding, without its repair if what is `left` in the mended log speaks against it."""
-    worst = {(one.cause, one.channel): SEVERITIES.index(one.severity) for one in reversed(findings)}
-    # what is known already, and is milder now or of another cause and not fatal, may stay
-    known = [
-        one
-        for one in left
-        if SEVERITIES.index(one.severity) > worst.get((one.cause, one.channel), len(SEVERITIES))
-        or ((one.cause, one.channel) in worst and one.severity != "fatal" and one.cause != finding.cause)
-    ]
-    new = [one for one in left if one not in known]
-    if not new:
-        return finding
-    doubts = "; ".join(f"{one.channel}: {one.found}" for one in new[:2])
-    return replace(
-        finding,
-        mend=f"{finding.mend}; but the log so mended is not sound either ({doubts}), so the cause is not certain",
-        rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
-        repair=None,
-    )
+def _doubted(finding: Finding, given: list[Finding], left: list[Finding]) -> Finding:
+    """The finding, without its repair if what is `left` in the mended log speaks against it.
+
+    What the log as it was given shows as well is no rival; but if it is fatal, this mend alone makes no sound log. What
+    is milder than before, or no worse than a warning, may stay.
+    """
+    worst = {(one.cause, one.channel): SEVERITIES.index(one.severity) for one in reversed(given)}
+    same = (finding.cause, finding.channel)
+    unchanged, new = [], []
+    for one in left:
+        before, now = worst.get((one.cause, one.channel), len(SEVERITIES)), SEVERITIES.index(one.severity)
+        if now < before or (now == before and (one.cause, one.channel) == same):
+            new.append(one)
+        elif now == before and one.severity == "fatal":
+            unchanged.append(one)
+    if new:
+        return replace(
+            finding,
+            mend=f"{finding.mend}; but the log so mended is not sound ({_list(new)}), so the cause is not certain",
+            rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
+            repair=None,
+        )
+    if unchanged:
+        return replace(finding, mend=f"{finding.mend}; besides, {_list(unchanged)}", repair=None)
+    return finding
+
+
+def _list(findings: list[Finding]) -> str:
+    return "; ".join(f"{one.channel}: {one.found}" for one in findings[:2])
 
 
 def _position_unit(log: Log, description: Axis | None) -> list[Finding]:
@@ -157,7 +184,7 @@ def _signals(log: Log, description: Axis | None, given: Signal | None) -> list[F
         ratios.velocity_is_derivative(log),
         grid.command_grid(log),
         stuck.constant(log),
-        stuck.clipped_command(log, description),
+        clipping.clipped_command(log, description, given),
         stuck.frozen_position(log),
         stuck.frozen_command(log),
         derived.copies(log),

@@ -25,6 +25,7 @@ from diffdrive.logs.checks.statistics import Fit
 
 FAULT = float(np.log(100.0))
 CERTAIN = float(np.log(100.0))
+SAME_AMOUNT = 0.02  # relative: amounts of one mend that are the same for all practical purposes
 # Some hundred samples are one correlation time of what a controller leaves: that many count as one.
 SAMPLES_PER_INDEPENDENT = 100.0
 # What is left below these shares is explained: a log of six digits, and a loop that lags by 6 degrees.
@@ -69,6 +70,11 @@ class Explanation:
         """What is wrong, without numbers."""
         return frozenset((one.cause, one.channel) for one in self.faults)
 
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """What undoes all of it."""
+        return tuple(step for one in self.faults for step in one.steps)
+
 
 def readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Explanation]:
     """All that a hypothesis and its fit may mean: a factor is a unit or a gain, a constant an offset of either end."""
@@ -84,7 +90,7 @@ def _readings(relation: Relation, hypothesis: Hypothesis, fit: Fit) -> list[Expl
         elif not _stabilises(hypothesis, fit) or _constant(relation, signals, fit):
             return []
         else:
-            own = (replace(own[0], numbers=own[0].numbers | _multipliers(fit)),)
+            own = (replace(own[0], numbers=own[0].numbers | _multipliers(hypothesis, fit)),)
         found = judged(relation, own, signals, fit)
         return [replace(found, cost=found.cost + _parameters(len(hypothesis.columns) - 1, fit))]
     found = []
@@ -120,8 +126,9 @@ def _stabilises(hypothesis: Hypothesis, fit: Fit) -> bool:
     return bool(np.all(gains > 0))
 
 
-def _multipliers(fit: Fit) -> dict[str, float]:
-    return {f"part {k}": float(c) for k, c in enumerate(fit.coefficients[:-1])}
+def _multipliers(hypothesis: Hypothesis, fit: Fit) -> dict[str, float]:
+    """What each column is multiplied by: not the known disturbance, which `Relation.fit` appends."""
+    return {f"part {k}": float(c) for k, c in enumerate(fit.coefficients[: len(hypothesis.columns)])}
 
 
 def _zero(relation: Relation, metres: float) -> Fault:
@@ -251,11 +258,29 @@ def ranked(explanations: Sequence[Explanation]) -> list[Explanation]:
 
 
 def rivals_of(ranking: Sequence[Explanation]) -> list[Explanation]:
-    """Those that the log does not rule out beside the first, each set of causes once; none that only assumes more."""
-    first, seen = ranking[0], {ranking[0].causes}
+    """Those that the log does not rule out beside the first, each mend once; none that only assumes more."""
+    first, seen = ranking[0], [ranking[0]]
     found = []
     for one in ranking[1:]:
-        if one.cost < first.cost + CERTAIN and one.causes not in seen and not one.causes > first.causes:
-            seen.add(one.causes)
+        if one.cost < first.cost + CERTAIN and not one.causes > first.causes and not any(_same(one, x) for x in seen):
+            seen.append(one)
             found.append(one)
     return found
+
+
+def _same(one: Explanation, other: Explanation) -> bool:
+    """Whether two explanations say the same and are undone by the same steps."""
+    return one.causes == other.causes and alike(one.steps, other.steps)
+
+
+def alike(some: Sequence[Step], others: Sequence[Step]) -> bool:
+    """Whether two mends are the same, but for a few per cent of a factor or an offset."""
+    return len(some) == len(others) and all(_alike(*pair) for pair in zip(some, others, strict=True))
+
+
+def _alike(one: Step, other: Step) -> bool:
+    mine, its = vars(one), vars(other)
+    return type(one) is type(other) and all(
+        abs(value - its[name]) <= SAME_AMOUNT * abs(value) if isinstance(value, float) else value == its[name]
+        for name, value in mine.items()
+    )

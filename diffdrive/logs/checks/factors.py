@@ -9,7 +9,6 @@ FACTORS = {
     1e9: "1e9-fold: nano for unit, such as nm for m",
     100.0: "a hundredfold: centi or per cent",
     1 / 0.0254: "inches for m",
-    1e3 / 25.4: "inches for m",
     25.4: "inches and millimetres",
     2 * math.pi: "2 pi: turns and radians",
     180 / math.pi: "degrees and radians",

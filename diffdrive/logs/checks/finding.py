@@ -10,6 +10,7 @@ SEVERITIES: tuple[Severity, ...] = ("fatal", "warning", "note")
 
 # What may have happened to a log, to its controller or to its machine.
 CAUSES = {
+    "nothing": "nothing happened",
     "swapped": "two channels are exchanged",
     "rounded": "a channel has coarser steps than its sensor",
     "filtered": "a channel was averaged, low-passed or resampled",

@@ -6,12 +6,13 @@ import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import grid_of, noise_of
-from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, robust_fit
+from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, longest_piece, robust_fit
 from diffdrive.logs.checks.stuck import clipped
 from diffdrive.logs.log import CHANNELS, Log, Signal
 
 # Robust standard deviations: heavy tails of real noise reach 8, a reversal's jerk 10.
 SPIKE = 20.0
+FEWEST = 100  # samples without a gap: any comparison of channels needs as many
 NINETY = 1.645  # standard deviations within which 90 % of normal values lie
 
 
@@ -38,12 +39,16 @@ def lengths(log: Log) -> Iterator[Finding]:
         yield Finding(
             "fatal", "time", f"the channels differ in length: {told}", "read them from the same rows", "unreadable"
         )
-    elif sizes["time"] < 100:
+        return
+    longest = longest_piece(log)
+    count = longest.stop - longest.start
+    if count < FEWEST:
         yield Finding(
             "fatal",
             "time",
-            f"only {sizes['time']} samples",
-            "log at least some hundred samples of a motion",
+            f"only {sizes['time']} samples"
+            + (f", and no more than {count} of them without a gap" if count < sizes["time"] else ""),
+            "log at least some hundred samples of a motion in one piece",
             "unreadable",
         )
 

@@ -98,7 +98,7 @@ def load(log: Log, description: Axis | None) -> Iterator[Finding]:
 
 
 def temperature(log: Log) -> Iterator[Finding]:
-    """Kelvin or Fahrenheit given as degrees Celsius."""
+    """Kelvin given as degrees Celsius: Fahrenheit is too near to them to be told."""
     if log.temperature is None:
         return
     middle = float(np.median(log.temperature))

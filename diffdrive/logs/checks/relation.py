@@ -23,6 +23,7 @@ from diffdrive.logs.checks.stuck import clipped
 from diffdrive.logs.log import Log, Signal
 
 LONGEST = 40_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
+FEWEST = 50  # samples that a fit is made of
 LANES = 16  # replays that run side by side: a fixed number, so that one compiled program serves all
 # s: a controller that remembers is not judged by less; in it the table may hardly leave its rest.
 SHORTEST = 0.5
@@ -118,8 +119,11 @@ class Relation:
 
     def plain(self) -> tuple[Signal, Fit] | None:
         """The controller's command for the log as it is, and the logged one by it; None where it gives nothing."""
+        given = self.judged(self.logged.command)
+        if len(given) < FEWEST or np.std(given) == 0:
+            return None
         output = self.outputs([self.logged])[0]
-        if not np.all(np.isfinite(output)) or np.std(output) == 0 or np.std(self.logged.command) == 0:
+        if not np.all(np.isfinite(output)) or np.std(self.judged(output)) == 0:
             return None
         return output, self.fit(self.logged.command, output)
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.axis import Axis
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import grid_of
 from diffdrive.logs.checks.statistics import Run, mean_step, runs_of_equal, top_speed
@@ -16,6 +15,7 @@ LONG = 5
 ATOM = 5.0
 # A tracking error within a standing stretch that the rest of the log nowhere reaches.
 BEYOND = 5.0
+ON_THE_MOVE = 0.1  # of the jump that makes up for a standstill: so far a table that waits does not move
 
 
 def constant(log: Log) -> Iterator[Finding]:
@@ -52,25 +52,6 @@ def clipped(command: Signal) -> np.ndarray:
     return there
 
 
-def clipped_command(log: Log, description: Axis | None) -> Iterator[Finding]:
-    """A command that sits at a limit while the axis moves."""
-    limit = None if description is None else description.drive.actuator.force_limit
-    moves = log.position if log.reference is None else log.reference
-    for at in (float(np.max(log.command)), float(np.min(log.command))):
-        there = atom(log.command, at)
-        # at rest a command may well stand still at its extreme: the weight of a vertical axis
-        if there is None or np.ptp(moves[there]) < 0.01 * np.ptp(moves):
-            continue
-        known = limit is not None and abs(abs(at) / float(limit) - 1) < 1e-3
-        yield Finding(
-            "note" if known else "warning",
-            "command",
-            f"the command sits at {at:.6g} for {100 * np.mean(there):.2g} % of the samples: it is clipped there",
-            "that is the drive file's force_limit" if known else f"set actuator.force_limit = {abs(at):.6g} N",
-            "clipped",
-        )
-
-
 def _standing(log: Log, name: str) -> list[Run]:
     """Stretches in which a position stands although the reference goes where it should have followed."""
     signal, reference = log.channels[name], log.reference
@@ -105,6 +86,20 @@ def _jumping(signal: Signal) -> list[Run]:
     ]
 
 
+def _moved_on(log: Log, run: Run) -> bool:
+    """Whether the table moved on while the reference stood: a set-point may step, and then the table waits for it.
+
+    Either the table is where the reference goes next as it wakes, or it moved that way over the latter half.
+    """
+    reference, position = log.reference, log.position
+    assert reference is not None
+    level, jump = reference[run.start], reference[run.stop] - reference[run.start]
+    position = position + float(np.median(reference - position))  # zeros may differ
+    there = (position[run.stop - 1] - level) / jump > 0.5
+    since = (position[run.stop - 1] - position[(run.start + run.stop) // 2]) / jump
+    return bool(there or since > ON_THE_MOVE)
+
+
 def frozen_position(log: Log) -> Iterator[Finding]:
     """Reference, position or motor position that stands while it should move."""
     for name in ("reference", "position", "motor_position"):
@@ -112,6 +107,8 @@ def frozen_position(log: Log) -> Iterator[Finding]:
         if signal is None or np.ptp(signal) == 0:
             continue
         frozen = _standing(log, name) or _jumping(signal)
+        if name == "reference":
+            frozen = [run for run in frozen if _moved_on(log, run)]
         if not frozen:
             continue
         longest = max(frozen, key=lambda run: run.length)

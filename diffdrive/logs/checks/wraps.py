@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import grid_of
+from diffdrive.logs.checks.grid import grid_of, noise_of
 from diffdrive.logs.checks.repair import Add, Repair, Unwrap
 from diffdrive.logs.log import Log, Signal
 
@@ -13,6 +13,9 @@ from diffdrive.logs.log import Log, Signal
 JUMP = 2.0
 # All jumps are the span, but for the motion or the noise meanwhile.
 ALIKE = 0.02
+# Through an overflow the channel moves on, within so many samples by clearly more than its noise.
+NEAR, CLEAR = 10, 5.0
+NARROWEST = 2**8  # counts: no counter is narrower
 WIDTHS = (8, 10, 12, 14, 15, 16, 18, 20, 22, 24, 32)  # bits
 
 
@@ -31,7 +34,36 @@ def span_of(signal: Signal) -> float | None:
     # it jumps where it reaches its end, and only there
     full = np.ptp(signal) < span * (1 + ALIKE) and np.ptp(signal) > span * (1 - ALIKE)
     meanwhile = max(ALIKE * span, 2 * float(others.max()))
-    return span if full and np.all(np.abs(spans - span) < meanwhile) else None
+    alike = full and np.all(np.abs(spans - span) < meanwhile)
+    return span if alike and _moves_on(signal, np.flatnonzero(jumps), span) else None
+
+
+def _moves_on(signal: Signal, jumps: np.ndarray, span: float) -> bool:
+    """Whether the channel without its jumps moves on through them, as a counter does: a step or a flicker rests.
+
+    Jumps close to one another are one crossing; to and back is none.
+    """
+    unwrapped = np.unwrap(signal, period=span)
+    through = []
+    for crossing in np.split(jumps, np.flatnonzero(np.diff(jumps) > NEAR) + 1):
+        net = float(np.sum(np.diff(signal)[crossing]))
+        before, after = max(crossing[0] - NEAR, 0), min(crossing[-1] + 1 + NEAR, len(signal) - 1)
+        if abs(net) > 0.5 * span:  # downwards where it counts up
+            through.append(-np.sign(net) * (unwrapped[after] - unwrapped[before]))
+    return bool(through) and float(np.median(through)) > max(CLEAR * noise_of(unwrapped), 1e-9 * span)
+
+
+def _belongs(log: Log, name: str, span: float) -> bool:
+    """Whether the channel is closer to its partner without its jumps: a sawtooth is followed as it is."""
+    partner = log.channels.get(_partner(name))
+    if partner is None or span_of(partner) is not None:
+        return True
+    signal = log.channels[name]
+    return float(np.std(np.unwrap(signal, period=span) - partner)) < float(np.std(signal - partner))
+
+
+def _partner(name: str) -> str:
+    return "position" if name == "reference" else "reference"
 
 
 def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
@@ -39,7 +71,9 @@ def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
     for name in ("reference", "position", "motor_position"):
         signal = log.channels.get(name)
         span = None if signal is None else span_of(signal)
-        if span is None:
+        if span is None or not _belongs(log, name, span):
+            continue
+        if resolution is not None and span < NARROWEST * resolution:
             continue
         counts = "" if resolution is None else _bits(span / resolution)
         span = span if resolution is None else resolution * _whole(span / resolution)
@@ -74,8 +108,7 @@ def wrapped_command(log: Log) -> Iterator[Finding]:
 
 def _turns(log: Log, name: str, span: float) -> int:
     """How many spans the channel lies off its partner, once its jumps are taken out."""
-    other = "position" if name == "reference" else "reference"
-    signal, partner = log.channels[name], log.channels.get(other)
+    signal, partner = log.channels[name], log.channels.get(_partner(name))
     if partner is None or span_of(partner) is not None:
         return 0
     return round(float(np.median(partner - np.unwrap(signal, period=span))) / span)

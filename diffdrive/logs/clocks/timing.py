@@ -3,6 +3,7 @@
 import itertools
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from diffdrive.errors import LogError
 from diffdrive.logs.clocks.grid import EXACT, ROUNDED, Grid, fit_grid
@@ -15,6 +16,7 @@ from diffdrive.logs.log import Signal
 FEWEST = 3  # samples
 REPEATED = 0.01  # share of repeated stamps beyond which the clock's resolution is coarser than the period
 IRREGULAR = 0.5  # periods, RMS: beyond, there is no common clock
+SURE = 0.05  # periods: what the digits of coarse stamps may add
 MOST_GAPS = 0.02  # of all samples: so many among jittered stamps are no gaps
 _WRAPS = (8, 15, 16, 24, 31, 32)  # bits
 
@@ -46,7 +48,7 @@ def in_order(table: Table, stamps: Signal, clock: Conversion) -> tuple[Signal, n
     if not steps.any():
         raise LogError(f"{table.source}: the clock stands still at {times[0]:.9g} s; name another column for the time")
     if repeated.mean() > REPEATED:
-        return _uncoarsened(table, times, rows), rows, [*notes, _told_coarse(steps)]
+        return _uncoarsened(table, times, rows), rows, [*notes, _told_coarse(times)]
     first = table.where(rows[int(np.argmax(repeated))])
     notes.append(f"{repeated.sum()} samples with a repeated time stamp were left out, the first at {first}")
     return times[~repeated], rows[~repeated], notes
@@ -64,20 +66,52 @@ def _why_back(times: Signal, k: int, clock: Conversion) -> str:
     return "the rows are not in order; sort them, or cut the log there"
 
 
-def _told_coarse(steps: Signal) -> str:
+def _told_coarse(times: Signal) -> str:
+    steps = np.diff(times)
+    missing = _missing_at_least(times)
     return (
         f"time stamps are coarser than the period (resolution {steps[steps > 0].min():.3g} s): replaced by uniform "
-        "ones, as no sample is missing"
+        "ones; "
+        + (
+            f"at least {missing} samples are missing or late, and the stamps do not tell where"
+            if missing
+            else "single samples that are missing would not show"
+        )
     )
 
 
+def _missing_at_least(times: Signal) -> int:
+    """How many samples the stamps of a coarse clock lack at least: none where a uniform clock makes these stamps.
+
+    Between the last sample with one stamp and the first with the next, a uniform clock reaches that stamp. So the first
+    samples of all stamps lie within one period above a line, and each that is missing moves the rest by one period.
+    """
+    first = np.flatnonzero(np.diff(times) > 0) + 1
+    if len(first) < FEWEST:
+        return 0
+    stamps, mean = times[first], float(np.mean(np.diff(times)))
+
+    def spread(period: float) -> float:
+        return float(np.ptp(stamps - period * first))
+
+    near = 2.0 * spread(mean) / (first[-1] - first[0])  # no other slope lies closer
+    found = minimize_scalar(
+        spread, bounds=(mean - near, mean + near), method="bounded", options={"xatol": 1e-3 * mean / len(times)}
+    )
+    return max(0, int(np.ceil(float(found.fun) / mean - 1.0 - SURE)))
+
+
 def _uncoarsened(table: Table, times: Signal, rows: np.ndarray) -> Signal:
-    """Uniform times where the stamps are those rounded to their resolution, else an error."""
+    """Uniform times where the stamps are those rounded to their resolution, else an error.
+
+    A stamp lies within half its resolution of the middle of what is rounded to it: as much again is left to samples
+    that are late or missing, which `_told_coarse` notes.
+    """
     steps = np.diff(times)
     resolution = steps[steps > 0].min()
     count = np.arange(len(times))
     uniform = np.polynomial.Polynomial.fit(count, times, 1)(count)
-    if np.max(np.abs(times - uniform)) > 1.01 * resolution:
+    if np.max(np.abs(times - uniform)) > resolution:
         first = int(np.argmax(steps == 0))
         raise LogError(
             f"{table.source}: {table.where(rows[first + 1])}: {np.mean(steps == 0):.0%} of the time stamps repeat the "

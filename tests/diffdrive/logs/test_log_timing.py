@@ -86,7 +86,18 @@ def test_a_clock_coarser_than_the_period(resolution, read):
     log = read(np.floor(time / resolution + 1e-9) * resolution, true=time, rate=4000.0)
     np.testing.assert_allclose(np.diff(log.time), 1 / 4000.0, rtol=1e-3)
     assert said(log, "coarser than the period")
+    assert said(log, "single samples that are missing would not show")
     assert log.gaps == ()
+
+
+def test_samples_that_a_coarse_clock_lacks_here_and_there_are_noted(read):
+    """Eight of 5000: the clock's buckets hold 9 or 10 samples, as those of a uniform clock of another rate may."""
+    time = np.delete(np.arange(5000) / 1e3, [110, 377, 801, 1203, 1502, 1909, 2201, 2404])
+    log = read(np.floor(time * 100 + 1e-9) / 100, true=time)
+    [missing] = [
+        re.search(r"at least (\d) samples are missing or late", note) for note in log.notes if "missing" in note
+    ]
+    assert 1 <= int(missing.group(1)) <= 8
 
 
 def test_a_coarse_clock_with_samples_missing_is_refused(read):
