@@ -111,6 +111,8 @@ def setuptools_is_new_enough():
 
 def test_wheel_carries_every_module_and_data_file(wheel):
     data = [*(ROOT / "experiments" / "drives").glob("*.toml")]
+    data += [ROOT / package / "py.typed" for package in PACKAGES]  # and what the public names are looked up in
+    data += [path for package in PACKAGES for path in (ROOT / package).rglob("*.pyi")]
     wanted = {path.relative_to(ROOT).as_posix() for path in [*SOURCES, *data]}
     assert wanted <= set(wheel)
 
