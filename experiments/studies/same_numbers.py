@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from diffdrive.support.atomic_write import write_text
+
 MAIN = """
 import sys
 try:
@@ -56,8 +58,8 @@ NOT_COMPARED = {"seconds", "made_by", "timings_s", "title", "schema", "status", 
 def run(checkout: Path, out: Path, drive: str) -> dict[str, int]:
     """Run every command with the code of a checkout; their exit codes."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "drive.toml").write_text(drive)
-    (out / "machine.toml").write_text(drive + COGGING)
+    write_text(out / "drive.toml", drive)
+    write_text(out / "machine.toml", drive + COGGING)
     environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
     codes = {}
     for name, command in COMMANDS.items():
