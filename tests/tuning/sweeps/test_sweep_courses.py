@@ -163,13 +163,13 @@ def test_what_is_no_setting_of_motion_or_load_is_said(vary, texts, load, says):
 
 def test_what_the_axis_cannot_do_is_found_before_anything_runs():
     """Between speed and stroke: neither end of either alone is too much."""
-    triangle = "triangular:speed=0.1m/s,stroke=4mm,rounding=15ms,duration=0.1s"
+    triangle = "triangular:speed=0.1m/s,stroke=4mm,rounding=30ms,duration=0.1s"
     vary = ("motion.speed=uniform:0.05..0.2 m/s", "motion.stroke=uniform:2..8 mm")
     with pytest.raises(ParameterError, match=r"machine \d+ cannot be: .*does not fit between reversals"):
         plan(vary, 64, (triangle,), "0").require_possible([0])
-    plan(vary, 64, (triangle.replace("15ms", "8ms"),), "0").require_possible([0])
+    plan(vary, 64, (triangle.replace("30ms", "8ms"),), "0").require_possible([0])
     with pytest.raises(ParameterError, match=r"machine \d+ cannot be: .*speed leaves 0.15 m/s"):
-        plan(vary, 64, (triangle.replace("15ms", "8ms"),), "0", Limits(speed=0.15)).require_possible([0])
+        plan(vary, 64, (triangle.replace("30ms", "8ms"),), "0", Limits(speed=0.15)).require_possible([0])
     with pytest.raises(ParameterError, match=r"machine \d+ cannot be: .*is used up"):
         plan(("load.workpiece=uniform:1..50 kg",), 64).require_possible([0])
 
