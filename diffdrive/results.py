@@ -1,5 +1,6 @@
 """What all results have in common: a status, a short form, a summary, and a file that programs read."""
 
+import abc
 import html
 import json
 import math
@@ -31,23 +32,23 @@ class Status:
 Own = TypeVar("Own", bound="Result")
 
 
-class Result:
+class Result(abc.ABC):
     """A result: print it for the short form, `summary()` for more, `save()` for a file, `require_ok()` to insist."""
 
     schema: ClassVar[str]  # name and version of what `as_dict` holds
     status: Status
 
+    @abc.abstractmethod
     def headline(self) -> str:
         """One line: whether to believe it, and the numbers that matter most."""
-        raise NotImplementedError
 
     def summary(self) -> str:
         """What was found and what it rests on, in lines of at most 100 characters."""
         return self.headline()
 
+    @abc.abstractmethod
     def as_dict(self) -> dict[str, Any]:
         """Every number, by names that carry their unit."""
-        raise NotImplementedError
 
     def save(self, folder: str | Path) -> Path:
         """Write it as JSON, with the version of its schema, into a folder; returns the file."""

@@ -29,29 +29,23 @@ RESULT = "result.json"
 NO_ROOM = f"OSError: [Errno {errno.ENOSPC}] {os.strerror(errno.ENOSPC)}"
 
 
-def plain(value: Any, infinite: Callable[[float], Any] = str) -> Any:
-    """The value as JSON can hold it, which has no infinite or undefined numbers: they become their names, or what
-    `infinite` makes of them.
-    """
+def plain(value: Any) -> Any:
+    """The value as JSON can hold it, which has no infinite or undefined numbers: they become their names."""
     if isinstance(value, dict):
-        return {str(key): plain(one, infinite) for key, one in value.items()}
+        return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one, infinite) for one in value]
+        return [plain(one) for one in value]
     if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
-        return plain(np.asarray(value).tolist(), infinite)
+        return plain(np.asarray(value).tolist())
     if isinstance(value, np.generic):
-        return plain(value.item(), infinite)
+        return plain(value.item())
     if isinstance(value, float) and not math.isfinite(value):
-        return infinite(value)
+        return str(value)
     return value
 
 
 def _json(data: dict[str, Any]) -> str:
     return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
-
-
-def null(_: float) -> None:
-    """For `plain`: where a field is promised to be a number or nothing."""
 
 
 def _shown(value: Any, digits: int = 4) -> str:
