@@ -46,7 +46,7 @@ def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
 
     `controller` is one of its kinds: `pd`, `dobvsc`, `pd+ff+dob`, `pd+fc`, `pd+fc+le` (the paper's), `pd+fc+ls` (whose
     load estimator converges at every speed) and `cascade`. `quantised=False` leaves the steps of the scale out. Raises
-    `ParameterError` for another kind. Source: Lee et al. 2015, Tables 2 and 3; docs/paper.md.
+    `ParameterError` for another kind. Source: Lee et al. 2015, Tables 2 and 3; docs/evidence/paper.md.
     """
     drive = paper_drive(quantised=quantised)
     known = paper_controllers(drive)

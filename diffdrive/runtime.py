@@ -13,7 +13,7 @@ import numpy as np
 import platformdirs
 
 # Without these, jax before 0.12 dispatches each small operation of the loop on its own, five to twenty times slower
-# (docs/numerics.md); from 0.12 on they widen the vectors.
+# (docs/method/numerics.md); from 0.12 on they widen the vectors.
 _XLA_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000,xla_cpu_disable_loop_unrolling",

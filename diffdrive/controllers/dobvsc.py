@@ -40,7 +40,7 @@ class DOBVSCState(NamedTuple):
 class DOBVSC(Controller):
     """PD + DOB + eta sat(s / phi), s = de/dt + slope e (paper, Fig. 6(b), after Lin et al. 2013).
 
-    The paper gives neither the law's form nor its gains; this form and the defaults are ours (docs/paper.md).
+    The paper gives neither the law's form nor its gains; this form and the defaults are ours (docs/evidence/paper.md).
     """
 
     tracking: Tracking

@@ -1,4 +1,4 @@
-"""The catalogue of effects that a nominal drive leaves out (docs/effects.md), and how one of your own joins it."""
+"""The effects that a nominal drive leaves out (docs/reference/effects.md), and how one of your own joins them."""
 
 import lazy_loader
 

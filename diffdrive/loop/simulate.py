@@ -180,7 +180,7 @@ def rollout(
 
     Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
     `begin` is the state to begin from (see `start`); by default at rest where the reference begins. In reverse mode the
-    state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile (docs/numerics.md).
+    state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile (docs/method/numerics.md).
     """
     require_double_precision()
     drive = acting.altered(drive, drive.effects)

@@ -204,7 +204,7 @@ class Sampling(eqx.Module):
     """Control rate, and plant substeps in each control period (`None`: as many as keep a substep within 20 us).
 
     At that substep the integrator's position error is 0.1 nm or less on the paper's drive at 10 kHz, and of that order
-    on others (docs/numerics.md). No substep may be shorter than `FINEST_SUBSTEP`.
+    on others (docs/method/numerics.md). No substep may be shorter than `FINEST_SUBSTEP`.
     """
 
     rate: float = eqx.field(static=True, default=10_000.0)

@@ -8,7 +8,7 @@ with the bristle solved for the frozen velocity w (`relaxation`): its mean defle
 so the balance is one scalar division. In stick (r -> 0) this is the implicit midpoint rule, in fast sliding (r h >> 1)
 the bristle sits in its steady state; both limits, and everything between, are stable at any practical step. The
 velocity at which a substep takes its friction is foretold by the balance of the substep before. Second order
-(docs/numerics.md).
+(docs/method/numerics.md).
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import inverse
 from diffdrive.numerics.relaxation import relaxation
 
-UNROLLED = 5  # substeps in one piece: a lane by itself then takes a fifth less time (docs/performance.md)
+UNROLLED = 5  # substeps in one piece: a lane by itself then takes a fifth less time (docs/evidence/performance.md)
 
 
 class PlantState(NamedTuple):

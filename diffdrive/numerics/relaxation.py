@@ -8,7 +8,7 @@ and its running means follow from it as they follow from the exponential itself,
 what stays and what a motion draws then end where the exponential ends, at z = v / r, however long the step. All
 coefficients are positive, so that nothing cancels and nothing has to be told apart, from stick to traverse. A step of
 20 us has x = 0.08 at 10 mm/s; the exponential costs three times as much, and each lane waits for it
-(docs/performance.md).
+(docs/evidence/performance.md).
 """
 
 import math

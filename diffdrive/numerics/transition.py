@@ -3,7 +3,7 @@
     d/dt [v, z] = [[-a, -b], [1, -r]] [v, z] + inputs ,   dx/dt = v
 
 (paper, eq. (8), with a = (s1 + mu_v + B_S) / M, b = s0 (1 - s1 |v| / g) / M, r = s0 |v| / g). In scalars, because a
-library's `expm` in a scan costs twenty times the rest of the control step (docs/numerics.md).
+library's `expm` in a scan costs twenty times the rest of the control step (docs/method/numerics.md).
 
 With m = (a + r) / 2 and D = ((a - r) / 2)^2 - b, and exp(A t) = c(t) I + s(t) (A + m I), the integrals over time follow
 from the same two functions, since A is regular (det A = a r + b > 0):

@@ -167,7 +167,7 @@ def _verdict(speeds: Sequence[float]) -> str:
     listed = ", ".join(f"{1e3 * v:.3g}" for v in speeds)
     return (
         f"the eq. (20) load estimator does not converge at {listed} mm/s: its gain G is not positive there (see "
-        'docs/load-estimation.md). Use LoadStateObserver (in a drive file kind = "pd+fc+ls"), raise its min_speed '
+        'docs/method/load-estimation.md). Use LoadStateObserver (drive file: kind = "pd+fc+ls"), raise its min_speed '
         "above these, or choose Q and R with G > 0"
     )
 

@@ -139,7 +139,7 @@ class KalmanObserver(FrictionObserver):
         omega = kalman.update_covariance(omega, k, self.tuning.measurement)
 
         before = estimated_friction(self.friction, predicted, state.load)
-        # stages apart, or the compiler computes a stage anew for each of its readers (docs/numerics.md)
+        # stages apart, or the compiler computes a stage anew for each of its readers (docs/method/numerics.md)
         updated, omega, before = once((updated, omega, before))
         after = once(estimated_friction(self.friction, updated, state.load))
         load = self.load_estimator.step(state.load, velocity, before, after)
@@ -151,7 +151,7 @@ class KalmanObserver(FrictionObserver):
 class LoadStateTuning(eqx.Module):
     """Q and R of the four-state filter; the load is a random walk of variance `load` per control step.
 
-    The defaults, for 10 kHz, settle within a second at every speed from 1 to 100 mm/s (docs/load-estimation.md).
+    The defaults, for 10 kHz, settle within a second at every speed from 1 to 100 mm/s (docs/method/load-estimation.md).
     """
 
     position: Scalar = quantity("m^2", "process noise of the position", at_least=0.0, default=1e-16)

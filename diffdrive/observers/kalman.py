@@ -1,9 +1,9 @@
 """The Kalman filter's covariance algebra for one measured position, in scalars.
 
-Matrices are nested tuples of scalars, so that a control step compiles into one kernel (docs/numerics.md); entries that
-are the Python numbers 0.0 and 1.0 cost nothing. A covariance is its upper triangle, row by row: what a compiler cannot
-know to be equal it would compute, carry and, in reverse mode, keep twice. The output matrix is C = [1, 0, ..., 0]
-throughout.
+Matrices are nested tuples of scalars, so that a control step compiles into one kernel (docs/method/numerics.md);
+entries that are the Python numbers 0.0 and 1.0 cost nothing. A covariance is its upper triangle, row by row: what a
+compiler cannot know to be equal it would compute, carry and, in reverse mode, keep twice. The output matrix is C = [1,
+0, ..., 0] throughout.
 """
 
 from typing import Any

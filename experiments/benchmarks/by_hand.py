@@ -23,7 +23,7 @@ LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
 MANY = 8192
 SWEPT = (128, 1024, 16384)
 SUBSTEPS = (10, 5, 3, 2, 1)  # of one lane: twice the default, the default, half of it as for tuning, and fewer
-FAST = 2  # substeps whose error is below a hundredth of the scale's count (docs/numerics.md)
+FAST = 2  # substeps whose error is below a hundredth of the scale's count (docs/method/numerics.md)
 
 
 @contextlib.contextmanager

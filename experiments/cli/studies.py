@@ -19,7 +19,7 @@ def tuning_study(
     runs: Annotated[int, typer.Option(callback=count_of, min=1, help="Of each derivative-free search.")] = 3,
     starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Random starts of the gradient search.")] = 10,
 ) -> None:
-    """The gradient tuner against CMA-ES, Nelder-Mead and random search on one compiled ensemble (docs/tuning.md).
+    """Gradient tuner against CMA-ES, Nelder-Mead and random search on one ensemble (docs/method/tuning.md).
 
     Cost to come near the best against evaluations, time and number of parameters; random starts; held-out scenarios.
     """
@@ -227,7 +227,7 @@ def log_study(
     ] = 30,
     seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of axes, motions and faults.")] = 1,
 ) -> None:
-    """The log checks on logs whose fault is known (docs/log-study.md): is it named, and is a stated mend right?
+    """The log checks on logs whose fault is known (docs/evidence/log-study.md): is it named, is a mend right?
 
     Simulates axes of ten kinds, does something to their logs, and asks the checks; then the same with sound logs, and
     with pairs of logs of one machine or of two. Takes two minutes of one core.

@@ -116,7 +116,7 @@ def diagnose(
     continues. `progress` is called with (stage, done, of how many).
 
     Raises `LogError` for logs that cannot be used, and `ParameterError` for unknown effects. Method:
-    docs/diagnosis-method.md; how often it is right: docs/diagnosis-proof.md.
+    docs/method/diagnosis-method.md; how often it is right: docs/evidence/diagnosis-proof.md.
 
     Example:
         >>> why = diagnose(axis, ["lap1.csv", "lap2.csv"])

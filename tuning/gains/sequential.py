@@ -2,8 +2,8 @@
 
 At each point the objective becomes a quadratic and every requirement a line, those that are kept too, so that a step
 goes up to a requirement and not over it. (Least squares with penalties sees a requirement only once it is missed, and
-then takes it for a wall: docs/tuning.md.) The multipliers say what each requirement costs. Fletcher 1981; Nocedal &
-Wright, Numerical Optimization, chapter 18.
+then takes it for a wall: docs/method/tuning.md.) The multipliers say what each requirement costs. Fletcher 1981;
+Nocedal & Wright, Numerical Optimization, chapter 18.
 """
 
 import dataclasses

@@ -317,7 +317,7 @@ def tune(
     from which an interrupted call continues. `progress` is called with (stage, done, of how many).
 
     Raises `ParameterError` and `MotionError` for what cannot be tuned, and `ResultError` with `throw` where the result
-    is not accepted. Method: docs/tuning.md.
+    is not accepted. Method: docs/method/tuning.md.
 
     Example:
         >>> best = tune(axis, lap, requirements=Requirements(phase_margin=35.0))

@@ -6,8 +6,8 @@ Write the force as it follows from the measured motion, with unknown parameters 
 
 It is linear in them. Velocity and acceleration come from the position, low-passed without phase at five times the
 highest frequency of interest (`dynamics`) and differenced; all signals are then decimated to the band of the dynamics
-(Gautier 1997; Janot, Vandanjon and Gautier 2014). On the EMPS data (docs/emps.md) `BENCHMARK_BORDERS` gives the
-benchmark's own figures.
+(Gautier 1997; Janot, Vandanjon and Gautier 2014). On the EMPS data (docs/evidence/emps.md) `BENCHMARK_BORDERS` gives
+the benchmark's own figures.
 
 What it cannot know: a force that acts late. With a delay T between the command and the force, mass comes out heavier by
 Fv T; the zero-order hold alone is half a control period. It is a start for a fit through the closed loop.

@@ -117,7 +117,7 @@ def identify(
     the same call continues. `progress` is called with (stage, done, of how many).
 
     Raises `LogError` for logs that cannot be used, `ParameterError` for unknown names, and `ResultError` with `throw`
-    where the search does not converge. Method: docs/identification.md.
+    where the search does not converge. Method: docs/method/identification.md.
 
     Example:
         >>> fit = identify(axis, ["lap1.csv", "lap2.csv"])

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from tuning.optimisation.least_squares import Residuals
 from tuning.optimisation.space import Space
 
-POPULATION = 3  # members per free parameter: quicker on EMPS than 5 or 15 (docs/identification-baseline.md)
+POPULATION = 3  # members per free parameter: quicker on EMPS than 5 or 15 (docs/evidence/identification-baseline.md)
 BLOCK = 32  # simulations side by side
 EDGE = 1e-4  # of each parameter's range, that its sigmoid nears but never reaches
 WORST = 1e30  # the cost of a simulation that is not finite: differential evolution takes no infinity

@@ -16,8 +16,8 @@ from diffdrive.motion.load import Ramp
 
 Precision = Literal["double", "single"]  # as numpy calls them, too
 
-# Lanes at a time (docs/performance.md): as a processor's first cache holds; as keep a GPU busy, and as its memory holds
-# if each has a course of its own.
+# Lanes at a time (docs/evidence/performance.md): as a processor's first cache holds; as keep a GPU busy, and as its
+# memory holds if each has a course of its own.
 ON_CPU, ON_GPU, ON_GPU_OWN = 64, 65_536, 1024
 LEAST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen cores
 

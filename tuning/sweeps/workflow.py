@@ -161,7 +161,7 @@ def sweep(
     `tuning.sweeps.cluster`). `progress` is called with (stage, done, of how many).
 
     Raises `ParameterError` and `MotionError` for a sweep that cannot be, naming what is wrong. Method:
-    docs/sweeps.md.
+    docs/method/sweeps.md.
 
     Example:
         >>> swept = sweep(axis, lap, vary={"load": "uniform:0..12 kN"}, samples=4096, tolerance=2e-6)

@@ -1,4 +1,4 @@
-"""Find the traps that real logs hold, before anything is identified from them: docs/log-checks.md lists them."""
+"""Find the traps that real logs hold, before anything is identified from them: docs/method/log-checks.md lists them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

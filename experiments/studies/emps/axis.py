@@ -15,7 +15,7 @@ from experiments.studies.data_folder import beside
 
 FILES = {"estimation": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 COLUMNS = {"time": "t", "reference": "qg", "position": "qm", "command": "vir"}
-PULSE_GAIN = 1.0139  # V per unit of pulses_N, see docs/emps.md
+PULSE_GAIN = 1.0139  # V per unit of pulses_N, see docs/evidence/emps.md
 COUNT = 5e-8  # m, of the motor's encoder through the screw
 LEAD = 2.5e-3  # m per turn of the motor
 SAMPLING = Sampling(rate=1_000.0, substeps=40)

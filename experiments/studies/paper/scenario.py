@@ -1,4 +1,4 @@
-"""Lee et al. 2015 as a scenario: the canonical reading of what the paper leaves open (docs/paper.md)."""
+"""Lee et al. 2015 as a scenario: the canonical reading of what the paper leaves open (docs/evidence/paper.md)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""How fast the loop is from one edition to the next: timed, and compared with what was kept (docs/performance.md).
+"""How fast the loop is from edition to edition: timed and compared (docs/evidence/performance.md).
 
 Nothing is asserted of the times: they are the machine's. What is asserted is that the loop is the fast one.
 """

@@ -375,7 +375,7 @@ def test_the_emps_axis_end_to_end(tmp_path):
     found = estimates(written)
     assert found["mass"]["identified"] == pytest.approx(95.1, rel=0.01)
     gaps = {(row[1], row[2]): row[3:] for row in written["tables"]["gaps"]["rows"]}
-    for role, before in (("identified from", 4.46), ("held out", 5.04)):  # as docs/emps.md has them
+    for role, before in (("identified from", 4.46), ("held out", 5.04)):  # as docs/evidence/emps.md has them
         assert gaps[role, "closed loop: command, %"][0] == pytest.approx(before, rel=0.1)
         for gap in ("one-step prediction, um", "missing force, N", "closed loop: command, %"):
             assert gaps[role, gap][1] < gaps[role, gap][0], (role, gap)

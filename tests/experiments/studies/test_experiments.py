@@ -203,7 +203,9 @@ def test_the_emps_study_meets_its_bars(tmp_path):
 def test_the_drive_file_reference_in_the_docs_is_current():
     from diffdrive.axis_file.reference import markdown
 
-    assert markdown() in (Path(__file__).parents[3] / "docs" / "drive-file.md").read_text(encoding="utf-8")
+    assert markdown() in (Path(__file__).parents[3] / "docs" / "reference" / "drive-file.md").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.slow
