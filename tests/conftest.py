@@ -42,15 +42,15 @@ def drive():
 
 @pytest.fixture
 def tilted():
-    """The diagnosis of `tilted_log`."""
-    from tests.support import tilted_log
+    """The diagnosis of `constant_force_log`."""
+    from tests.support import constant_force_log
 
-    return tilted_log.diagnosis()
+    return constant_force_log.diagnosis()
 
 
 @pytest.fixture
 def told_of(tmp_path, monkeypatch):
     """The command on that log, as if it had found what it is given."""
-    from tests.support import tilted_log
+    from tests.support import constant_force_log
 
-    return tilted_log.telling(tmp_path, monkeypatch)
+    return constant_force_log.telling(tmp_path, monkeypatch)

@@ -10,13 +10,13 @@ from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import paper_drive
 from diffdrive.runtime import cores
-from experiments.benchmarks import clock, cold, loops, roof
+from experiments.benchmarks import clock, loops, roof, start_time
 from experiments.benchmarks.accuracy import REFERENCE, SUBSTEPS, errors_of_random_drives, integrator_errors
 from experiments.benchmarks.arithmetic import of_step
-from experiments.benchmarks.by_hand import FAST, lanes_of_one_core, one_lane, swept_lanes
 from experiments.benchmarks.common import COARSE, RATE, nanoseconds, nominal
 from experiments.benchmarks.derivatives import gradients, reverse, tuner
 from experiments.benchmarks.figures import drawn
+from experiments.benchmarks.hand_written import FAST, lanes_of_one_core, one_lane, swept_lanes
 from experiments.reports.report import Report
 from experiments.studies.paper import scenario as paper
 from experiments.studies.recovery.random_drive import SPREAD
@@ -206,6 +206,6 @@ def _accuracy(report: Report) -> dict[str, float]:
 
 def _start(report: Report) -> dict[str, float]:
     with report.working("starting in processes of their own"):
-        first, others = cold.starts()
+        first, others = start_time.starts()
     report.values("start", cold_s=first, warm_s=others)
     return {"cold start, s": first, "warm start, s": min(others)}

@@ -8,7 +8,7 @@ import pytest
 from diffdrive.effects.forces import FrameVibration
 from experiments.benchmarks.loops import one_kernel
 from experiments.studies.tuning_study import penalised
-from tests.support.off_its_file import catalogue, fitter_of
+from tests.support.perturbed_machine import catalogue, fitter_of
 from tests.support.small_tuning import question
 from tests.tuning.identification.test_prediction import DELAYED, NOISE, SAMPLING, noisy_lane, problem_at
 from tests.tuning.identification.test_replay import CONTROLLERS, axis, logged

@@ -9,7 +9,7 @@ from diffdrive.axis import Axis
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
 from experiments.studies.log_study.fault import Fault
-from experiments.studies.log_study.mended import differences
+from experiments.studies.log_study.repair_check import differences
 
 MOST_MENDS = 3  # that a user applies one after the other
 

@@ -14,7 +14,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import atomic_write
 from diffdrive.support.resources import counted, require_disk, require_memory
 from experiments.reports.report import Report
-from experiments.studies.withheld import again
+from experiments.studies.withheld import reruns
 from experiments.studies.withheld.answer import ATTENDED, machines, unanswered
 from experiments.studies.withheld.axes import axes_named
 from experiments.studies.withheld.generate import generate, write_key
@@ -130,7 +130,7 @@ def _bring(there: Path, here: Path) -> None:
             file.write(text)
 
 
-def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> again.Answers:
+def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> reruns.Answers:
     assert report.out is not None
     _ask(report, cases, report.out / name, workers, wanted)
     told = read_answers(report.out / name)
@@ -140,15 +140,15 @@ def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[
 def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool) -> dict[str, Any]:
     assert report.out is not None
     answers = read_answers(report.out / "answers")
-    oracle: again.Answers | None = None
+    oracle: reruns.Answers | None = None
     if twice:
-        oracle = _asked_again(report, cases, "oracle", again.oracle(answers, key), workers)
-        removed = again.removed(answers, key)
+        oracle = _asked_again(report, cases, "oracle", reruns.oracle(answers, key), workers)
+        removed = reruns.removed(answers, key)
         without = _asked_again(report, cases, "removed", removed, workers)
         report.table(
             "removed",
             ("effect", "case", "verdict without it", "found", "declared before", "as it must be"),
-            again.without_it(answers, without, removed),
+            reruns.without_it(answers, without, removed),
             "The catalogue without the true effect: unknown, or a declared rival",
         )
         unseen = sorted(set(EFFECTS) - {effect for (effect,) in removed.values()})

@@ -22,8 +22,8 @@ from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from experiments.studies.recovery.truth import run
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.draw import draw
-from tests.support.lopsided import LOPSIDED
-from tests.support.off_its_file import catalogue
+from tests.support.asymmetric_drive import LOPSIDED
+from tests.support.perturbed_machine import catalogue
 from tests.support.sound_log import DRIVE, RATE, logged, two_sines
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.diagnose import diagnose, logged_of

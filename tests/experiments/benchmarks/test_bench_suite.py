@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import paper_drive
-from experiments.benchmarks import by_hand, clock, roof, suite
+from experiments.benchmarks import clock, hand_written, roof, suite
 from experiments.benchmarks.arithmetic import of_step, operations
 from experiments.benchmarks.figures import drawn
 from experiments.cli.main import app
@@ -92,11 +92,11 @@ def test_growth_is_told_and_drawn(tmp_path, monkeypatch):
 
 
 def test_lanes_are_swept_in_both_precisions(tmp_path, monkeypatch):
-    monkeypatch.setattr(by_hand, "MANY", 128)
-    monkeypatch.setattr(by_hand, "SWEPT", (64,))
-    monkeypatch.setattr(by_hand, "_others", lambda *_: nullcontext({}))
+    monkeypatch.setattr(hand_written, "MANY", 128)
+    monkeypatch.setattr(hand_written, "SWEPT", (64,))
+    monkeypatch.setattr(hand_written, "_others", lambda *_: nullcontext({}))
     with Report("bench", tmp_path) as report:
-        assert by_hand.swept_lanes(report) == {}  # nobody to compare with
+        assert hand_written.swept_lanes(report) == {}  # nobody to compare with
     assert 0.0 < report.data["single precision"]["off_nm_median"] < 5.0
     rows = report.data["tables"]["sweep"]["rows"]
     assert [row[0] for row in rows] == ["ours, 128 lanes", "ours, 64 lanes", "ours in single precision, 128 lanes"]
@@ -104,10 +104,10 @@ def test_lanes_are_swept_in_both_precisions(tmp_path, monkeypatch):
 
 
 def test_a_step_by_hand_that_computes_something_else_or_nothing_is_not_compared():
-    by_hand._require_same({"C, one lane": lambda: (np.array([1e-8, 0.0]), None)}, 1e-8, 5)
+    hand_written._require_same({"C, one lane": lambda: (np.array([1e-8, 0.0]), None)}, 1e-8, 5)
     for wrong in (2e-8, np.nan):
         with pytest.raises(DiffdriveError, match="differs from ours"):
-            by_hand._require_same({"C, one lane": lambda wrong=wrong: (np.array([wrong, 0.0]), None)}, 1e-8, 5)
+            hand_written._require_same({"C, one lane": lambda wrong=wrong: (np.array([wrong, 0.0]), None)}, 1e-8, 5)
 
 
 def test_every_panel_is_drawn():

@@ -14,7 +14,7 @@ from diffdrive.logs import write_log
 from diffdrive.logs.checks.examine import Finding
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.studies.withheld import answer
-from tests.support import tilted_log
+from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE, SOUND, moved
 from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.workflow import downgrade, next_motion_of
@@ -49,7 +49,7 @@ def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(
 
 def test_a_fatal_finding_lowers_the_confidence_and_is_told(tilted, told_of, capsys):
     assert told_of(tilted)[0]["findings"] == []
-    late = dataclasses.replace(tilted_log.log(), command=moved(tilted_log.log().command, 1))
+    late = dataclasses.replace(constant_force_log.log(), command=moved(constant_force_log.log().command, 1))
     told, out = told_of(tilted, late)
     printed = capsys.readouterr().out
     assert "FORCED" not in printed
@@ -65,7 +65,7 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(tilted, told_of, caps
 
 
 def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_path, monkeypatch):
-    late = dataclasses.replace(tilted_log.log(), command=moved(tilted_log.log().command, 1))
+    late = dataclasses.replace(constant_force_log.log(), command=moved(constant_force_log.log().command, 1))
     told, _ = told_of(tilted, late)
     place = tmp_path / "case"
     place.mkdir()

@@ -14,7 +14,7 @@ from diffdrive.effects.forces import ConstantForce
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.figures import _ladder
 from experiments.reports.report import Report
-from tests.support import tilted_log
+from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE, described
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import NAMES
@@ -24,7 +24,7 @@ from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.setting import setting
 
-MASS = float(DRIVE.drive.plant.mass) * np.exp(tilted_log.OFF[NAMES.index("mass")])  # kg, the machine's
+MASS = float(DRIVE.drive.plant.mass) * np.exp(constant_force_log.OFF[NAMES.index("mass")])  # kg, the machine's
 
 
 def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tmp_path):
@@ -75,7 +75,7 @@ def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_
     told, out = told_of(with_second(tilted))
     written = {one.name: one for one in read_axis(out / "augmented.toml").drive.effects}
     assert set(written) == {"friction_asymmetry", "constant_force"}
-    alone = as_json(tilted, tilted_log.UNASKED)["causes"][0]["parameters"]["force"]
+    alone = as_json(tilted, constant_force_log.UNASKED)["causes"][0]["parameters"]["force"]
     for cause in told["causes"]:
         for name, value in cause["parameters"].items():
             assert float(getattr(written[cause["effect"]], name)) == pytest.approx(value)
@@ -111,7 +111,7 @@ def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
 
 
 def test_where_recalibration_hides_the_gap_it_is_said(tilted):
-    told = as_json(tilted, tilted_log.UNASKED)
+    told = as_json(tilted, constant_force_log.UNASKED)
     closed, last = told["closed"], told["ladder"][-1]
     assert f"{1e6 * last['position_rms_m']:.3g} um with what was found" in closed["says"]
     assert closed["share"] is None

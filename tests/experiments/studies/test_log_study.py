@@ -17,7 +17,7 @@ from experiments.studies.log_study.controllers import WEIGHTS, commanded
 from experiments.studies.log_study.drives import study_drives
 from experiments.studies.log_study.fault import Fault
 from experiments.studies.log_study.machines import lost_motion, side
-from experiments.studies.log_study.mended import differences
+from experiments.studies.log_study.repair_check import differences
 from experiments.studies.log_study.score import interval, scored
 from experiments.studies.log_study.sound import motions, sound
 from experiments.studies.log_study.study import FAULTS, drawn, log_study

@@ -17,7 +17,7 @@ from diffdrive.model.parameters import Actuator, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from experiments.benchmarks.loops import one_kernel
 from experiments.studies.recovery.truth import SCALE, TruthTable, advance, run, truth_log, truth_logs
-from tests.support.lopsided import LOPSIDED, PAPER
+from tests.support.asymmetric_drive import LOPSIDED, PAPER
 
 RATE, LOAD = 10_000.0, 5_000.0
 GAINS = PDGains(PAPER_KP, PAPER_KD)

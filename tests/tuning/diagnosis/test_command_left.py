@@ -10,7 +10,7 @@ import pytest
 
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging
-from tests.support.off_its_file import catalogue, fitter_of
+from tests.support.perturbed_machine import catalogue, fitter_of
 from tests.support.sound_log import described, logged, two_sines
 from tuning.diagnosis import command_left
 from tuning.diagnosis.calibration import TOLERANCE

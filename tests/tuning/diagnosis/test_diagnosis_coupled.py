@@ -8,7 +8,7 @@ import pytest
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
-from tests.support.off_its_file import OFF, catalogue, fitter_of
+from tests.support.perturbed_machine import OFF, catalogue, fitter_of
 from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis import evolving, leading
 from tuning.diagnosis.calibration import NAMES, TOLERANCE

@@ -12,7 +12,7 @@ from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.model.parameters import Directional
-from tests.support.off_its_file import OFF, catalogue, fitter_of
+from tests.support.perturbed_machine import OFF, catalogue, fitter_of
 from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated

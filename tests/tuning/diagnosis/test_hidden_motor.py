@@ -9,7 +9,7 @@ from diffdrive.effects.base import Seen
 from diffdrive.effects.oscillator import Oscillator
 from diffdrive.effects.transmission import Backlash, Compliance, Motor
 from diffdrive.model.friction import coulomb
-from tests.support.off_its_file import OFF, catalogue, fitter_of
+from tests.support.perturbed_machine import OFF, catalogue, fitter_of
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis import hidden
 from tuning.diagnosis.calibration import NAMES, TOLERANCE

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.off_its_file import OFF, fitter_of
+from tests.support.perturbed_machine import OFF, fitter_of
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import force_floor, force_gap

@@ -12,7 +12,7 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.loop.simulate import inputs_of
 from diffdrive.motion.motion import Limits, require_within
 from diffdrive.motion.text import parse_motion
-from tests.support.imagined import hypothesis
+from tests.support.fake_fits import hypothesis
 from tests.support.sound_log import DRIVE, RATE, logged, two_sines
 from tuning.diagnosis import next_experiment as module
 from tuning.diagnosis.calibration import TOLERANCE

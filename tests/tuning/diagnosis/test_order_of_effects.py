@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive.model.parameters import Sampling
-from tests.support.imagined import hypothesis, names, seeing  # noqa: F401
+from tests.support.fake_fits import hypothesis, names, seeing  # noqa: F401
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis import explain, leftover, search
 from tuning.diagnosis.calibration import NAMES

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.imagined import hypothesis, names, seeing  # noqa: F401
+from tests.support.fake_fits import hypothesis, names, seeing  # noqa: F401
 from tuning.diagnosis import explain
 from tuning.diagnosis.explain import Explanation, _Search
 from tuning.diagnosis.leftover import SLIGHT, WORTH

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.support.imagined import hypothesis, names, seeing  # noqa: F401
+from tests.support.fake_fits import hypothesis, names, seeing  # noqa: F401
 from tuning.diagnosis import explain, leading, verdict
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation, _better, _credibly, _other_first, _searched_beside

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.imagined import hypothesis
+from tests.support.fake_fits import hypothesis
 from tuning.diagnosis import verdict
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.search import Round

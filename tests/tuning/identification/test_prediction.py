@@ -21,7 +21,7 @@ from diffdrive.model.parameters import Actuator, Directional, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.motion import load
 from experiments.studies.recovery.excitation import joined, resting, strokes
-from tests.support.lopsided import LOPSIDED
+from tests.support.asymmetric_drive import LOPSIDED
 from tuning.identification.filter_gain import PROCESSES, likeliest, track
 from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
 from tuning.identification.problem import IdentificationProblem, Innovations, lanes_of, sampling_of

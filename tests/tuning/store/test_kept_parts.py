@@ -15,7 +15,7 @@ from experiments.reports.diagnosis import diagnosis as diagnose
 from experiments.reports.identification import identification as identify
 from experiments.reports.sweep import sweep
 from experiments.studies import real_axes
-from tests.support import tilted_log
+from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates
@@ -80,7 +80,7 @@ class Interrupted(KeptParts):
 
 def looked(store):
     """One effect looked for in a log, out of one that is screened to first order and one that is tried."""
-    fitter = Fitter(logged_of(DRIVE.drive, [tilted_log.log()]), None, store)
+    fitter = Fitter(logged_of(DRIVE.drive, [constant_force_log.log()]), None, store)
     logged = fitter.logged
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     few = [one for one in candidates(at) if one.name in ("constant_force", "loop_delay")]
