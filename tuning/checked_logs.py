@@ -71,7 +71,7 @@ def require_sound(checked: CheckedLogs, mend: str) -> None:
     """Raise `LogError` for the first fatal finding; `mend` says how to go on all the same."""
     if checked.fatal:
         log, one = checked.fatal[0]
-        raise LogError(f"{log}: {one.channel}: {one.found}; {one.mend} ({mend})")
+        raise LogError(f"{log}: {one.channel}: {one.message}; {one.remedy} ({mend})")
 
 
 def _under(log: Log, load: float | None) -> Log:

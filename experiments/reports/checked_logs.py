@@ -61,7 +61,7 @@ def looked_over(
         report.table(
             name,
             ("log", "severity", "channel", "what", "mend"),
-            [[log, one.severity, one.channel, one.found, one.mend] for log, one in found],
+            [[log, one.severity, one.channel, one.message, one.remedy] for log, one in found],
             f"What {', '.join(log.name for log in logs)} would mislead about, or limits",
         )
     return checked

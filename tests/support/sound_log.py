@@ -122,7 +122,7 @@ def matching(findings: list[Finding], severity: str, channel: str, text: str) ->
     return [
         one
         for one in findings
-        if one.severity == severity and one.channel == channel and re.search(text, f"{one.found}; {one.mend}")
+        if one.severity == severity and one.channel == channel and re.search(text, f"{one.message}; {one.remedy}")
     ]
 
 

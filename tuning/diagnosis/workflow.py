@@ -149,7 +149,7 @@ def result_of(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: Experim
     """The result, for its readers."""
     searched = not is_void(checked)
     findings = [
-        {"log": log, "severity": one.severity, "channel": one.channel, "found": one.found, "mend": one.mend}
+        {"log": log, "severity": one.severity, "channel": one.channel, "found": one.message, "mend": one.remedy}
         for log, one in checked.worth_saying
     ]
     noise = unstated_noise(axis.drive, float(found.logged.noise)) if searched else ""
@@ -192,12 +192,12 @@ def next_motion_of(axis: Axis, checked: CheckedLogs, found: Diagnosis) -> Experi
     if not checked.fatal:
         return next_experiment(found, axis)
     log, first = _foremost(found, checked.fatal)
-    return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.mend}")
+    return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.remedy}")
 
 
 def is_void(checked: CheckedLogs) -> bool:
     """Whether a search for causes would be a waste of minutes, and the axis that it finds a trap."""
-    return any(one.voids for _, one in checked.fatal)
+    return any(one.invalidates_log for _, one in checked.fatal)
 
 
 def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
@@ -205,12 +205,12 @@ def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     if not fatal:
         return found
     log, first = _foremost(found, fatal)
-    told = f"the log checks say of {log}: {first.found}"
-    if first.voids:
-        says = f"no cause was looked for: {told}. Mend that first: {first.mend}"
+    told = f"the log checks say of {log}: {first.message}"
+    if first.invalidates_log:
+        says = f"no cause was looked for: {told}. Mend that first: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
     if _strange(found, [(log, first)]):
-        told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.mend}"
+        told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(told))
     told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"
     return dataclasses.replace(found, verdict=found.verdict.and_says(told))
@@ -224,7 +224,7 @@ def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
 
 def _foremost(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
     """The one to be mended first: what voids the log, then what is nothing that was found."""
-    voiding = [(log, one) for log, one in fatal if one.voids]
+    voiding = [(log, one) for log, one in fatal if one.invalidates_log]
     return (voiding or _strange(found, fatal) or fatal)[0]
 
 

@@ -142,7 +142,7 @@ def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Id
     """The result, with what is to be said of it."""
     ok = found.search.status == "converged"
     code = CODES.get(found.status, "interrupted" if interrupted(found.search) else "not_converged")
-    notes = [f"{log}: {one.found}; {one.mend}" for log, one in checked.worth_saying]
+    notes = [f"{log}: {one.message}; {one.remedy}" for log, one in checked.worth_saying]
     notes += [*found.notes, found.adequacy.says]
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []

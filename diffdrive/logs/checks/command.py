@@ -111,14 +111,14 @@ def faults(log: Log, outcome: Outcome, description: Axis) -> Iterator[Finding]:
     best, unsure = outcome.best, rivals.causes_of(outcome.best, outcome.rivals)
     mendable = not outcome.rivals and all(one.steps for one in best.faults)
     sound = any(not one.faults for one in outcome.rivals)
-    doubts = rivals.told(best, outcome.rivals, lambda fault: words.of(fault, log, outcome, description).mend)
+    doubts = rivals.told(best, outcome.rivals, lambda fault: words.of(fault, log, outcome, description).remedy)
     for fault in best.faults:
         said = words.of(fault, log, outcome, description)
         severity = "warning" if sound and said.severity == "fatal" else said.severity
         repair = Repair(fault.steps) if mendable else None
         yield Finding(
-            severity, said.channel, said.found, said.mend + doubts, fault.cause, unsure, repair,
-            said.resembles, said.amount, said.voids and not sound,
+            severity, said.channel, said.message, said.remedy + doubts, fault.cause, unsure, repair,
+            said.resembles, said.amount, said.invalidates_log and not sound,
         )  # fmt: skip
 
 

@@ -93,7 +93,7 @@ def _in_its_unit(finding: Finding, related: list[Finding]) -> Finding:
         return finding
     return replace(
         finding,
-        mend="settle the unit of the command first; then this is actuator.force_limit, or the recorder's range ends",
+        remedy="settle the unit of the command first; then this is actuator.force_limit, or the recorder's range ends",
     )
 
 
@@ -146,17 +146,17 @@ def _doubted(finding: Finding, given: list[Finding], left: list[Finding]) -> Fin
     if new:
         return replace(
             finding,
-            mend=f"{finding.mend}; but the log so mended is not sound ({_list(new)}), so the cause is not certain",
+            remedy=f"{finding.remedy}; but the log so mended is not sound ({_list(new)}), so the cause is not certain",
             rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
             repair=None,
         )
     if unchanged:
-        return replace(finding, mend=f"{finding.mend}; besides, {_list(unchanged)}", repair=None)
+        return replace(finding, remedy=f"{finding.remedy}; besides, {_list(unchanged)}", repair=None)
     return finding
 
 
 def _list(findings: list[Finding]) -> str:
-    return "; ".join(f"{one.channel}: {one.found}" for one in findings[:2])
+    return "; ".join(f"{one.channel}: {one.message}" for one in findings[:2])
 
 
 def _position_unit(log: Log, description: Axis | None) -> list[Finding]:

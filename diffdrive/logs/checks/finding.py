@@ -53,14 +53,14 @@ class Finding:
 
     severity: Severity
     channel: str
-    found: str  # one sentence, with numbers
-    mend: str  # what to do
+    message: str  # one sentence, with numbers
+    remedy: str  # what to do
     cause: str = "range"
     rivals: tuple[str, ...] = ()
     repair: Repair | None = None
     resembles: str | None = None  # effect of the catalogue that would look alike, had the machine it and not the log
     amount: float | None = None  # of it: the gain, or the delay in samples
-    voids: bool = False  # whether nothing that is made of the log means anything before that is mended
+    invalidates_log: bool = False  # whether nothing that is made of the log means anything before that is mended
 
     def __str__(self) -> str:
-        return f"{self.severity}: {self.channel}: {self.found}; {self.mend}"
+        return f"{self.severity}: {self.channel}: {self.message}; {self.remedy}"

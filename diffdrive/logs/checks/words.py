@@ -21,11 +21,11 @@ class Words(NamedTuple):
 
     severity: Severity
     channel: str
-    found: str
-    mend: str
+    message: str
+    remedy: str
     resembles: str | None = None  # an effect of the catalogue that would look alike
     amount: float | None = None
-    voids: bool = False
+    invalidates_log: bool = False
 
 
 def of(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
@@ -49,7 +49,7 @@ def _swapped(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Wor
         "reference and position are exchanged: only the other way round the drive file's controller gives the command, "
         f"to {percent(_left(outcome))} %, and mass and friction are positive",
         "exchange the two columns",
-        voids=True,
+        invalidates_log=True,
     )
 
 
@@ -97,7 +97,7 @@ def _decimated(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> W
         f"only one row in {count:.0f} was kept, and the time was counted at the full rate: {count:.0f} times slower "
         f"the drive file's controller gives the command {_misfits(outcome)}",
         f"multiply the time by {count:.0f}; better, log every sample",
-        voids=True,
+        invalidates_log=True,
     )
 
 
@@ -107,7 +107,7 @@ def _rectified(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> W
         "command",
         f"the command is the absolute value of what the drive file's controller gives {_misfits(outcome)}",
         "log the command with its sign",
-        voids=True,
+        invalidates_log=True,
     )
 
 
@@ -120,7 +120,7 @@ def _reversed(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Wo
             f"the position is {fault.numbers['ratio']:.4g} times the reference: its sign is reversed, and the command "
             f"says that it is the {fault.channel}'s {_misfits(outcome)}",
             f"reverse the {fault.channel}",
-            voids=True,
+            invalidates_log=True,
         )
     ratio = fault.numbers["ratio"]
     size = f", and 1 unit of it is {1 / abs(ratio):.4g} N" if abs(abs(ratio) - 1) > WRONG_UNIT else ""
@@ -129,7 +129,7 @@ def _reversed(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Wo
         "command",
         f"the command is {ratio:.4g} times what the drive file's controller gives: its sign is reversed{size}",
         f"reverse the command, in newtons by {UNIT_MEND}, or position and reference (the controller cannot tell which)",
-        voids=outcome.best.fit.error < ROUGH,
+        invalidates_log=outcome.best.fit.error < ROUGH,
     )
 
 
@@ -143,7 +143,7 @@ def _gain(fault: Fault, log: Log, outcome: Outcome, description: Axis) -> Words:
             f"position and reference are {ratio:.4g} times what they should be{name_in_brackets(ratio)}: the command "
             "fits the drive file's controller otherwise, and mass and friction are then those of the drive file",
             "correct the unit of position and reference",
-            voids=not 1 / 3 < ratio < 3,
+            invalidates_log=not 1 / 3 < ratio < 3,
         )
     if fault.channel != "command":
         return Words(

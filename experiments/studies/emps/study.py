@@ -155,7 +155,7 @@ def _checks(report: Report, folder: Path, records: Records) -> None:
         for file in records:
             record = emps.read(folder / emps.FILES[file], newtons=newtons)
             findings = examine(record.log, emps.description(record, delay_samples=delay))
-            rows += [[reading, file, one.severity, one.channel, one.found] for one in findings]
+            rows += [[reading, file, one.severity, one.channel, one.message] for one in findings]
     report.table(
         "emps_checks", ("reading", "file", "severity", "channel", "found"), rows, "What the checks of logs find"
     )

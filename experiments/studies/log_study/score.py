@@ -57,7 +57,7 @@ def scored(fault: Fault, description: Axis, resolution: float, examine: Examine)
     names = {name for one in findings for name in (one.cause, *one.rivals)}
     log, applied = mended(fault.log, description, examine, findings)
     wrong = differences(log, fault, resolution) if applied else []
-    told = "; ".join(f"{one.severity}: {one.channel}: {one.found}; {one.mend}" for one in applied)
+    told = "; ".join(f"{one.severity}: {one.channel}: {one.message}; {one.remedy}" for one in applied)
     return Score(
         first,
         bool(names & set(fault.causes)),

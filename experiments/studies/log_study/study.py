@@ -162,7 +162,7 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
             )
             alone += all(one.cause == "motion" for one in findings)
             rows += [
-                [number, case.drive.name, case.log.name, one.severity, one.cause, one.channel, one.found]
+                [number, case.drive.name, case.log.name, one.severity, one.cause, one.channel, one.message]
                 for one in findings
             ]
             advance("sound logs", number + 1, count)

@@ -107,14 +107,14 @@ def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, t
 
     def shifts_of(description):
         found = examine(read_log(path, mapping=description.mapping, rate=RATE), description)
-        return [one for one in found if one.severity != "note" and "shift" in one.found]
+        return [one for one in found if one.severity != "note" and "shift" in one.message]
 
     (finding,) = shifts_of(drive)
-    options = re.findall(r"--shift (\S+?)[,)]", finding.mend)
+    options = re.findall(r"--shift (\S+?)[,)]", finding.remedy)
     assert len(options) == 1
     plain = {name: by for name, by in drive.mapping.shifts.items() if "/" not in name}  # which would go before it
     assert not shifts_of(dataclasses.replace(drive, mapping=Mapping(shifts=plain).overridden(shifts=options)))
-    ((named, by),) = re.findall(r'"(\S+)" = (\S+) in \[shifts\]', finding.mend)
+    ((named, by),) = re.findall(r'"(\S+)" = (\S+) in \[shifts\]', finding.remedy)
     assert f"{named}={int(by):+d}" == options[0]
 
 

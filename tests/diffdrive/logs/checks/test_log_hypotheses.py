@@ -173,8 +173,8 @@ def test_a_cascade_with_a_velocity_over_four_samples_is_another_controller():
     other = dataclasses.replace(drive, controller=dataclasses.replace(drive.controller, velocity_samples=4))
     [finding] = complaints(examine(logged(other, triangle()), drive))
     assert finding.cause == "other controller"
-    assert "its velocity over 4 samples" in finding.found
-    assert "no channel is to be moved" in finding.mend
+    assert "its velocity over 4 samples" in finding.message
+    assert "no channel is to be moved" in finding.remedy
 
 
 def test_a_command_that_overflows_is_no_outlier():
@@ -198,8 +198,8 @@ def test_long_pulses_that_the_table_ignores_stand_in_the_log_alone():
     command[2000:3000] += 60.0
     [finding] = complaints(examine(but(command=command), DRIVE))
     assert finding.cause == "burst"
-    assert "never acted" in finding.found
-    assert "disturbance" not in finding.mend
+    assert "never acted" in finding.message
+    assert "disturbance" not in finding.remedy
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_friction_that_fell_is_no_unit_error_and_never_fatal():
         findings = examine(FALLEN, drive)
         assert not [one for one in findings if one.severity == "fatal"]
         (machine,) = [one for one in findings if one.cause == "other machine"]
-        assert "0.2" in machine.found
+        assert "0.2" in machine.message
 
 
 @pytest.mark.parametrize(
@@ -243,15 +243,15 @@ def test_a_constant_that_two_causes_explain_names_both_and_states_no_mend():
     assert first.cause == "offset"
     assert first.rivals == ("offset",)
     assert first.repair is None
-    assert "does not rule out" in first.mend
+    assert "does not rule out" in first.remedy
 
 
 def test_two_logs_that_contradict_one_another_are_named():
     stiff = of(machine(coulomb=(115.0, 117.0)))
     (found,) = examine_together([SOUND, dataclasses.replace(stiff, name="stiff")], DRIVE)
     assert (found.severity, found.cause) == ("warning", "machines differ")
-    assert re.search(r"friction of 7[01]\.\d N", found.found)
-    assert "stiff" in found.found
+    assert re.search(r"friction of 7[01]\.\d N", found.message)
+    assert "stiff" in found.message
     assert examine_together([SOUND, of(DRIVE)], DRIVE) == []
     assert examine_together([SOUND, stiff])[0].cause == "machines differ"
 

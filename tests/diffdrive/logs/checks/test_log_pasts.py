@@ -81,7 +81,7 @@ def test_a_short_log_that_ends_in_a_rest_is_not_told_of_pulses_or_of_its_sign(ki
     drive = described(kind, rate=RATE, kp=7.98e6, kd=15_960.0, noise=0.0, resolution=1e-8 if load == 0.0 else None)
     reference = motion.jerk_limited(distance=0.05, speed=0.08, acceleration=2.0, jerk=50.0, dwell=0.2, rate=RATE)
     findings = examine(cut(log_of(drive, reference, load), first, last), drive)
-    assert not [one for one in complaints(findings) if one.severity == "fatal" or "pulses" in one.found], findings
+    assert not [one for one in complaints(findings) if one.severity == "fatal" or "pulses" in one.message], findings
 
 
 def pulses(log: Log) -> np.ndarray:

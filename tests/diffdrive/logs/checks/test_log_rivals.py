@@ -83,13 +83,13 @@ def test_rows_left_out_of_the_log_of_a_heavier_machine_name_other_numbers():
     [finding] = complaints(examine(log, UNKNOWN))
     assert (finding.cause, finding.repair) == ("decimated", None)
     assert "decimated" in finding.rivals
-    assert "multiply the time by 5" in finding.mend
+    assert "multiply the time by 5" in finding.remedy
 
 
 def test_a_force_constant_from_mass_and_friction_is_known_to_their_tolerance():
     [finding] = complaints(examine(HAPPENED["volts"][0], UNKNOWN))
     assert (finding.cause, finding.rivals, finding.repair) == ("gain", ("other machine",), None)
-    low, high = (float(one) for one in finding.mend.split("command, ")[1].split(" N where")[0].split(" to "))
+    low, high = (float(one) for one in finding.remedy.split("command, ")[1].split(" N where")[0].split(" to "))
     assert low < FORCE_PER_VOLT < high
     assert high == pytest.approx(4 * low, rel=0.01)
 
@@ -100,7 +100,7 @@ def test_a_shift_that_hardly_explains_more_than_nothing_is_not_certain():
     some["command"] = np.roll(some["command"], 1) + noise
     first = complaints(examine(sound_log.but(**some), sound_log.DRIVE))[0]
     assert (first.severity, first.cause, first.rivals, first.repair) == ("warning", "shifted", ("nothing",), None)
-    assert "nothing at all" in first.mend
+    assert "nothing at all" in first.remedy
 
 
 def test_a_known_disturbance_is_no_part_of_the_gains():
@@ -108,7 +108,7 @@ def test_a_known_disturbance_is_no_part_of_the_gains():
     log = logged(described(kp=2.8e6, kd=4e4, noise=0.0), triangle())
     disturbance = np.random.default_rng(1).choice([-1.0, 1.0], 41).repeat(200)[: len(log.time)]
     [finding] = complaints(examine(dataclasses.replace(log, disturbance=disturbance), DRIVE))
-    assert "whose parts are 0.7, 1.333 times" in finding.found
+    assert "whose parts are 0.7, 1.333 times" in finding.message
 
 
 LIMIT = 160.0  # N
@@ -126,19 +126,19 @@ def clipped(log, drive=DRIVE):
 
 @pytest.mark.parametrize("log", [SATURATED, IN_VOLTS], ids=["N", "V"])
 def test_a_limit_of_the_amplifier_is_stated_in_newtons(log):
-    assert {one.mend for one in clipped(log)} == {"set actuator.force_limit = 160 N"}
+    assert {one.remedy for one in clipped(log)} == {"set actuator.force_limit = 160 N"}
 
 
 def test_a_limit_in_a_unit_that_is_not_known_is_not_stated_in_newtons():
     for one in clipped(IN_VOLTS, UNKNOWN):
-        assert "settle the unit" in one.mend
-        assert " N" not in one.mend
+        assert "settle the unit" in one.remedy
+        assert " N" not in one.remedy
 
 
 def test_a_command_that_only_the_recorder_clipped_sets_no_limit_of_the_drive():
     for one in clipped(but(command=np.clip(SOUND.command, -130.0, 130.0))):
-        assert "recorder alone" in one.found
-        assert "force_limit" not in one.mend
+        assert "recorder alone" in one.message
+        assert "force_limit" not in one.remedy
 
 
 def test_a_motor_in_millimetres_has_no_lost_motion():
@@ -173,11 +173,11 @@ def test_a_second_encoder_that_is_dead_hides_no_sign_and_is_no_rival_of_it():
     assert [one.cause for one in findings] == ["reversed", "frozen"]
     sign = findings[0]
     assert (sign.rivals, sign.repair) == ((), None)
-    assert "besides, motor_position" in sign.mend
-    assert "not certain" not in sign.mend
+    assert "besides, motor_position" in sign.remedy
+    assert "not certain" not in sign.remedy
 
 
 def test_a_log_of_many_short_pieces_is_refused():
     [finding] = examine(but(gaps=tuple(range(4, COUNT, 4))), DRIVE)
     assert (finding.severity, finding.cause) == ("fatal", "unreadable")
-    assert "no more than 4 of them" in finding.found
+    assert "no more than 4 of them" in finding.message

@@ -84,7 +84,7 @@ def test_an_unquantised_position_is_noted():
 @settings(max_examples=12)
 def test_every_unit_of_the_command_is_recovered(power):
     findings = examine(but(command=10**power * SOUND.command), DRIVE)
-    told = [re.search(r"by ([\d.e+-]+) N per unit", one.mend) for one in findings if one.channel == "command"]
+    told = [re.search(r"by ([\d.e+-]+) N per unit", one.remedy) for one in findings if one.channel == "command"]
     factors = [float(one.group(1)) for one in told if one]
     if abs(10**power - 1) > 0.1:
         assert factors == [pytest.approx(10**-power, rel=1e-3)]
@@ -96,7 +96,7 @@ def test_every_unit_of_the_command_is_recovered(power):
 @settings(max_examples=8)
 def test_every_shift_is_recovered(command, position):
     log = but(command=moved(SOUND.command, command), position=moved(SOUND.position, position))
-    found = [one for one in examine(log, DRIVE) if "shift" in one.found and one.severity != "note"]
+    found = [one for one in examine(log, DRIVE) if "shift" in one.message and one.severity != "note"]
     if command == 0 and position == 0:
         assert not found
         return
@@ -110,22 +110,22 @@ def test_every_shift_is_recovered(command, position):
     assert only.amount == (-behind if behind else None)
     if late == behind:
         assert only.channel == "command"
-        assert f"shift {late:+d}" in only.found
+        assert f"shift {late:+d}" in only.message
     elif late == 0:
         assert only.channel == "position"
-        assert f"shift {-behind:+d}" in only.found
+        assert f"shift {-behind:+d}" in only.message
     elif behind == 0:
         assert only.channel == "reference"
-        assert f"shift {-late:+d}" in only.found
+        assert f"shift {-late:+d}" in only.message
     else:
-        assert f"{-late:+d} and {-behind:+d} samples" in only.found
+        assert f"{-late:+d} and {-behind:+d} samples" in only.message
 
 
 @given(st.floats(60.0, 200.0))
 @settings(max_examples=6)
 def test_every_clipping_level_is_told(level):
     findings = examine(but(command=np.clip(SOUND.command, -level, level)), DRIVE)
-    told = [float(re.search(r"sits at (\S+)", one.found).group(1)) for one in findings if "clipped" in one.found]
+    told = [float(re.search(r"sits at (\S+)", one.message).group(1)) for one in findings if "clipped" in one.message]
     if np.mean(SOUND.command > level) > 0.01:
         assert max(told) == pytest.approx(level, rel=1e-5)
 
@@ -250,7 +250,7 @@ def test_emps_tells_its_own_traps_and_no_others(which, newtons, told):
 def test_emps_volts_are_told_from_mass_and_friction_alone():
     log, drive = emps_log("estimation", newtons=False)
     (volts,) = matching(examine(but(log, reference=None), drive), "fatal", "command", "than|times what mass")
-    assert float(re.search(r"about ([\d.]+) N per unit", volts.mend).group(1)) == pytest.approx(35.15, rel=0.1)
+    assert float(re.search(r"about ([\d.]+) N per unit", volts.remedy).group(1)) == pytest.approx(35.15, rel=0.1)
 
 
 @without_emps
@@ -285,5 +285,5 @@ def test_a_command_that_stands_with_the_error_is_not_frozen():
     command[still] = command[still.start]
     with_error = dataclasses.replace(SOUND, position=SOUND.reference - error, command=command)
     without = dataclasses.replace(SOUND, command=command)
-    frozen = [any("command is frozen" in one.found for one in examine(log)) for log in (with_error, without)]
+    frozen = [any("command is frozen" in one.message for one in examine(log)) for log in (with_error, without)]
     assert frozen == [False, True]
