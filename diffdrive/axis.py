@@ -15,7 +15,7 @@ from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import in_order
 from diffdrive.errors import ParameterError
-from diffdrive.logs.mapping import Mapping
+from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Directional, Drive, Sampling, directional, quantities
 from diffdrive.motion.motion import Limits
@@ -44,7 +44,7 @@ class Axis(eqx.Module):
     controller: Controller
     sampling: Sampling
     limits: Limits = eqx.field(static=True, default=Limits())
-    mapping: Mapping = eqx.field(static=True, default_factory=Mapping)
+    mapping: ColumnMapping = eqx.field(static=True, default_factory=ColumnMapping)
     name: str = eqx.field(static=True, default="axis")
 
     @property

@@ -12,7 +12,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
-from diffdrive.logs.mapping import Mapping
+from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.model.presets import PAPER_FORCE_PER_VOLT, PAPER_KD, PAPER_KP, PAPER_STROKE, paper_drive
 from diffdrive.motion.motion import Limits
@@ -52,4 +52,4 @@ def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
     known = paper_controllers(drive)
     if controller not in known:
         raise ParameterError(f"controller: no kind {controller!r}; known: {', '.join(known)}")
-    return Axis(drive, known[controller], SAMPLING, LIMITS, Mapping(force_per_volt=PAPER_FORCE_PER_VOLT), "paper")
+    return Axis(drive, known[controller], SAMPLING, LIMITS, ColumnMapping(force_per_volt=PAPER_FORCE_PER_VOLT), "paper")

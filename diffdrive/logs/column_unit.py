@@ -63,7 +63,7 @@ def conversion(channel: str, text: str, force_per: dict[str, float]) -> Conversi
     )
 
 
-def fits(channel: str, text: str) -> bool:
+def is_unit_of(channel: str, text: str) -> bool:
     """Whether `text` is a unit of `channel`."""
     try:
         conversion(channel, text, {"V": 1.0, "A": 1.0})
@@ -72,7 +72,7 @@ def fits(channel: str, text: str) -> bool:
     return True
 
 
-def split(header: str, channel: str) -> tuple[str, str | None]:
+def split_unit(header: str, channel: str) -> tuple[str, str | None]:
     """Name and unit of a header such as 'position [mm]', 'position (mm)' or 'position_mm'; None without a unit.
 
     Brackets always hold a unit; parentheses and suffixes may be part of a name, and count where they fit the channel.
@@ -82,6 +82,6 @@ def split(header: str, channel: str) -> tuple[str, str | None]:
         return found["name"], None if unit.casefold() in _NO_UNIT else unit
     for pattern in (_PARENTHESES, _SUFFIX):
         found = pattern.fullmatch(header.strip())
-        if found and fits(channel, found["unit"]):
+        if found and is_unit_of(channel, found["unit"]):
             return found["name"], found["unit"].strip()
     return header.strip(), None

@@ -43,7 +43,7 @@ class Log:
     """Signals of one motion; arrays of shape [n], None where the log has no such signal.
 
     `gaps` are the indices k at which samples are missing between k - 1 and k; `notes` say what a reader repaired;
-    `moved` are the samples by which it moved channels, as it was asked to.
+    `shifts` are the samples by which it shifted channels, as its mapping says.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Log:
     temperature: Signal | None = None
     gaps: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
-    moved: Mapping[str, int] = field(default_factory=dict)
+    shifts: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         low, high = 1e3 * float(np.min(self.position)), 1e3 * float(np.max(self.position))

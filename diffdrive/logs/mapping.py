@@ -1,10 +1,9 @@
 """Which column of a log's file is which channel, in which unit and time: [columns], [units] and [shifts]."""
 
-import collections.abc
 import dataclasses
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -16,7 +15,7 @@ from diffdrive.support.units import to_si
 
 
 @dataclasses.dataclass(frozen=True)
-class Mapping:
+class ColumnMapping:
     """Columns and units by channel; what is absent is found by name and taken in the unit that the file says, else SI.
 
     `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
@@ -71,10 +70,10 @@ class Mapping:
         gains = {electric: getattr(self, key) for key, electric in FORCE_PER.items()}
         return {electric: gain for electric, gain in gains.items() if gain is not None}
 
-    def moves(self, path: Path) -> dict[str, int]:
+    def shifts_of(self, path: Path) -> dict[str, int]:
         """Samples by which each channel of a log's file is moved: the key that names the log most closely counts."""
         keys = [(*log_and_channel(key), by) for key, by in self.shifts.items()]
-        own = [one for one in keys if means(one[0], path)]
+        own = [one for one in keys if matches_log(one[0], path)]
         return {channel: by for _, channel, by in sorted(own, key=lambda one: len(PurePath(one[0]).parts))}
 
     def conversion(self, channel: str, unit: str, where: str) -> Conversion:
@@ -85,9 +84,9 @@ class Mapping:
             raise LogError(f"{where}: {problem}") from None
 
     def with_more(
-        self, columns: collections.abc.Mapping[str, str], units: collections.abc.Mapping[str, str],
-        shifts: collections.abc.Mapping[str, int],
-    ) -> "Mapping":  # fmt: skip
+        self, columns: Mapping[str, str], units: Mapping[str, str],
+        shifts: Mapping[str, int],
+    ) -> "ColumnMapping":  # fmt: skip
         """With these put over it; raises `LogError` for a channel or unit that does not exist."""
         more = parse_mapping(dict(columns), dict(units), dict(shifts))
         gains = {key: getattr(more, key) for key in FORCE_PER if key in units}
@@ -98,7 +97,7 @@ class Mapping:
 
     def overridden(
         self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()
-    ) -> "Mapping":
+    ) -> "ColumnMapping":
         """With a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1` put over it."""
         more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
         gains = {key: _gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
@@ -115,7 +114,7 @@ def log_and_channel(key: str) -> tuple[str, str]:
     return log.strip(), channel.strip()
 
 
-def means(log: str, path: Path) -> bool:
+def matches_log(log: str, path: Path) -> bool:
     """Whether "lap2", "lap2.csv" or "monday/lap2" means a log's file; "" means every one."""
     wanted, file = PurePath(log).parts, path.resolve()
     return any(one.parts[len(one.parts) - len(wanted) :] == wanted for one in (file, file.with_name(file.stem)))
@@ -124,17 +123,17 @@ def means(log: str, path: Path) -> bool:
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
-def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any]) -> Mapping:
+def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any]) -> ColumnMapping:
     """From the tables of a drive file; raises `LogError` naming the key and the mend."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {shown(table)}")
     gains = {key: _gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
     plain = {key: unit for key, unit in units.items() if key not in FORCE_PER}
-    return Mapping(dict(columns), plain, **gains, shifts=dict(shifts))
+    return ColumnMapping(dict(columns), plain, **gains, shifts=dict(shifts))
 
 
-def mapping_tables(mapping: Mapping) -> dict[str, dict[str, Any]]:
+def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, Any]]:
     """The tables of a drive file that `parse_mapping` reads back to the same mapping; none where it is empty."""
     gains = {key: getattr(mapping, key) for key in FORCE_PER if getattr(mapping, key) is not None}
     tables = {"columns": dict(mapping.columns), "units": dict(mapping.units) | gains, "shifts": dict(mapping.shifts)}

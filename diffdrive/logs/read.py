@@ -1,8 +1,7 @@
 """Reads a log of any known format: its columns, their channels and units, missing values, the clock."""
 
-import collections.abc
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +14,13 @@ from diffdrive.logs.clocks.timing import in_order, on_uniform_clock
 from diffdrive.logs.formats.registry import READERS
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS, Log
-from diffdrive.logs.mapping import Mapping
+from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.logs.select import missing, select
 
 if TYPE_CHECKING:
     from diffdrive.axis import Axis
 
-Texts = collections.abc.Mapping[str, str]
+Texts = Mapping[str, str]
 
 
 def read_table(path: str | Path) -> Table:
@@ -50,9 +49,9 @@ def read_log(
     *,
     columns: Texts | None = None,
     units: Texts | None = None,
-    shifts: collections.abc.Mapping[str, int] | None = None,
+    shifts: Mapping[str, int] | None = None,
     name: str | None = None,
-    mapping: Mapping | None = None,
+    mapping: ColumnMapping | None = None,
     rate: float | None = None,
 ) -> Log:
     """Read a log in SI units on a uniform clock; its `notes` say what was repaired on the way.
@@ -67,7 +66,7 @@ def read_log(
     takes its time from it. `name` is the log's; a file's by default. Raises `LogError`, one line that names the file,
     the row or column, and the mend.
     """
-    mapping = mapping or (Mapping() if axis is None else axis.mapping)
+    mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
     if columns or units or shifts:
         mapping = mapping.with_more(columns or {}, units or {}, shifts or {})
     rate = rate if rate is not None or axis is None else axis.rate
@@ -88,7 +87,7 @@ def _frame(source: Any, name: str) -> Table:
     return table
 
 
-def _log(table: Table, path: Path, name: str, mapping: Mapping, rate: float | None) -> Log:
+def _log(table: Table, path: Path, name: str, mapping: ColumnMapping, rate: float | None) -> Log:
     """The log that a table holds."""
     signals, clock, notes = select(table, mapping)
     if "time" not in signals:
@@ -103,7 +102,7 @@ def _log(table: Table, path: Path, name: str, mapping: Mapping, rate: float | No
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate, clock.factor)
     notes += said
-    shifts = mapping.moves(path)
+    shifts = mapping.shifts_of(path)
     if "injected" in signals and "command" in shifts:  # of which it is a part
         shifts.setdefault("injected", shifts["command"])
     signals, gaps, said = shifted(table.source, signals, gaps, shifts)
@@ -112,11 +111,15 @@ def _log(table: Table, path: Path, name: str, mapping: Mapping, rate: float | No
         signals["command"] = signals["command"] - signals["injected"]
         notes.append("the injected force was taken off the command and counted as a disturbance")
     ordered = {name: np.ascontiguousarray(signals[name]) for name in CHANNELS if name in signals}
-    return Log(name, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said), moved=shifts)
+    return Log(name, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said), shifts=shifts)
 
 
 def read_logs(
-    sources: Iterable[Any], axis: "Axis | None" = None, *, mapping: Mapping | None = None, rate: float | None = None
+    sources: Iterable[Any],
+    axis: "Axis | None" = None,
+    *,
+    mapping: ColumnMapping | None = None,
+    rate: float | None = None,
 ) -> tuple[Log, ...]:
     """Read several logs of one machine, each as `read_log` does; raises `LogError`."""
     sources = list(sources)

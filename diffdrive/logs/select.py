@@ -9,16 +9,16 @@ import numpy as np
 from diffdrive.errors import LogError
 from diffdrive.logs.clocks.channel_clocks import onto_time
 from diffdrive.logs.clocks.stamps import integer_seconds, text_seconds
-from diffdrive.logs.column_unit import FORCES, Conversion, fits, split
+from diffdrive.logs.column_unit import FORCES, Conversion, is_unit_of, split_unit
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
-from diffdrive.logs.mapping import Mapping
+from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.support.messages import listed
 
 _EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
 
-def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conversion, list[str]]:
+def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray], Conversion, list[str]]:
     """The channels in SI, how the time became seconds, and notes; raises `LogError` for what is missing or ambiguous.
 
     The time may be absent: whether that is an error depends on whether the rate is known.
@@ -47,7 +47,7 @@ def select(table: Table, mapping: Mapping) -> tuple[dict[str, np.ndarray], Conve
     return signals, clock, notes + said
 
 
-def _chosen(table: Table, mapping: Mapping) -> dict[str, str]:
+def _chosen(table: Table, mapping: ColumnMapping) -> dict[str, str]:
     chosen = {channel: _mapped(table, channel, column) for channel, column in mapping.columns.items()}
     for channel, meant in READABLE.items():
         if channel in chosen:
@@ -93,8 +93,8 @@ def _option(channel: str, column: str) -> str:
 def _require_no_clock(table: Table, taken: list[str]) -> None:
     """Where no column is the time, none may look like it: counted at another rate, every speed would be another."""
     for column in table.columns:
-        said = table.units.get(column) or split(column, "time")[1]
-        if column in taken or said is None or not fits("time", said):
+        said = table.units.get(column) or split_unit(column, "time")[1]
+        if column in taken or said is None or not is_unit_of("time", said):
             continue
         try:
             values = table.numbers(column)
@@ -129,7 +129,7 @@ def _find(columns: list[str], name: str, channel: str, *, exact: bool) -> list[s
     wanted = name.strip().casefold()
 
     def names(column: str) -> set[str]:
-        return {column.strip().casefold(), split(column, channel)[0].casefold()}
+        return {column.strip().casefold(), split_unit(column, channel)[0].casefold()}
 
     rules: list[Callable[[str], bool]] = [
         lambda column: exact and column == name,
@@ -143,8 +143,8 @@ def _find(columns: list[str], name: str, channel: str, *, exact: bool) -> list[s
     return []
 
 
-def _conversion(table: Table, mapping: Mapping, channel: str, column: str) -> tuple[Conversion, list[str]]:
-    said = table.units.get(column) or split(column, channel)[1]
+def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str) -> tuple[Conversion, list[str]]:
+    said = table.units.get(column) or split_unit(column, channel)[1]
     ordered = mapping.units.get(channel)
     where = f"{table.source}: column '{column}'"
     if ordered is None and said is None:
@@ -154,7 +154,7 @@ def _conversion(table: Table, mapping: Mapping, channel: str, column: str) -> tu
                 f'or N; write [units] {channel} = "V", "A" or "N", or give --unit {channel}=N'
             )
         return Conversion(1.0), []
-    if ordered is None and not fits(channel, said):
+    if ordered is None and not is_unit_of(channel, said):
         raise LogError(
             f"{where}: '{said}' is no unit of the {channel}; correct the file's header, or write what one unit of the "
             f'column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'

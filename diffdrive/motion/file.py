@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.errors import MotionError
-from diffdrive.logs.column_unit import Conversion, conversion, split
+from diffdrive.logs.column_unit import Conversion, conversion, split_unit
 from diffdrive.motion.builders import from_array
 from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import listed, shortened
@@ -54,14 +54,14 @@ def parse_motion_table(text: str, path: str) -> Motion:
 
 
 def _columns(header: list[str], channel: str) -> list[int]:
-    return [k for k, cell in enumerate(header) if split(cell, channel)[0].strip('" ').casefold() == channel]
+    return [k for k, cell in enumerate(header) if split_unit(cell, channel)[0].strip('" ').casefold() == channel]
 
 
 def _in_si(table: np.ndarray, header: list[str], channel: str, columns: list[int], path: str) -> np.ndarray:
     if len(columns) > 1:
         raise MotionError(f"{path}: has {len(columns)} columns called {channel}: leave one")
     [column] = columns
-    unit = split(header[column], channel)[1]
+    unit = split_unit(header[column], channel)[1]
     try:
         to_si = Conversion(1.0) if unit is None else conversion(channel, unit, {})
     except ValueError as problem:

@@ -8,7 +8,7 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log, read_logs
-from diffdrive.logs.mapping import log_and_channel, means
+from diffdrive.logs.mapping import log_and_channel, matches_log
 from diffdrive.motion.text import number
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs, check_logs, require_sound
@@ -26,7 +26,7 @@ def described(
     description = read_axis(drive)
     for text in shifts:
         log, _ = log_and_channel(text.rpartition("=")[0])
-        if not any(means(log, one) for one in logs):
+        if not any(matches_log(log, one) for one in logs):
             raise ParameterError(f"--shift {text}: no such log; the logs are {', '.join(one.name for one in logs)}")
     return replace(description, mapping=description.mapping.overridden(columns, units, shifts))
 

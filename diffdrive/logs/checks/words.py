@@ -297,7 +297,7 @@ def _moved(log: Log, channel: str, by: float) -> str:
     mend = f"shift the {channel} by {by:+.2g} samples"
     if by % 1:
         return mend
-    before = log.moved.get(channel, 0)
+    before = log.shifts.get(channel, 0)
     key, whole = f"{log.name}:{channel}", round(before + by)
     given = f'"{key}={whole:+d}"' if " " in key else f"{key}={whole:+d}"
     more = f" more than the {before:+d} by which it was moved" if before else ""

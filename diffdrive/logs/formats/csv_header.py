@@ -4,7 +4,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 
-from diffdrive.logs.column_unit import fits, split
+from diffdrive.logs.column_unit import is_unit_of, split_unit
 from diffdrive.logs.formats.csv_dialect import Dialect, header_cells
 from diffdrive.logs.log import CHANNELS
 
@@ -82,17 +82,17 @@ def _are_units(cells: list[str], above: list[str]) -> bool:
     there are names above all of them.
     """
     given = [(name, cell) for name, cell in zip(above, map(_bare, cells), strict=True) if cell]
-    known = sum(any(fits(channel, cell) for channel in CHANNELS) for _, cell in given)
+    known = sum(any(is_unit_of(channel, cell) for channel in CHANNELS) for _, cell in given)
     if not known or known == len(given):
         return known > 0
-    if any(fits(channel, cell) for name, cell in given for channel in CHANNELS if _is_called(name, channel)):
+    if any(is_unit_of(channel, cell) for name, cell in given for channel in CHANNELS if _is_called(name, channel)):
         return True
     named = all(re.match(r"[^\W\d]", name) or cell.casefold() in _LABELS for name, cell in given)
     return named and known >= 2 and 2 * known >= len(given)
 
 
 def _is_called(name: str, channel: str) -> bool:
-    return split(name, channel)[0].strip('" ').casefold() == channel
+    return split_unit(name, channel)[0].strip('" ').casefold() == channel
 
 
 def _once(names: list[str]) -> list[str]:

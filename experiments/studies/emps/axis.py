@@ -8,7 +8,7 @@ import scipy.io
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Cascade
-from diffdrive.logs import Log, Mapping, read_log
+from diffdrive.logs import ColumnMapping, Log, read_log
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor
 from diffdrive.motion.motion import Limits
 from experiments.studies.data_folder import beside
@@ -47,7 +47,7 @@ def read(path: Path, *, newtons: bool = True) -> Record:
         pulses = "injected" if newtons else "disturbance"
         columns[pulses] = "pulses_N"
         units[pulses] = f"{PULSE_GAIN} V" if newtons else "N"
-    log = read_log(path, mapping=Mapping(columns, units, force_per_volt), rate=SAMPLING.rate)
+    log = read_log(path, mapping=ColumnMapping(columns, units, force_per_volt), rate=SAMPLING.rate)
     return Record(log, float(data["kp"].item()), float(data["kv"].item()) * force_per_volt)
 
 

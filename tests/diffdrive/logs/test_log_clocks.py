@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffdrive.errors import LogError
-from diffdrive.logs import Mapping, read_log
+from diffdrive.logs import ColumnMapping, read_log
 
 N = 300
 MS = np.arange(N)
 POSITION = np.round(1e3 * np.sin(MS / 40.0), 6)
 COMMAND = np.round(np.cos(MS / 30.0), 6)
-SCOPE = Mapping({"position": "Act", "command": "Trq"})
+SCOPE = ColumnMapping({"position": "Act", "command": "Trq"})
 
 
 def scope(path, command_clock, command=COMMAND, clock=MS, position=POSITION, stamp="{}") -> None:
@@ -61,7 +61,7 @@ def test_whole_samples_between_the_clocks_are_taken_off(shift, period, lost, tmp
     [
         ("26.03.2024 09:00:00,{:03}", SCOPE),
         ("9:00:00.{:03}", SCOPE),
-        ("13295950584{:03}0000", Mapping(SCOPE.columns, {"time": "100 ns"})),
+        ("13295950584{:03}0000", ColumnMapping(SCOPE.columns, {"time": "100 ns"})),
     ],
 )
 def test_stamps_of_every_form_are_compared(stamp, mapping, tmp_path):
@@ -82,7 +82,7 @@ def test_stamps_of_every_form_are_compared(stamp, mapping, tmp_path):
 def test_another_clock_may_be_the_time(tmp_path):
     path = tmp_path / "scope.csv"
     scope(path, MS + 1)
-    log = read_log(path, mapping=Mapping(SCOPE.columns | {"time": "Trq.clock"}))
+    log = read_log(path, mapping=ColumnMapping(SCOPE.columns | {"time": "Trq.clock"}))
     np.testing.assert_array_equal(log.command, COMMAND[:-1])
     np.testing.assert_allclose(log.position, 1e-3 * POSITION[1:], rtol=1e-14)
 
@@ -91,7 +91,7 @@ def test_channels_that_share_a_clock_share_its_offset(tmp_path):
     path = tmp_path / "scope.csv"
     rows = "\n".join(f"{k}\t{POSITION[k]}\t{k + 2}\t{COMMAND[k]}\t{k}" for k in MS)
     path.write_text("Name\tAct\tName\tTrq\tLoad\nUnit\tmm\tUnit\tN\tN\n\n" + rows + "\n")
-    log = read_log(path, mapping=Mapping(SCOPE.columns | {"load": "Load"}))
+    log = read_log(path, mapping=ColumnMapping(SCOPE.columns | {"load": "Load"}))
     np.testing.assert_array_equal(log.command, COMMAND[:-2])
     np.testing.assert_array_equal(log.load, MS[:-2])
 

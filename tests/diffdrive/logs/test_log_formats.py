@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 
 from diffdrive.errors import LogError
-from diffdrive.logs import Mapping, read_log
+from diffdrive.logs import ColumnMapping, read_log
 from tests.support.written_log import (
     COMMAND,
     NAMES,
@@ -44,7 +44,7 @@ TWINCAT = "\n".join(
 )
 _T, _R, _P, _C = in_units()
 TWINCAT_ROWS = rows("\t", ",", columns=(_T, _R, _T, _P, _T, _C))
-SCOPE = Mapping({"reference": "Set", "position": "Act", "command": "Trq"})
+SCOPE = ColumnMapping({"reference": "Set", "position": "Act", "command": "Trq"})
 
 DIALECTS = {
     "plain": NAMES + "\n" + rows(),
@@ -99,7 +99,7 @@ def test_csv_encodings(encoding, tmp_path):
     header = "time [s],reference [m],position [µm],command [N],Öltemperatur [°C]\n"
     columns = (TIME, REFERENCE, 1e6 * POSITION, COMMAND, np.full(N, 21.5))
     path.write_bytes((header + rows(columns=columns)).encode(encoding))
-    log = read_log(path, mapping=Mapping({"temperature": "Öltemperatur"}))
+    log = read_log(path, mapping=ColumnMapping({"temperature": "Öltemperatur"}))
     assert_is_the_log(log)
     assert set(log.temperature) == {21.5}
 
@@ -119,7 +119,7 @@ def test_twincat_scope_full_time_stamps_keep_their_100_ns(tmp_path):
     ticks = 132959505843760000 + np.rint(TIME * 1e7).astype(np.int64)
     body = "\n".join(f"{t}\t{r!r}\t{t}\t{p!r}\t{t}\t{c!r}" for t, r, p, c in zip(ticks, *COLUMN_LISTS, strict=True))
     path.write_text(TWINCAT.replace("mm", "m").replace("um", "m").replace("kN", "N") + body + "\n")
-    log = read_log(path, mapping=Mapping(SCOPE.columns, {"time": "100 ns"}))
+    log = read_log(path, mapping=ColumnMapping(SCOPE.columns, {"time": "100 ns"}))
     np.testing.assert_allclose(log.time, TIME, atol=1e-12)
     assert any("counted from 132959505843760000" in note for note in log.notes)
 
@@ -130,7 +130,7 @@ COLUMN_LISTS = [values.tolist() for values in (REFERENCE, POSITION, COMMAND)]
 def test_columns_without_a_header_are_numbered(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(rows())
-    mapping = Mapping({"time": "1", "reference": "2", "position": "3", "command": "4"})
+    mapping = ColumnMapping({"time": "1", "reference": "2", "position": "3", "command": "4"})
     assert_is_the_log(read_log(path, mapping=mapping))
     with pytest.raises(LogError, match="the file has '1', '2', '3', '4'"):
         read_log(path)
@@ -225,32 +225,32 @@ def simulink() -> dict:
 
 
 STRUCTURES = {
-    "variables": (PLAIN | {"kp": 160.18, "title": "axis", "none": np.zeros((0, 0))}, Mapping()),
-    "row vectors": ({name: values.reshape(1, -1) for name, values in PLAIN.items()}, Mapping()),
-    "single structure": ({"log": {"axis": PLAIN}}, Mapping()),
+    "variables": (PLAIN | {"kp": 160.18, "title": "axis", "none": np.zeros((0, 0))}, ColumnMapping()),
+    "row vectors": ({name: values.reshape(1, -1) for name, values in PLAIN.items()}, ColumnMapping()),
+    "single structure": ({"log": {"axis": PLAIN}}, ColumnMapping()),
     "paths": (
         {"rig": {"clock": TIME, "x": {"ref": REFERENCE, "act": POSITION}, "u": COMMAND}},
-        Mapping({"time": "rig.clock", "reference": "rig.x.ref", "position": "rig.x.act", "command": "u"}),
+        ColumnMapping({"time": "rig.clock", "reference": "rig.x.ref", "position": "rig.x.act", "command": "u"}),
     ),
     "matrix": (
         {"tout": TIME, "yout": np.column_stack([REFERENCE, POSITION, COMMAND])},
-        Mapping({"time": "tout", "reference": "yout(1)", "position": "yout(2)", "command": "yout(3)"}),
+        ColumnMapping({"time": "tout", "reference": "yout(1)", "position": "yout(2)", "command": "yout(3)"}),
     ),
     "dSPACE": (
         {"rec": dspace()},
-        Mapping({"reference": "rec.Y.ref", "position": "rec.Y.pos", "command": "rec.Y.cmd"}),
+        ColumnMapping({"reference": "rec.Y.ref", "position": "rec.Y.pos", "command": "rec.Y.cmd"}),
     ),
-    "Simulink": ({"out": simulink()}, Mapping({"reference": "out.axis(1)", "position": "axis(2)"})),
+    "Simulink": ({"out": simulink()}, ColumnMapping({"reference": "out.axis(1)", "position": "axis(2)"})),
     "ends of paths": (
         {"rec": dspace()},
-        Mapping({"time": "X.time", "reference": "Y.ref", "position": "Y.pos", "command": "Y.cmd"}),
+        ColumnMapping({"time": "X.time", "reference": "Y.ref", "position": "Y.pos", "command": "Y.cmd"}),
     ),
     "units": ({name: 1e3 * values for name, values in PLAIN.items()} | {"units": dict.fromkeys(PLAIN, "")}, None),
 }
 STRUCTURES["units"] = (
     {"time": 1e3 * TIME, "reference": 1e3 * REFERENCE, "position": 1e6 * POSITION, "command": 1e-3 * COMMAND}
     | {"units": {"time": "ms", "reference": "mm", "position": "um", "command": "kN"}},
-    Mapping(),
+    ColumnMapping(),
 )
 
 
@@ -268,7 +268,7 @@ def test_simulink_matrices_have_time_last(shape, version, tmp_path):
     else:
         scipy.io.savemat(path, {"out": held})
     names = [f"axis({i + 1},{j + 1})" if min(shape) > 1 else f"axis({max(i, j) + 1})" for i, j in (first, last)]
-    assert_is_the_log(read_log(path, mapping=Mapping(dict(zip(("reference", "position"), names, strict=True)))))
+    assert_is_the_log(read_log(path, mapping=ColumnMapping(dict(zip(("reference", "position"), names, strict=True)))))
 
 
 @pytest.mark.parametrize("version", ["4", "5", "7.3"])

@@ -11,7 +11,7 @@ from diffdrive.errors import LogError
 from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.clocks.shifts import shifted
-from diffdrive.logs.mapping import Mapping, parse_mapping
+from diffdrive.logs.mapping import ColumnMapping, parse_mapping
 from tests.support.sound_log import DRIVE, RATE, SOUND, but, moved
 from tests.support.written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, rows
 
@@ -25,7 +25,7 @@ def written(tmp_path):
 
 @pytest.mark.parametrize("shifts", [{"command": -1}, {"command": 3}, {"position": 2, "command": -2}])
 def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_theirs(written, shifts):
-    log = read_log(written, mapping=Mapping(shifts=shifts))
+    log = read_log(written, mapping=ColumnMapping(shifts=shifts))
     first = round(log.time[0] * 1e3)
     for channel, values in COLUMNS.items():
         begin = first - shifts.get(channel, 0)
@@ -41,35 +41,35 @@ def test_a_shift_of_one_log_goes_before_that_of_all(tmp_path, key):
     """The log may be named with its extension and its folder, whatever else is called nearly alike."""
     logs = ["monday/late.csv", "monday/later.csv", "monday/late.1.csv", "monday/late.csv.csv"]
     (tmp_path / "monday").mkdir()
-    mapping = Mapping(shifts={key: -1, "command": 1})
+    mapping = ColumnMapping(shifts={key: -1, "command": 1})
     for name in logs:
         moved_by = -1 if name == logs[0] or (name == logs[3] and ".csv" in key) else 1
         path = tmp_path / name
         path.write_text(f"{NAMES}\n{rows()}")
         log = read_log(path, mapping=mapping)
         assert f"the command was moved by {moved_by:+d} samples" in log.notes
-        assert log.moved == {"command": moved_by}
+        assert log.shifts == {"command": moved_by}
 
 
 def test_of_two_logs_of_one_name_the_folder_tells_which_and_goes_before_the_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    mapping = Mapping(shifts={"monday/late:command": -2, "late:command": 1, "late:position": 3})
+    mapping = ColumnMapping(shifts={"monday/late:command": -2, "late:command": 1, "late:position": 3})
     (tmp_path / "monday").mkdir()
     for folder in (".", "monday"):
         (tmp_path / folder / "late.csv").write_text(f"{NAMES}\n{rows()}")
     here, there = read_logs(["late.csv", "monday/late.csv"], mapping=mapping)
-    assert (here.moved, there.moved) == ({"command": 1, "position": 3}, {"command": -2, "position": 3})
+    assert (here.shifts, there.shifts) == ({"command": 1, "position": 3}, {"command": -2, "position": 3})
     assert (here.name, there.name) == (f"{tmp_path.name}/late", "monday/late")
 
 
 def test_what_the_command_line_says_of_all_logs_goes_before_what_the_file_says_of_one():
-    file = Mapping(shifts={"lap=5:command": 1, "lap2:position": 2})
+    file = ColumnMapping(shifts={"lap=5:command": 1, "lap2:position": 2})
     assert file.overridden(shifts=["command=0"]).shifts == {"lap2:position": 2, "command": 0}
     assert file.overridden(shifts=["lap=5:command=-3"]).shifts == {"lap=5:command": -3, "lap2:position": 2}
 
 
 def test_what_is_not_moved_is_as_it_was(written):
-    plain, none = read_log(written), read_log(written, mapping=Mapping(shifts={"command": 0}))
+    plain, none = read_log(written), read_log(written, mapping=ColumnMapping(shifts={"command": 0}))
     assert plain.notes == none.notes
     for channel, values in plain.channels.items():
         np.testing.assert_array_equal(none.channels[channel], values)
@@ -100,7 +100,7 @@ def test_no_value_crosses_a_gap():
 )
 def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, tmp_path):
     """Whatever [shifts] moved before, of all logs or of this one, that it is out of time by so much more."""
-    drive = dataclasses.replace(DRIVE, mapping=Mapping(shifts={key.format(channel): already}))
+    drive = dataclasses.replace(DRIVE, mapping=ColumnMapping(shifts={key.format(channel): already}))
     path = tmp_path / "a folder" / "late.csv"
     path.parent.mkdir()
     write_log(path, but(**{channel: moved(SOUND.channels[channel], late - already)}))
@@ -113,7 +113,7 @@ def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, t
     options = re.findall(r"--shift (\S+?)[,)]", finding.remedy)
     assert len(options) == 1
     plain = {name: by for name, by in drive.mapping.shifts.items() if "/" not in name}  # which would go before it
-    assert not shifts_of(dataclasses.replace(drive, mapping=Mapping(shifts=plain).overridden(shifts=options)))
+    assert not shifts_of(dataclasses.replace(drive, mapping=ColumnMapping(shifts=plain).overridden(shifts=options)))
     ((named, by),) = re.findall(r'"(\S+)" = (\S+) in \[shifts\]', finding.remedy)
     assert f"{named}={int(by):+d}" == options[0]
 
@@ -124,26 +124,32 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
     path = tmp_path / "late.csv"
     columns = (TIME, REFERENCE, POSITION, moved(COMMAND + pulse, 1), moved(pulse, 1))
     path.write_text(f"{NAMES},injected\n{rows(columns=columns)}")
-    log = read_log(path, mapping=Mapping(shifts={"command": -1}))
+    log = read_log(path, mapping=ColumnMapping(shifts={"command": -1}))
     np.testing.assert_allclose(log.command[1:], COMMAND[1:-1], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(log.disturbance[1:], pulse[1:-1])
-    apart = read_log(path, mapping=Mapping(shifts={"command": -1, "injected": 0}))
+    apart = read_log(path, mapping=ColumnMapping(shifts={"command": -1, "injected": 0}))
     assert np.abs(apart.command[1:] - COMMAND[1:-1]).max() == pytest.approx(8.0)
 
 
 @pytest.mark.parametrize(
     ("build", "says"),
     [
-        (lambda: Mapping(shifts={"comand": -1}), r"\[shifts\] comand: .*did you mean 'command'"),
-        (lambda: Mapping(shifts={":command": -1}), r"\[shifts\] :command: names no log"),
-        (lambda: Mapping(shifts={"lap2:comand": -1}), r"\[shifts\] lap2:comand: .*did you mean 'command'"),
-        (lambda: Mapping(shifts={"lap2:command": 0.5}), r"\[shifts\] lap2:command: must be a whole number of samples"),
-        (lambda: Mapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
-        (lambda: Mapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
+        (lambda: ColumnMapping(shifts={"comand": -1}), r"\[shifts\] comand: .*did you mean 'command'"),
+        (lambda: ColumnMapping(shifts={":command": -1}), r"\[shifts\] :command: names no log"),
+        (lambda: ColumnMapping(shifts={"lap2:comand": -1}), r"\[shifts\] lap2:comand: .*did you mean 'command'"),
+        (
+            lambda: ColumnMapping(shifts={"lap2:command": 0.5}),
+            r"\[shifts\] lap2:command: must be a whole number of samples",
+        ),
+        (lambda: ColumnMapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
+        (lambda: ColumnMapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
         (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
         (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
-        (lambda: Mapping().overridden(shifts=["command=half"]), r"--shift command=half: write a whole number"),
-        (lambda: Mapping().overridden(shifts=["command"]), r"--shift command: write CHANNEL=VALUE, such as command=-1"),
+        (lambda: ColumnMapping().overridden(shifts=["command=half"]), r"--shift command=half: write a whole number"),
+        (
+            lambda: ColumnMapping().overridden(shifts=["command"]),
+            r"--shift command: write CHANNEL=VALUE, such as command=-1",
+        ),
     ],
 )
 def test_what_is_no_shift_is_refused(build, says):
@@ -153,11 +159,11 @@ def test_what_is_no_shift_is_refused(build, says):
 
 def test_a_shift_of_what_is_not_there_or_of_the_whole_log_is_refused(written):
     with pytest.raises(LogError, match=r"late.csv: load is to be moved: the log has no such channel"):
-        read_log(written, mapping=Mapping(shifts={"load": 1}))
+        read_log(written, mapping=ColumnMapping(shifts={"load": 1}))
     with pytest.raises(LogError, match=r"late.csv: shifts by 1000+ samples leave nothing"):
-        read_log(written, mapping=Mapping(shifts={"command": 10**20}))
+        read_log(written, mapping=ColumnMapping(shifts={"command": 10**20}))
     with pytest.raises(LogError, match=r"late.csv: shifts by 400 samples leave nothing"):
-        read_log(written, mapping=Mapping(shifts={"command": 200, "position": -200}))
+        read_log(written, mapping=ColumnMapping(shifts={"command": 200, "position": -200}))
 
 
 def test_a_drive_file_carries_it_and_the_command_line_overrides_it(tmp_path):

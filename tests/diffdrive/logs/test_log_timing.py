@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive.errors import LogError
-from diffdrive.logs import Log, Mapping, read_log
+from diffdrive.logs import ColumnMapping, Log, read_log
 from diffdrive.logs.clocks.interpolate import resampled
 from diffdrive.logs.write import write_csv
 
@@ -186,7 +186,7 @@ BACK = {
 @pytest.mark.parametrize(("stamps", "unit", "says"), BACK.values(), ids=BACK.keys())
 def test_time_must_increase(stamps, unit, says, read):
     with pytest.raises(LogError, match=says):
-        read(stamps, mapping=Mapping(units={"time": f"{unit!r} s"}))
+        read(stamps, mapping=ColumnMapping(units={"time": f"{unit!r} s"}))
 
 
 # --- several clocks ---------------------------------------------------------------------------------------------------
@@ -264,7 +264,9 @@ def test_a_clock_that_nobody_named_is_not_counted_over(header, tmp_path):
     told = rf'\'{re.escape(header)}\' is in a unit of time .*--column "?time={re.escape(header)}'
     with pytest.raises(LogError, match=told):
         read_log(tmp_path / "log.csv", rate=5 * RATE)
-    np.testing.assert_allclose(read_log(tmp_path / "log.csv", mapping=Mapping({"time": header})).time, TIME, atol=1e-12)
+    np.testing.assert_allclose(
+        read_log(tmp_path / "log.csv", mapping=ColumnMapping({"time": header})).time, TIME, atol=1e-12
+    )
     # what does not rise is no clock: the cycle's own duration, say
     write_csv(tmp_path / "log.csv", columns | {header: np.full(len(TIME), 0.2)})
     np.testing.assert_array_equal(read_log(tmp_path / "log.csv", rate=RATE).time, TIME)

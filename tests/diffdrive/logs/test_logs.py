@@ -20,7 +20,7 @@ from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, w
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import DriveFileError, LogError
-from diffdrive.logs import Log, Mapping, read_log, read_logs, write_log
+from diffdrive.logs import ColumnMapping, Log, read_log, read_logs, write_log
 from diffdrive.logs.formats import registry
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS
@@ -102,7 +102,7 @@ def test_a_simulated_run_is_a_log(run, tmp_path):
     np.testing.assert_array_equal(log.position, run.position)
     assert log.rate == pytest.approx(10_000.0)
     write_run(tmp_path / "simulated.csv", run)
-    for mapping in (Mapping(), Mapping(force_per_volt=35.0), Mapping(force_per_ampere=10.0)):
+    for mapping in (ColumnMapping(), ColumnMapping(force_per_volt=35.0), ColumnMapping(force_per_ampere=10.0)):
         assert_same(read_log(tmp_path / "simulated.csv", mapping=mapping, rate=10_000.0), log)
 
 
@@ -133,38 +133,65 @@ UNITS = {
 
 @pytest.mark.parametrize(("units", "gains", "factors"), UNITS.values(), ids=UNITS.keys())
 def test_units(units, gains, factors, raw):
-    log = read_log(raw, mapping=Mapping(NAMED, units, **gains))
+    log = read_log(raw, mapping=ColumnMapping(NAMED, units, **gains))
     np.testing.assert_allclose(log.position, factors[0] * RAW["qm"], rtol=1e-14)
     np.testing.assert_allclose(log.command, factors[1] * RAW["u"], rtol=1e-14)
-    log = read_log(raw, mapping=Mapping(NAMED, {"time": "ms"}))
+    log = read_log(raw, mapping=ColumnMapping(NAMED, {"time": "ms"}))
     np.testing.assert_allclose(log.time, 1e-3 * RAW["t"], atol=1e-18)
 
 
 @pytest.mark.parametrize(("unit", "celsius"), [("degC", 10.0), ("K", -263.15), ("degF", -12.2222222)])
 def test_temperatures(unit, celsius, tmp_path):
     scipy.io.savemat(tmp_path / "t.mat", RAW | {"temp": np.full(10, 10.0)})
-    log = read_log(tmp_path / "t.mat", mapping=Mapping(NAMED | {"temperature": "temp"}, {"temperature": unit}))
+    log = read_log(tmp_path / "t.mat", mapping=ColumnMapping(NAMED | {"temperature": "temp"}, {"temperature": unit}))
     assert log.temperature[0] == pytest.approx(celsius)
 
 
 BAD_MAPPINGS = {
-    "channel": (lambda: Mapping({"positon": "qm"}), r"\[columns\] positon: no such channel; did you mean 'position'"),
-    "unit of none": (lambda: Mapping(units={"force": "N"}), r"\[units\] force: no such channel"),
-    "number": (lambda: Mapping({"position": 3}), r"\[columns\] position: must be a text, such as \"qm\", got 3"),
-    "empty": (lambda: Mapping({"position": " "}), r"\[columns\] position: must be a text"),
-    "twice": (lambda: Mapping({"position": "x", "reference": "x"}), r"reference: 'x' is the position already"),
-    "length in N": (lambda: Mapping(units={"command": "mm"}), r"\[units\] command: 'mm' is no unit of the command"),
-    "force in m": (lambda: Mapping(units={"position": "N"}), r"\[units\] position: 'N' is no unit of the position"),
-    "counts": (lambda: Mapping(units={"position": "counts"}), "what one count of the column is, such as '0.05 m'"),
-    "angle": (lambda: Mapping(units={"position": "deg"}), "'deg' is no unit of the position"),
-    "zero": (lambda: Mapping(units={"position": "0 mm"}), "'0 mm' is zero"),
-    "temperature": (lambda: Mapping(units={"temperature": "mm"}), "write degC, K or degF"),
-    "no gain": (lambda: Mapping(units={"command": "V"}), "needs force_per_volt in .units., such as force_per_volt = "),
-    "other gain": (lambda: Mapping(units={"command": "A"}, force_per_volt=3.0), "needs force_per_ampere"),
-    "gain of nothing": (lambda: Mapping(force_per_volt=0.0), "force_per_volt: must be a finite number of N/V other"),
-    "option": (lambda: Mapping().overridden(["position"]), "--column position: write CHANNEL=VALUE, such as reference"),
-    "option twice": (lambda: Mapping().overridden((), ["time=s", "time=ms"]), "--unit time=ms: time is given twice"),
-    "option's gain": (lambda: Mapping().overridden((), ["force_per_volt=3 m"]), "--unit force_per_volt: '3 m' has the"),
+    "channel": (
+        lambda: ColumnMapping({"positon": "qm"}),
+        r"\[columns\] positon: no such channel; did you mean 'position'",
+    ),
+    "unit of none": (lambda: ColumnMapping(units={"force": "N"}), r"\[units\] force: no such channel"),
+    "number": (lambda: ColumnMapping({"position": 3}), r"\[columns\] position: must be a text, such as \"qm\", got 3"),
+    "empty": (lambda: ColumnMapping({"position": " "}), r"\[columns\] position: must be a text"),
+    "twice": (lambda: ColumnMapping({"position": "x", "reference": "x"}), r"reference: 'x' is the position already"),
+    "length in N": (
+        lambda: ColumnMapping(units={"command": "mm"}),
+        r"\[units\] command: 'mm' is no unit of the command",
+    ),
+    "force in m": (
+        lambda: ColumnMapping(units={"position": "N"}),
+        r"\[units\] position: 'N' is no unit of the position",
+    ),
+    "counts": (
+        lambda: ColumnMapping(units={"position": "counts"}),
+        "what one count of the column is, such as '0.05 m'",
+    ),
+    "angle": (lambda: ColumnMapping(units={"position": "deg"}), "'deg' is no unit of the position"),
+    "zero": (lambda: ColumnMapping(units={"position": "0 mm"}), "'0 mm' is zero"),
+    "temperature": (lambda: ColumnMapping(units={"temperature": "mm"}), "write degC, K or degF"),
+    "no gain": (
+        lambda: ColumnMapping(units={"command": "V"}),
+        "needs force_per_volt in .units., such as force_per_volt = ",
+    ),
+    "other gain": (lambda: ColumnMapping(units={"command": "A"}, force_per_volt=3.0), "needs force_per_ampere"),
+    "gain of nothing": (
+        lambda: ColumnMapping(force_per_volt=0.0),
+        "force_per_volt: must be a finite number of N/V other",
+    ),
+    "option": (
+        lambda: ColumnMapping().overridden(["position"]),
+        "--column position: write CHANNEL=VALUE, such as reference",
+    ),
+    "option twice": (
+        lambda: ColumnMapping().overridden((), ["time=s", "time=ms"]),
+        "--unit time=ms: time is given twice",
+    ),
+    "option's gain": (
+        lambda: ColumnMapping().overridden((), ["force_per_volt=3 m"]),
+        "--unit force_per_volt: '3 m' has the",
+    ),
 }
 
 
@@ -176,20 +203,20 @@ def test_a_bad_mapping_is_refused(build, says):
 
 def test_a_mapping_that_does_not_fit_the_file_is_refused(raw, tmp_path):
     with pytest.raises(LogError, match=r"'qmm': no such column; did you mean 'qm'\? the file has 't', 'qg', 'qm', 'u'"):
-        read_log(raw, mapping=Mapping(NAMED | {"position": "qmm"}))
+        read_log(raw, mapping=ColumnMapping(NAMED | {"position": "qmm"}))
     with pytest.raises(LogError, match=r"'soll': no such column.*a log needs no reference: leave that line out"):
-        read_log(raw, mapping=Mapping(NAMED | {"reference": "soll"}))
+        read_log(raw, mapping=ColumnMapping(NAMED | {"reference": "soll"}))
     with pytest.raises(LogError, match=r"nothing says whether the command .* \[units\] .* or give --unit command=N"):
-        read_log(raw, mapping=Mapping(NAMED, force_per_volt=3.0))
+        read_log(raw, mapping=ColumnMapping(NAMED, force_per_volt=3.0))
     scipy.io.savemat(tmp_path / "two.mat", RAW | {"a": {"pos": RAW["t"]}, "b": {"pos": RAW["t"]}})
     with pytest.raises(LogError, match=r"position = 'pos' fits 'a\.pos', 'b\.pos'; write one of them in full"):
-        read_log(tmp_path / "two.mat", mapping=Mapping(NAMED | {"position": "pos"}))
+        read_log(tmp_path / "two.mat", mapping=ColumnMapping(NAMED | {"position": "pos"}))
 
 
 def test_the_command_line_goes_over_the_file():
-    base = Mapping({"time": "t", "position": "x"}, {"position": "mm"})
+    base = ColumnMapping({"time": "t", "position": "x"}, {"position": "mm"})
     over = base.overridden(["position=qm"], ["command=V", "force_per_volt=35.2"])
-    assert over == Mapping({"time": "t", "position": "qm"}, {"position": "mm", "command": "V"}, 35.2)
+    assert over == ColumnMapping({"time": "t", "position": "qm"}, {"position": "mm", "command": "V"}, 35.2)
     assert base.overridden((), ["force_per_ampere=0.5 kN/A"]).force_per_ampere == pytest.approx(500.0)
 
 
@@ -197,22 +224,22 @@ def test_the_mapping_wins_over_the_header_and_says_so(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,position [mm],command\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
     assert read_log(path).position[-1] == pytest.approx(9e-3)
-    log = read_log(path, mapping=Mapping(units={"position": "um"}))
+    log = read_log(path, mapping=ColumnMapping(units={"position": "um"}))
     assert log.position[-1] == pytest.approx(9e-6)
     assert log.notes == ("position: the file says mm, [units] says um, which was taken",)
-    assert read_log(path, mapping=Mapping(units={"position": "0.001 m"})).notes == ()
-    exact = read_log(path, mapping=Mapping({"position": "Position"}, {"position": "mm"}))
+    assert read_log(path, mapping=ColumnMapping(units={"position": "0.001 m"})).notes == ()
+    exact = read_log(path, mapping=ColumnMapping({"position": "Position"}, {"position": "mm"}))
     assert exact.position[-1] == pytest.approx(9e-3)
 
 
 # --- drive files ------------------------------------------------------------------------------------------------------
 
 MAPPINGS = [
-    Mapping(),
-    Mapping({"position": "qm"}),
-    Mapping(units={"time": "ms", "position": "50 nm"}),
-    Mapping(NAMED | {"load": "rig.Y.load"}, {"command": "-V", "temperature": "K"}, force_per_volt=35.15065),
-    Mapping(units={"command": "A"}, force_per_ampere=-3.25),
+    ColumnMapping(),
+    ColumnMapping({"position": "qm"}),
+    ColumnMapping(units={"time": "ms", "position": "50 nm"}),
+    ColumnMapping(NAMED | {"load": "rig.Y.load"}, {"command": "-V", "temperature": "K"}, force_per_volt=35.15065),
+    ColumnMapping(units={"command": "A"}, force_per_ampere=-3.25),
 ]
 
 
@@ -246,17 +273,19 @@ BAD_TABLES = {
 @pytest.mark.parametrize(("tables", "says"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
 def test_a_drive_file_with_a_bad_mapping_is_refused(tables, says):
     with pytest.raises(DriveFileError, match=says):
-        parse_axis(axis_tables(described(Mapping())) | tables)
+        parse_axis(axis_tables(described(ColumnMapping())) | tables)
 
 
 def test_a_gain_may_have_a_unit():
-    tables = axis_tables(described(Mapping())) | {"units": {"command": "V", "force_per_volt": "0.035 kN/V"}}
+    tables = axis_tables(described(ColumnMapping())) | {"units": {"command": "V", "force_per_volt": "0.035 kN/V"}}
     assert parse_axis(tables).mapping.force_per_volt == pytest.approx(35.0)
 
 
 # --- real logs --------------------------------------------------------------------------------------------------------
 
-EMPS_MAPPING = Mapping({"time": "t", "reference": "qg", "position": "qm", "command": "vir"}, {"command": "V"}, 35.15065)
+EMPS_MAPPING = ColumnMapping(
+    {"time": "t", "reference": "qg", "position": "qm", "command": "vir"}, {"command": "V"}, 35.15065
+)
 
 
 @needs_emps

@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 
 from diffdrive.errors import LogError
-from diffdrive.logs import Mapping, read_log, read_logs
+from diffdrive.logs import ColumnMapping, read_log, read_logs
 from tests.support.written_log import (
     COLUMNS,
     COMMAND,
@@ -200,7 +200,7 @@ def test_arrays_of_another_length_are_refused_only_where_they_are_meant(tmp_path
     scipy.io.savemat(path, PLAIN | {"spare": np.arange(7.0)})
     assert_is_the_log(read_log(path), exact=True)
     with pytest.raises(LogError, match="'spare' has 7 values, 'time' has 400"):
-        read_log(path, mapping=Mapping({"load": "spare"}))
+        read_log(path, mapping=ColumnMapping({"load": "spare"}))
     scipy.io.savemat(path, {"kp": 1.0, "name": "axis"})
     with pytest.raises(LogError, match=r"holds no arrays of numbers \('kp' holds a single value, 'name' holds text\)"):
         read_log(path)
@@ -256,7 +256,7 @@ def test_a_variable_that_is_no_signal_is_said_to_be_so(value, why, tmp_path):
     with pytest.raises(LogError, match=rf"'position' {why}, which is no signal"):
         read_log(path)
     with pytest.raises(LogError, match=rf"\[columns\] position = 'position': no such column; .*'position' {why}"):
-        read_log(path, mapping=Mapping({"position": "position"}))
+        read_log(path, mapping=ColumnMapping({"position": "position"}))
     scipy.io.savemat(path, PLAIN | {"spare": value})
     said = (f"left out, since a signal is one number in each row: 'spare' {why}",)
     assert read_log(path).notes == (said if why not in ("holds text", "holds a single value") else ())
@@ -272,7 +272,7 @@ def test_a_column_of_lists_is_left_out_and_said(tmp_path):
         "'pairs' holds a struct<x: double> in each row"
     )
     with pytest.raises(LogError, match=r"'spare' holds a list<element: double> in each row, which is no signal"):
-        read_log(path, mapping=Mapping({"load": "spare"}))
+        read_log(path, mapping=ColumnMapping({"load": "spare"}))
 
 
 @pytest.mark.parametrize("extension", [".csv", ".parquet"])

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import KINDS
 from diffdrive.errors import DiffdriveError, LoadEstimatorWarning, ParameterError
-from diffdrive.logs import Mapping, read_log
+from diffdrive.logs import ColumnMapping, read_log
 from diffdrive.motion.text import numbers as numbers_of
 from diffdrive.paper import paper_axis
 from experiments.cli import main as cli
@@ -296,7 +296,8 @@ def test_a_run_is_the_motion_that_it_was_asked_for_and_not_the_one_that_was_meas
     assert first.exit_code == again.exit_code == 0
     assert "run.csv (column reference)" in again.output
     ours, theirs = (
-        read_log(tmp_path / name / "run.csv", mapping=Mapping(units={"command": "N"})) for name in ("first", "again")
+        read_log(tmp_path / name / "run.csv", mapping=ColumnMapping(units={"command": "N"}))
+        for name in ("first", "again")
     )
     np.testing.assert_array_equal(ours.reference, theirs.reference)
     assert not np.array_equal(ours.reference, ours.position)

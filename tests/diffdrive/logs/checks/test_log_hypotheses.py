@@ -11,7 +11,7 @@ from diffdrive.controllers import UnknownController
 from diffdrive.errors import LogError
 from diffdrive.logs import Log, read_log
 from diffdrive.logs.checks.examine import examine, examine_together
-from diffdrive.logs.mapping import Mapping
+from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.logs.write import write_csv
 from tests.support.sound_log import FORCE_PER_VOLT, described, logged
 
@@ -260,8 +260,8 @@ def test_two_logs_that_contradict_one_another_are_named():
 def test_a_time_in_another_unit_than_declared_names_the_unit_that_it_has(tmp_path, written, declared):
     path = tmp_path / "run.csv"
     write_csv(path, SOUND.channels | {"time": written * SOUND.time})
-    mapping = Mapping(units={"time": declared})
+    mapping = ColumnMapping(units={"time": declared})
     truth = {1.0: "s", 1e3: "ms", 1e6: "us"}[written]
     with pytest.raises(LogError, match=rf'read in {declared}, make .* Write \[units\] time = "{truth}"'):
         read_log(path, mapping=mapping, rate=RATE)
-    assert read_log(path, mapping=Mapping(units={"time": truth}), rate=RATE).rate == pytest.approx(RATE)
+    assert read_log(path, mapping=ColumnMapping(units={"time": truth}), rate=RATE).rate == pytest.approx(RATE)
