@@ -68,15 +68,15 @@ def withheld(
     three minutes of one core a machine, up to 20.
     """
     from diffdrive.errors import ParameterError
-    from experiments.studies.withheld.study import examined
-    from experiments.studies.withheld.study import withheld as run
+    from experiments.studies.withheld.study import check_drawn_machines as run
+    from experiments.studies.withheld.study import check_given_machines
 
     if bench is None:
         run(out, 120 if cases is None else cases, seed or 0, workers, twice, tuple(axis or ("paper",)))
     elif cases is not None or seed is not None or axis:
         raise ParameterError("--bench: its machines are there already; leave out --cases, --seed and --axis")
     else:
-        examined(out, bench, bench / "key.json", workers, twice)
+        check_given_machines(out, bench, bench / "key.json", workers, twice)
 
 
 @studies.command("real-axes", rich_help_panel=PANEL)

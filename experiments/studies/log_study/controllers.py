@@ -12,7 +12,7 @@ from diffdrive.model.parameters import Scalar
 WEIGHTS = (0.3, 0.1, -0.1, -0.3)  # of the least-squares slope, the newest sample first
 
 
-class Past(NamedTuple):
+class FittedVelocityState(NamedTuple):
     """The last three samples whose slope is taken, newest first, whether there were any, and the integral (N)."""
 
     samples: tuple[Scalar, Scalar, Scalar]
@@ -39,13 +39,13 @@ class FittedVelocity(Controller):
         names = ("kp", "kv", "ki", "velocity_feedforward")
         return cls({name: getattr(controller, name) for name in names}, controller.feedforward, True)
 
-    def init(self, position: Scalar) -> Past:
+    def init(self, position: Scalar) -> FittedVelocityState:
         zero = jnp.zeros_like(position)
-        return Past((zero, zero, zero), zero, zero)
+        return FittedVelocityState((zero, zero, zero), zero, zero)
 
     def step(
-        self, state: Past, reference: Reference, position: Scalar, applied: Scalar, period: float
-    ) -> tuple[Past, Command]:
+        self, state: FittedVelocityState, reference: Reference, position: Scalar, applied: Scalar, period: float
+    ) -> tuple[FittedVelocityState, Command]:
         error = reference.position - position
         now = position if self.cascade else error
         past = tuple(state.started * one + (1.0 - state.started) * now for one in state.samples)
@@ -57,12 +57,12 @@ class FittedVelocity(Controller):
             force = own["kv"] * wanted + integral
         else:
             force = own["kp"] * error + own["kd"] * slope
-        state = Past((now, *past[:2]), jnp.ones_like(position), integral)
+        state = FittedVelocityState((now, *past[:2]), jnp.ones_like(position), integral)
         return state, Command(force + self.feedforward.force(reference))
 
 
 @eqx.filter_jit
-def commanded(controller: Controller, reference: Reference, position: Any, command: Any, period: float) -> Any:
+def replayed_command(controller: Controller, reference: Reference, position: Any, command: Any, period: float) -> Any:
     """What this controller would have commanded (N), from rest, in a log ([n] each) that holds another's command."""
 
     def body(carry: Any, at: Any) -> Any:

@@ -15,9 +15,9 @@ Tables = dict[str, Any]
 class StudyDrive:
     """One axis: its drive file, and what the study needs beyond that.
 
-    `stroke` (m) and `speed` (m/s) are the largest of its motions, `acceleration` (m/s^2) and `bandwidth` (Hz) those of
-    a sharp one; `seconds` is how long a log lasts. `hidden` is the controller that runs where the drive file names
-    none; `motor_step` (m) the resolution of a second encoder at the motor.
+    `stroke` (m), `speed` (m/s) and `acceleration` (m/s^2) are the largest of its motions; `seconds` is how long a log
+    lasts. `hidden_controller` is the one that runs where the drive file names none; `motor_resolution` (m) is that of
+    a second encoder at the motor.
     """
 
     name: str
@@ -27,19 +27,19 @@ class StudyDrive:
     acceleration: float
     seconds: float
     load: float = 0.0  # N, logged where it is not zero
-    hidden: Mapping[str, Any] | None = None
-    motor_step: float | None = None
-    reversible: bool = True  # whether the mirrored axis is one with the same drive file
-    settled: float = 0.0  # s, for which the loop has held the axis before the log begins
-    description: Axis = field(init=False)
+    hidden_controller: Mapping[str, Any] | None = None
+    motor_resolution: float | None = None
+    mirrorable: bool = True  # whether the mirrored axis is one with the same drive file
+    settling_time: float = 0.0  # s, for which the loop has held the axis before the log begins
+    axis: Axis = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "description", parse_axis(copy.deepcopy(self.tables), self.name))
+        object.__setattr__(self, "axis", parse_axis(copy.deepcopy(self.tables), self.name))
 
     @property
     def rate(self) -> float:
         """Of controller and log (Hz)."""
-        return self.description.sampling.rate
+        return self.axis.sampling.rate
 
     @property
     def kind(self) -> str:
@@ -54,7 +54,7 @@ class StudyDrive:
     @property
     def feedback(self) -> Mapping[str, Any]:
         """The table [controller] of the loop that runs."""
-        return self.hidden or self.tables["controller"]
+        return self.hidden_controller or self.tables["controller"]
 
     @property
     def static_stiffness(self) -> float | None:
@@ -171,7 +171,7 @@ def study_drives() -> tuple[StudyDrive, ...]:
         StudyDrive(
             "CNC axis, controller unknown, 2 kHz",
             _tables(420.0, 200.0, cnc, 1e-7, 3e-8, 2000.0, 0.6, {"kind": "unknown"}),
-            0.2, 0.3, 2.0, 5.0, hidden={**cascade, "kv": 6e4},
+            0.2, 0.3, 2.0, 5.0, hidden_controller={**cascade, "kv": 6e4},
         ),
         StudyDrive(
             "two encoders, compliant screw, PD, 4 kHz",
@@ -179,7 +179,7 @@ def study_drives() -> tuple[StudyDrive, ...]:
                 300.0, 250.0, cnc, 1e-7, 3e-8, 4000.0, 0.6, {"kind": "pd", "kp": 1.2e6, "kd": 3e4},
                 effects={"compliance": {"frequency": 250.0, "damping": 0.08, "motor_share": 0.4}},
             ),
-            0.2, 0.2, 1.5, 4.0, motor_step=1e-8,
+            0.2, 0.2, 1.5, 4.0, motor_resolution=1e-8,
         ),
         StudyDrive(
             "vertical axis, cascade, 4 kHz",
@@ -188,6 +188,6 @@ def study_drives() -> tuple[StudyDrive, ...]:
                 {"kind": "cascade", "kp": 70.0, "kv": 8e4, "ki": 1.5e6, "velocity_feedforward": 1.0},
                 constant_force=-900.0,
             ),
-            0.2, 0.2, 1.5, 4.0, reversible=False, settled=0.5,
+            0.2, 0.2, 1.5, 4.0, mirrorable=False, settling_time=0.5,
         ),
     )  # fmt: skip

@@ -9,12 +9,12 @@ from diffdrive.logs.log import Log, Signal
 from experiments.studies.log_study.drives import StudyDrive
 from experiments.studies.log_study.sound import LogCase
 
-ANY: tuple[str, ...] = ()
+ANY_CHANNEL: tuple[str, ...] = ()
 COMMAND_SHARE = 0.02  # of its standard deviation: so well is a force constant known, less changes no answer
 
 
 @dataclass(frozen=True)
-class Fault:
+class LogFault:
     """A log with something wrong, and the truth about it.
 
     `causes` are the names under which it is right, `rivals` those that nobody could rule out and that must be named as
@@ -26,38 +26,38 @@ class Fault:
     true: Log
     amount: str
     causes: tuple[str, ...]
-    channels: tuple[str, ...] = ANY
+    channels: tuple[str, ...] = ANY_CHANNEL
     rivals: tuple[str, ...] = ()
     undo: Callable[[Log], Log] | None = None
 
 
 @dataclass(frozen=True)
-class Draw:
-    """One kind of fault. `make` draws one, None where this motion cannot show it; `applies` says which axes can."""
+class FaultKind:
+    """One kind of fault. `draw` draws one, None where this motion cannot show it; `applies` says which axes can."""
 
     name: str
-    make: Callable[[LogCase, np.random.Generator], Fault | None]
+    draw: Callable[[LogCase, np.random.Generator], LogFault | None]
     applies: Callable[[StudyDrive], bool] = lambda drive: True
 
 
-def of_channel(
+def channel_fault(
     case: LogCase, channel: str, signal: Signal, amount: str, cause: str, *, undo: Callable[[Log], Log] | None = None,
     also: tuple[str, ...] = (), channels: tuple[str, ...] | None = None, rivals: tuple[str, ...] = (),
-) -> Fault:  # fmt: skip
+) -> LogFault:  # fmt: skip
     """A fault of one channel."""
-    return Fault(
+    return LogFault(
         replace(case.log, **{channel: signal}), case.log, amount, (cause, *also),
         (channel,) if channels is None else channels, rivals, undo,
     )  # fmt: skip
 
 
-def span(signal: Signal) -> float:
+def robust_range(signal: Signal) -> float:
     """The range of a signal but for its extremes, which one sample could make."""
     low, high = np.quantile(signal, [0.005, 0.995])
     return float(high - low)
 
 
-def flutter(signal: Signal) -> float:
+def noise_std(signal: Signal) -> float:
     """Standard deviation of what changes from sample to sample: its noise (second differences of white noise)."""
     return float(1.4826 * np.median(np.abs(np.diff(signal, 2))) / np.sqrt(6.0))
 
@@ -68,7 +68,7 @@ def following_error(log: Log) -> Signal:
     return log.reference - log.position
 
 
-def moving(log: Log) -> Signal:
+def moving_samples(log: Log) -> Signal:
     """Samples at which the reference moves at more than a fifth of its top speed."""
     assert log.reference is not None
     speed = np.abs(np.gradient(log.reference))

@@ -9,55 +9,57 @@ from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
 from diffdrive.model.parameters import Drive, as_arrays
 from diffdrive.motion.motion import Motion
-from experiments.studies.log_study.controllers import FittedVelocity, commanded
+from experiments.studies.log_study.controllers import FittedVelocity, replayed_command
 from experiments.studies.log_study.drives import StudyDrive
-from experiments.studies.log_study.fault import COMMAND_SHARE, Draw, Fault, log_uniform
-from experiments.studies.log_study.sound import LogCase, changed, logged
-from experiments.studies.log_study.values import known
+from experiments.studies.log_study.fault import COMMAND_SHARE, FaultKind, LogFault, log_uniform
+from experiments.studies.log_study.sound import LogCase, scaled_drive, simulate_log
+from experiments.studies.log_study.values import controller_known
 
-LEAST = 0.15  # change of the command, of its standard deviation, from which a machine counts as another
+MIN_COMMAND_CHANGE = 0.15  # change of the command, of its standard deviation, from which a machine counts as another
 
 
 def differs(one: Log, other: Log) -> bool:
     """Whether the same motion took another command."""
-    return bool(np.std(one.command - other.command) > LEAST * np.std(one.command))
+    return bool(np.std(one.command - other.command) > MIN_COMMAND_CHANGE * np.std(one.command))
 
 
-def _of(case: LogCase, machine: Drive, amount: str) -> Fault | None:
+def _machine_fault(case: LogCase, machine: Drive, amount: str) -> LogFault | None:
     try:
-        log = logged(case.drive, machine, case.motion, case.seed)
+        log = simulate_log(case.drive, machine, case.motion, case.seed)
     except DivergenceError:
         return None
-    return Fault(log, log, amount, ("other machine",)) if differs(case.log, log) else None
+    return LogFault(log, log, amount, ("other machine",)) if differs(case.log, log) else None
 
 
-def other_machine(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def other_machine(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """Mass x 0.5 to 2, Coulomb friction x 0.2 to 3, per direction."""
     mass = log_uniform(rng, 0.5, 2.0)
     friction = [log_uniform(rng, 0.2, 3.0) for _ in range(2)]
     amount = f"mass x {mass:.3g}, friction x {friction[0]:.3g} and {friction[1]:.3g}"
-    return _of(case, changed(case.description.drive, mass, friction), amount)
+    return _machine_fault(case, scaled_drive(case.axis.drive, mass, friction), amount)
 
 
-def worn(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def lost_preload(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """The preload is lost: friction fallen to a fifth."""
-    return _of(case, changed(case.machine, 1.0, 0.2), "friction x 0.2")
+    return _machine_fault(case, scaled_drive(case.machine, 1.0, 0.2), "friction x 0.2")
 
 
-def _under(case: LogCase, controller: Controller, amount: str) -> Fault | None:
+def _controller_fault(case: LogCase, controller: Controller, amount: str) -> LogFault | None:
     """A log of another controller's loop; None where the drive file's would have commanded the same in it."""
     try:
-        log = logged(case.drive, case.machine, case.motion, case.seed, controller)
+        log = simulate_log(case.drive, case.machine, case.motion, case.seed, controller)
     except DivergenceError:
         return None
     made = Reference(case.motion.position, case.motion.velocity, case.motion.acceleration)
-    arrays = as_arrays((case.description.controller, made, log.position, log.command))
-    off = log.command - np.asarray(commanded(*arrays, 1.0 / case.drive.rate))
+    arrays = as_arrays((case.axis.controller, made, log.position, log.command))
+    off = log.command - np.asarray(replayed_command(*arrays, 1.0 / case.drive.rate))
     off -= np.mean(off)  # what an integral had gathered before the log began
-    return Fault(log, log, amount, ("other controller",)) if np.std(off) > COMMAND_SHARE * np.std(log.command) else None
+    return (
+        LogFault(log, log, amount, ("other controller",)) if np.std(off) > COMMAND_SHARE * np.std(log.command) else None
+    )
 
 
-def other_gains(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def other_gains(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """Each gain off by 10 to 50 %, not all by the same factor: that would be the command's unit."""
     names = ("kp", "kv") if case.drive.feedback["kind"] == "cascade" else ("kp", "kd")
     off = [1.0 + rng.uniform(0.1, 0.5) * float(rng.choice([-1.0, 1.0])) for _ in names]
@@ -65,26 +67,28 @@ def other_gains(case: LogCase, rng: np.random.Generator) -> Fault | None:
         return None
     gains = {name: factor * case.drive.feedback[name] for name, factor in zip(names, off, strict=True)}
     amount = ", ".join(f"{name} x {factor:.3g}" for name, factor in zip(names, off, strict=True))
-    return _under(case, case.drive.with_feedback(gains).controller, amount)
+    return _controller_fault(case, case.drive.with_feedback(gains).controller, amount)
 
 
-def fitted_velocity(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def fitted_velocity(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """A velocity from a line through four samples in place of a difference."""
-    return _under(case, FittedVelocity.of(case.description.controller), "velocity by a 4-point fit")
+    return _controller_fault(case, FittedVelocity.of(case.axis.controller), "velocity by a 4-point fit")
 
 
-def _differences(drive: StudyDrive) -> bool:
-    return isinstance(drive.description.controller, PD | Cascade)
+def _uses_differences(drive: StudyDrive) -> bool:
+    return isinstance(drive.axis.controller, PD | Cascade)
 
 
-def lost_motion(case: LogCase, rng: np.random.Generator) -> Fault:
+def lost_motion(case: LogCase, rng: np.random.Generator) -> LogFault:
     """20 to 400 um of play between the encoder at the motor and the scale: at a reversal the motor crosses it first."""
     play = log_uniform(rng, 20e-6, 400e-6)
-    log = replace(case.log, motor_position=case.log.motor_position + 0.5 * play * side(case.motion, case.drive.rate))
-    return Fault(log, log, f"{1e6 * play:.3g} um", ("lost motion",), ("motor_position", "position"))
+    log = replace(
+        case.log, motor_position=case.log.motor_position + 0.5 * play * play_side(case.motion, case.drive.rate)
+    )
+    return LogFault(log, log, f"{1e6 * play:.3g} um", ("lost motion",), ("motor_position", "position"))
 
 
-def side(made: Motion, rate: float) -> np.ndarray:
+def play_side(made: Motion, rate: float) -> np.ndarray:
     """On which side of its play the motor lies, from -1 to 1: it crosses in 10 ms as the motion begins or reverses."""
     still = np.abs(made.velocity) < 1e-6 * np.max(
         np.abs(made.velocity)
@@ -98,26 +102,28 @@ def side(made: Motion, rate: float) -> np.ndarray:
     return (sums[width:] - sums[:-width]) / width
 
 
-MACHINES = (
-    Draw("another machine", other_machine),
-    Draw("friction fallen to a fifth", worn),
-    Draw("other gains", other_gains, known),
-    Draw("velocity by a 4-point fit", fitted_velocity, _differences),
-    Draw("lost motion", lost_motion, lambda drive: drive.motor_step is not None),
+MACHINE_FAULTS = (
+    FaultKind("another machine", other_machine),
+    FaultKind("friction fallen to a fifth", lost_preload),
+    FaultKind("other gains", other_gains, controller_known),
+    FaultKind("velocity by a 4-point fit", fitted_velocity, _uses_differences),
+    FaultKind("lost motion", lost_motion, lambda drive: drive.motor_resolution is not None),
 )
 
 
-def other_log_of(case: LogCase, motion: Motion, rng: np.random.Generator, *, mass: bool) -> tuple[Log, str] | None:
+def log_of_altered_machine(
+    case: LogCase, motion: Motion, rng: np.random.Generator, *, mass: bool
+) -> tuple[Log, str] | None:
     """A log of another motion, on a machine whose mass or Coulomb friction differs by a factor of 1.3 to 3.
 
     None where that machine would not have shown in this motion, or is unstable.
     """
     factor = log_uniform(rng, 1.3, 2.0 if mass else 3.0) ** float(rng.choice([-1.0, 1.0]))
-    machine = changed(case.machine, *((factor, 1.0) if mass else (1.0, factor)))
+    machine = scaled_drive(case.machine, *((factor, 1.0) if mass else (1.0, factor)))
     seed = case.seed + 1
     try:
-        same = logged(case.drive, case.machine, motion, seed)
-        other = logged(case.drive, machine, motion, seed)
+        same = simulate_log(case.drive, case.machine, motion, seed)
+        other = simulate_log(case.drive, machine, motion, seed)
     except DivergenceError:
         return None
     return (other, f"{'mass' if mass else 'friction'} x {factor:.3g}") if differs(same, other) else None

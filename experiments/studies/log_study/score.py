@@ -8,10 +8,10 @@ from scipy.stats import binomtest
 from diffdrive.axis import Axis
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
-from experiments.studies.log_study.fault import Fault
+from experiments.studies.log_study.fault import LogFault
 from experiments.studies.log_study.repair_check import differences
 
-MOST_MENDS = 3  # that a user applies one after the other
+MAX_REPAIRS = 3  # that a user applies one after the other
 
 
 Examine = Callable[[Log, Axis], Sequence[Finding]]
@@ -19,26 +19,28 @@ Examine = Callable[[Log, Axis], Sequence[Finding]]
 
 @dataclass(frozen=True)
 class Score:
-    """How one answer did. `wrong_mend` says in what the mended log is wrong, and by which finding; empty: it is not."""
+    """How the findings in one log did. `wrong_repair` says what is wrong in the repaired log, and by which finding."""
 
     first: bool  # the first finding has a right cause and channel
     named: bool  # a right cause is among the causes and rivals
     rivals: bool  # so are those that nobody can rule out
-    mended: bool  # a mend was stated, and right
-    wrong_mend: str
-    leading: str  # the first finding, in short
+    repaired: bool  # a repair was stated, and right
+    wrong_repair: str
+    summary: str  # of the first finding
     severity: str
 
 
-def leading(findings: Sequence[Finding]) -> Finding | None:
+def first_finding(findings: Sequence[Finding]) -> Finding | None:
     """The finding that a user reads first: the first that is more than a note, else the first note."""
     return next((one for one in findings if one.severity != "note"), findings[0] if findings else None)
 
 
-def mended(log: Log, description: Axis, examine: Examine, findings: Sequence[Finding]) -> tuple[Log, list[Finding]]:
+def apply_repairs(
+    log: Log, description: Axis, examine: Examine, findings: Sequence[Finding]
+) -> tuple[Log, list[Finding]]:
     """The log after the mends that a user would apply, and the findings that stated them."""
     applied: list[Finding] = []
-    while len(applied) < MOST_MENDS:
+    while len(applied) < MAX_REPAIRS:
         one = next((one for one in findings if one.repair is not None), None)
         if one is None or one.repair is None:
             break
@@ -48,14 +50,14 @@ def mended(log: Log, description: Axis, examine: Examine, findings: Sequence[Fin
     return log, applied
 
 
-def scored(fault: Fault, description: Axis, resolution: float, examine: Examine) -> Score:
+def score_fault(fault: LogFault, description: Axis, resolution: float, examine: Examine) -> Score:
     """Examine a log with a fault, and compare with the truth."""
     findings = examine(fault.log, description)
-    top = leading(findings)
+    top = first_finding(findings)
     first = top is not None and top.cause in fault.causes and (not fault.channels or top.channel in fault.channels)
     # every note has a cause of its own; what only confirms is no hypothesis
     names = {name for one in findings for name in (one.cause, *one.rivals)}
-    log, applied = mended(fault.log, description, examine, findings)
+    log, applied = apply_repairs(fault.log, description, examine, findings)
     wrong = differences(log, fault, resolution) if applied else []
     told = "; ".join(f"{one.severity}: {one.channel}: {one.message}; {one.remedy}" for one in applied)
     return Score(

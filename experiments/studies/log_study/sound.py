@@ -39,9 +39,9 @@ class LogCase:
     log: Log
 
     @property
-    def description(self) -> Axis:
+    def axis(self) -> Axis:
         """What the checks are given beside a log."""
-        return self.drive.description
+        return self.drive.axis
 
 
 def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Motion]]:
@@ -78,28 +78,28 @@ def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Moti
         )  # fmt: skip
 
     return {
-        name: lambda rng, make=make: _cut(make(rng), count)
+        name: lambda rng, make=make: _of_length(make(rng), count)
         for name, make in (("two sines", two_sines), ("strokes", strokes), ("speeds", speeds), ("contour", contour))
     }
 
 
-def sound(drive: StudyDrive, rng: np.random.Generator) -> LogCase:
+def sound_log(drive: StudyDrive, rng: np.random.Generator) -> LogCase:
     """A sound log of a machine near its drive file."""
     name = str(rng.choice(sorted(motions(drive))))
     made = motions(drive)[name](rng)
-    machine = near(drive.description.drive, rng)
+    machine = perturbed(drive.axis.drive, rng)
     seed = int(rng.integers(2**31))
-    return LogCase(drive, machine, made, seed, replace(logged(drive, machine, made, seed), name=name))
+    return LogCase(drive, machine, made, seed, replace(simulate_log(drive, machine, made, seed), name=name))
 
 
-def near(drive: Drive, rng: np.random.Generator) -> Drive:
+def perturbed(drive: Drive, rng: np.random.Generator) -> Drive:
     """A machine as its drive file has it, but for what no drive file knows better."""
-    return changed(
+    return scaled_drive(
         drive, rng.uniform(1 - MASS_SPREAD, 1 + MASS_SPREAD), rng.uniform(1 - FRICTION_SPREAD, 1 + FRICTION_SPREAD, 2)
     )
 
 
-def changed(drive: Drive, mass: float, friction: Any) -> Drive:
+def scaled_drive(drive: Drive, mass: float, friction: Any) -> Drive:
     """The drive with its mass, and all that friction takes per direction, times these factors."""
     forward, backward = np.broadcast_to(friction, 2)
 
@@ -116,32 +116,34 @@ def changed(drive: Drive, mass: float, friction: Any) -> Drive:
     return replace(drive, plant=replace(drive.plant, mass=mass * drive.plant.mass), friction=rubbing)
 
 
-def logged(drive: StudyDrive, machine: Drive, made: Motion, seed: int, controller: Controller | None = None) -> Log:
+def simulate_log(
+    drive: StudyDrive, machine: Drive, made: Motion, seed: int, controller: Controller | None = None
+) -> Log:
     """What this machine logs of a motion; raises `DivergenceError` if its loop is unstable."""
     if controller is None:
         controller = drive.with_feedback({}).controller
-    before = round(drive.settled * drive.rate)
-    made = _held(made, before)
+    before = round(drive.settling_time * drive.rate)
+    made = _after_rest(made, before)
     loads = np.full(len(made.time), drive.load)
     machine, controller, inputs = *as_arrays((machine, controller)), inputs_of(made, loads)
-    sampling, limits, key = drive.description.sampling, drive.description.limits, jax.random.key(seed)
+    sampling, limits, key = drive.axis.sampling, drive.axis.limits, jax.random.key(seed)
     run = judged(
         Run.of(made, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
     ).require_ok()
     signals = {name: np.asarray(getattr(run, name)) for name in ("time", "position", "command", "reference")}
     if drive.load:
         signals["load"] = np.asarray(run.load)
-    if drive.motor_step is not None:
-        wound_up = _winding(machine, controller, inputs, sampling, key)
+    if drive.motor_resolution is not None:
+        wound_up = _motor_deflection(machine, controller, inputs, sampling, key)
         noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(made.time))
         shown = run.table_position + np.asarray(wound_up) + noise
-        signals["motor_position"] = drive.motor_step * np.round(shown / drive.motor_step)
+        signals["motor_position"] = drive.motor_resolution * np.round(shown / drive.motor_resolution)
     log = Log(drive.name, **{name: signal[before:] for name, signal in signals.items()})
     return replace(log, time=log.time - log.time[0])
 
 
 @eqx.filter_jit
-def _winding(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
+def _motor_deflection(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
     """The motor against the table (m), of a drive whose first effect is its transmission."""
     drive = acting.altered(drive, drive.effects)
 
@@ -151,7 +153,7 @@ def _winding(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sam
     return lax.scan(body, start(drive, controller, inputs.reference.position[0]), inputs)[1]
 
 
-def _held(made: Motion, samples: int) -> Motion:
+def _after_rest(made: Motion, samples: int) -> Motion:
     """The motion after so many samples at rest."""
     if not samples:
         return made
@@ -165,7 +167,7 @@ def _held(made: Motion, samples: int) -> Motion:
     )
 
 
-def _cut(made: Motion, count: int) -> Motion:
+def _of_length(made: Motion, count: int) -> Motion:
     """The first samples of a motion; where it is shorter, it rests at its end."""
     if len(made.time) < count:
         rest = count - len(made.time)

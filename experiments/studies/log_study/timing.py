@@ -5,22 +5,29 @@ from dataclasses import replace
 import numpy as np
 
 from diffdrive.logs.log import Log, Signal
-from experiments.studies.log_study.fault import Draw, Fault, following_error, log_uniform, moving, of_channel
+from experiments.studies.log_study.fault import (
+    FaultKind,
+    LogFault,
+    channel_fault,
+    following_error,
+    log_uniform,
+    moving_samples,
+)
 from experiments.studies.log_study.sound import LogCase
-from experiments.studies.log_study.values import known
+from experiments.studies.log_study.values import controller_known
 
 CHANNELS = ("reference", "position", "command")
 
 
-def later(signal: Signal, samples: float) -> Signal:
+def delayed(signal: Signal, samples: float) -> Signal:
     """The signal so many samples later, between samples by interpolation, its end values repeated."""
     count = np.arange(len(signal))
     return np.interp(count - samples, count, signal)
 
 
-def _shifted(case: LogCase, rng: np.random.Generator, samples: float, also: tuple[str, ...] = ()) -> Fault | None:
+def _shifted(case: LogCase, rng: np.random.Generator, samples: float, also: tuple[str, ...] = ()) -> LogFault | None:
     channel = str(rng.choice(CHANNELS))
-    signal = later(getattr(case.log, channel), samples)
+    signal = delayed(getattr(case.log, channel), samples)
     if channel == "position":  # a scale has no values between its counts
         signal = case.drive.resolution * np.round(signal / case.drive.resolution)
     change = signal - getattr(case.log, channel)
@@ -29,50 +36,50 @@ def _shifted(case: LogCase, rng: np.random.Generator, samples: float, also: tupl
         return None
 
     def undo(log: Log) -> Log:
-        return replace(log, **{channel: later(getattr(log, channel), -samples)})
+        return replace(log, **{channel: delayed(getattr(log, channel), -samples)})
 
     # of two lengths either may be the one: what tells them apart is how late the command is, which hardly changes then
     channels = ("command",) if channel == "command" else ("reference", "position")
     amount = f"{channel} by {samples:+.3g} samples"
-    return of_channel(case, channel, signal, amount, "shifted", undo=undo, also=also, channels=channels)
+    return channel_fault(case, channel, signal, amount, "shifted", undo=undo, also=also, channels=channels)
 
 
-def shifted_whole(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def shifted_whole(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """By 1 to 5 samples, either way."""
     return _shifted(case, rng, float(rng.integers(1, 6)) * float(rng.choice([-1.0, 1.0])))
 
 
-def shifted_part(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def shifted_part(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """By 0.2 to 0.8 samples, either way: interpolated, which is a mean of two neighbours."""
     return _shifted(case, rng, rng.uniform(0.2, 0.8) * float(rng.choice([-1.0, 1.0])), ("filtered",))
 
 
-def _rows(log: Log, kept: Signal | slice) -> Log:
+def _select_rows(log: Log, kept: Signal | slice) -> Log:
     return replace(log, **{name: signal[kept] for name, signal in log.channels.items()})
 
 
-def thinned(case: LogCase, rng: np.random.Generator) -> Fault:
+def decimated(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Each n-th row, and time counted as if they were all: the time of a log at a lower rate in another unit."""
     often = int(rng.integers(2, 11))
-    true = _rows(case.log, slice(None, None, often))
+    true = _select_rows(case.log, slice(None, None, often))
 
     def undo(log: Log) -> Log:
         return replace(log, time=log.time[0] + often * (log.time - log.time[0]))
 
-    return Fault(
+    return LogFault(
         replace(true, time=case.log.time[: len(true.time)]), true, f"each {often}th row", ("decimated", "rate"),
         undo=undo,
     )  # fmt: skip
 
 
-def thinned_honestly(case: LogCase, rng: np.random.Generator) -> Fault:
+def decimated_with_time(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Each n-th row with its own time: the log is right as it is, but its controller cannot be replayed."""
     often = int(rng.integers(2, 11))
-    true = _rows(case.log, slice(None, None, often))
-    return Fault(true, true, f"each {often}th row", ("decimated", "rate"))
+    true = _select_rows(case.log, slice(None, None, often))
+    return LogFault(true, true, f"each {often}th row", ("decimated", "rate"))
 
 
-def wrong_unit(case: LogCase, rng: np.random.Generator) -> Fault:
+def wrong_unit(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Milliseconds taken as microseconds or as seconds."""
     factor = float(rng.choice([1e3, 1e-3]))
     log = case.log
@@ -80,14 +87,14 @@ def wrong_unit(case: LogCase, rng: np.random.Generator) -> Fault:
     def undo(wrong: Log) -> Log:
         return replace(wrong, time=wrong.time / factor)
 
-    return Fault(replace(log, time=factor * log.time), log, f"time x {factor:g}", ("rate",), undo=undo)
+    return LogFault(replace(log, time=factor * log.time), log, f"time x {factor:g}", ("rate",), undo=undo)
 
 
-def lost_rows(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def lost_rows(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """One to five places at which 1 to 50 rows are missing during the motion, the time stamps uniform all the same."""
     log = case.log
     assert log.reference is not None
-    places = rng.choice(moving(log)[50:-50], int(rng.integers(1, 6)), replace=False)
+    places = rng.choice(moving_samples(log)[50:-50], int(rng.integers(1, 6)), replace=False)
     counts = [round(log_uniform(rng, 1, 50)) for _ in places]
     gone = np.unique(np.concatenate([np.arange(p, p + n) for p, n in zip(places, counts, strict=True)]))
     gone = gone[gone < len(log.time) - 50]
@@ -97,17 +104,17 @@ def lost_rows(case: LogCase, rng: np.random.Generator) -> Fault | None:
     )
     if jump < 20 * case.drive.resolution:
         return None
-    true = _rows(log, np.delete(np.arange(len(log.time)), gone))
-    return Fault(
+    true = _select_rows(log, np.delete(np.arange(len(log.time)), gone))
+    return LogFault(
         replace(true, time=log.time[: len(true.time)]), true, f"{len(gone)} at {len(places)} places", ("lost rows",)
     )  # fmt: skip
 
 
-TIMES = (
-    Draw("shifted by whole samples", shifted_whole, known),
-    Draw("shifted by part of a sample", shifted_part, known),
-    Draw("rows left out, time renumbered", thinned),
-    Draw("rows left out, time kept", thinned_honestly),
-    Draw("unit of the time", wrong_unit),
-    Draw("rows lost under uniform stamps", lost_rows),
+TIMING_FAULTS = (
+    FaultKind("shifted by whole samples", shifted_whole, controller_known),
+    FaultKind("shifted by part of a sample", shifted_part, controller_known),
+    FaultKind("rows left out, time renumbered", decimated),
+    FaultKind("rows left out, time kept", decimated_with_time),
+    FaultKind("unit of the time", wrong_unit),
+    FaultKind("rows lost under uniform stamps", lost_rows),
 )

@@ -9,14 +9,14 @@ from diffdrive.logs.log import Log, Signal
 from experiments.studies.log_study.drives import StudyDrive
 from experiments.studies.log_study.fault import (
     COMMAND_SHARE,
-    Draw,
-    Fault,
-    flutter,
+    FaultKind,
+    LogFault,
+    channel_fault,
     following_error,
     log_uniform,
-    moving,
-    of_channel,
-    span,
+    moving_samples,
+    noise_std,
+    robust_range,
 )
 from experiments.studies.log_study.sound import LogCase
 
@@ -24,15 +24,15 @@ RATIOS = (1000.0, 1e-3, 25.4, 1 / 25.4, 2 * np.pi, 0.5 / np.pi)
 COUNTER = 2**16
 
 
-def known(drive: StudyDrive) -> bool:
+def controller_known(drive: StudyDrive) -> bool:
     """Whether the drive file names the controller."""
     return drive.kind != "unknown"
 
 
-def swapped(case: LogCase, rng: np.random.Generator) -> Fault:
+def swapped(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Reference and position exchanged."""
     log = case.log
-    return Fault(
+    return LogFault(
         exchange(log), log, "reference and position", ("swapped",), ("reference", "position"), undo=exchange
     )  # fmt: skip
 
@@ -42,31 +42,31 @@ def exchange(log: Log) -> Log:
     return replace(log, reference=log.position, position=log.reference)
 
 
-def _rounded(case: LogCase, channel: str, step: float) -> Fault:
+def _rounded(case: LogCase, channel: str, step: float) -> LogFault:
     signal = getattr(case.log, channel)
     unit = "N" if channel == "command" else "m"
-    return of_channel(case, channel, step * np.round(signal / step), f"to {step:.3g} {unit}", "rounded")
+    return channel_fault(case, channel, step * np.round(signal / step), f"to {step:.3g} {unit}", "rounded")
 
 
-def position_rounded(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def position_rounded(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """To 2 to 200 times the resolution: still a position, hence at least twenty steps of travel."""
     step = case.drive.resolution * log_uniform(rng, 2.0, 200.0)
-    return None if span(case.log.position) < 20 * step else _rounded(case, "position", step)
+    return None if robust_range(case.log.position) < 20 * step else _rounded(case, "position", step)
 
 
-def reference_rounded(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def reference_rounded(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """As the position."""
     step = case.drive.resolution * log_uniform(rng, 5.0, 200.0)
-    return None if span(case.log.position) < 20 * step else _rounded(case, "reference", step)
+    return None if robust_range(case.log.position) < 20 * step else _rounded(case, "reference", step)
 
 
-def command_rounded(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def command_rounded(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """To some per cent of its range, and three times its own noise: less changes nothing."""
-    step = span(case.log.command) * log_uniform(rng, 0.02, 0.15)
-    return None if step < 3 * flutter(case.log.command) else _worth(case, _rounded(case, "command", step))
+    step = robust_range(case.log.command) * log_uniform(rng, 0.02, 0.15)
+    return None if step < 3 * noise_std(case.log.command) else _if_significant(case, _rounded(case, "command", step))
 
 
-def _worth(case: LogCase, fault: Fault) -> Fault | None:
+def _if_significant(case: LogCase, fault: LogFault) -> LogFault | None:
     """The fault, if it changes the command by more than a force constant is off by."""
     change = np.std(fault.log.command - case.log.command)
     return fault if change > COMMAND_SHARE * np.std(case.log.command) else None
@@ -77,67 +77,67 @@ def averaged(signal: Signal, width: int, *, trailing: bool) -> Signal:
     return uniform_filter1d(signal, width, mode="nearest", origin=(width - 1) // 2 if trailing else 0)
 
 
-def _averaged(case: LogCase, rng: np.random.Generator, channel: str) -> Fault:
+def _averaged(case: LogCase, rng: np.random.Generator, channel: str) -> LogFault:
     width, trailing = int(rng.integers(1, 21)) * 2 + 1, bool(rng.integers(2))
     amount = f"{width} samples, {'the last' if trailing else 'centred'}"
-    return of_channel(
+    return channel_fault(
         case, channel, averaged(getattr(case.log, channel), width, trailing=trailing), amount, "filtered"
     )  # fmt: skip
 
 
-def position_averaged(case: LogCase, rng: np.random.Generator) -> Fault:
+def position_averaged(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Over 3 to 41 samples."""
     return _averaged(case, rng, "position")
 
 
-def command_averaged(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def command_averaged(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """Over 3 to 41 samples."""
-    return _worth(case, _averaged(case, rng, "command"))
+    return _if_significant(case, _averaged(case, rng, "command"))
 
 
-def _moved(
+def _offset(
     case: LogCase, channel: str, amount: float, channels: tuple[str, ...], rivals: tuple[str, ...] = ()
-) -> Fault:
+) -> LogFault:
     unit = "N" if channel == "command" else "m"
 
     def undo(log: Log) -> Log:
         return replace(log, **{channel: getattr(log, channel) - amount})
 
-    return of_channel(
+    return channel_fault(
         case, channel, getattr(case.log, channel) + amount, f"{amount:+.3g} {unit}", "offset", undo=undo,
         channels=channels, rivals=rivals,
     )  # fmt: skip
 
 
-def zero_of_length(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def zero_of_length(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """Reference or position from another zero, 1 um to 50 mm: which of them moved, no log says.
 
     It must be a part of the following error that one would see: without a known controller, one that no loop has.
     """
     amount = log_uniform(rng, 1e-6, 0.05) * float(rng.choice([-1.0, 1.0]))
     error = following_error(case.log)
-    least = 0.2 * float(np.std(error)) if known(case.drive) else 10.0 * float(np.max(np.abs(error)))
+    least = 0.2 * float(np.std(error)) if controller_known(case.drive) else 10.0 * float(np.max(np.abs(error)))
     if abs(amount) < max(least, 5 * case.drive.resolution):
         return None
     # with a stiffness the same command constant explains it; with none, no loop does
     channels = ("reference", "position", "command") if case.drive.static_stiffness else ("reference", "position")
-    return _moved(case, str(rng.choice(["reference", "position"])), amount, channels)
+    return _offset(case, str(rng.choice(["reference", "position"])), amount, channels)
 
 
-def zero_of_command(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def zero_of_command(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """1 to 30 % of the command's range.
 
     Where an integral or an observer would have made it, the machine may have that force: nobody can tell.
     """
-    amount = span(case.log.command) * log_uniform(rng, 0.01, 0.3) * float(rng.choice([-1.0, 1.0]))
+    amount = robust_range(case.log.command) * log_uniform(rng, 0.01, 0.3) * float(rng.choice([-1.0, 1.0]))
     if case.drive.static_stiffness:
-        return _moved(case, "command", amount, ("command", "reference", "position"))
-    return _moved(case, "command", amount, ("command", "reference", "position"), ("other machine",))
+        return _offset(case, "command", amount, ("command", "reference", "position"))
+    return _offset(case, "command", amount, ("command", "reference", "position"), ("other machine",))
 
 
-def _factor(case: LogCase, rng: np.random.Generator, *, electric: bool) -> tuple[float, str]:
+def _draw_factor(case: LogCase, rng: np.random.Generator, *, electric: bool) -> tuple[float, str]:
     """A unit's factor, or any; without a known controller beyond what friction can be off by."""
-    least = 1.05 if known(case.drive) else 4.0
+    least = 1.05 if controller_known(case.drive) else 4.0
     which = rng.integers(3 if electric else 2)
     if which == 2:
         factor = 1 / rng.uniform(10.0, 200.0)
@@ -149,54 +149,56 @@ def _factor(case: LogCase, rng: np.random.Generator, *, electric: bool) -> tuple
 def _scaled(
     case: LogCase, scaled: tuple[str, ...], factor: float, amount: str, *, or_else: tuple[str, ...] = (),
     rivals: tuple[str, ...] = (),
-) -> Fault:  # fmt: skip
+) -> LogFault:  # fmt: skip
     def times(log: Log, by: float) -> Log:
         return replace(log, **{channel: by * getattr(log, channel) for channel in scaled})
 
-    return Fault(
+    return LogFault(
         times(case.log, factor), case.log, amount, ("gain",), scaled + or_else, rivals,
         undo=lambda log: times(log, 1 / factor),
     )  # fmt: skip
 
 
-def gain_of_position(case: LogCase, rng: np.random.Generator) -> Fault:
+def gain_of_position(case: LogCase, rng: np.random.Generator) -> LogFault:
     """The position in another unit; where nothing but the two lengths speaks, the reference may be the wrong one."""
-    factor, amount = _factor(case, rng, electric=False)
-    return _scaled(case, ("position",), factor, amount, or_else=() if known(case.drive) else ("reference",))
+    factor, amount = _draw_factor(case, rng, electric=False)
+    return _scaled(case, ("position",), factor, amount, or_else=() if controller_known(case.drive) else ("reference",))
 
 
-def gain_of_reference(case: LogCase, rng: np.random.Generator) -> Fault:
+def gain_of_reference(case: LogCase, rng: np.random.Generator) -> LogFault:
     """The reference in another unit; likewise."""
-    factor, amount = _factor(case, rng, electric=False)
-    return _scaled(case, ("reference",), factor, amount, or_else=() if known(case.drive) else ("position",))
+    factor, amount = _draw_factor(case, rng, electric=False)
+    return _scaled(case, ("reference",), factor, amount, or_else=() if controller_known(case.drive) else ("position",))
 
 
-def gain_of_both(case: LogCase, rng: np.random.Generator) -> Fault:
+def gain_of_both(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Both lengths in another unit."""
-    factor, amount = _factor(case, rng, electric=False)
+    factor, amount = _draw_factor(case, rng, electric=False)
     both = ("reference", "position") + (() if case.log.motor_position is None else ("motor_position",))
     return _scaled(case, both, factor, amount)
 
 
-def gain_of_command(case: LogCase, rng: np.random.Generator) -> Fault:
+def gain_of_command(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Volts, or another factor; where no controller is known, another machine would need the same command."""
-    factor, amount = _factor(case, rng, electric=True)
-    return _scaled(case, ("command",), factor, amount, rivals=() if known(case.drive) else ("other machine",))
+    factor, amount = _draw_factor(case, rng, electric=True)
+    return _scaled(
+        case, ("command",), factor, amount, rivals=() if controller_known(case.drive) else ("other machine",)
+    )
 
 
-def reversed_sign(case: LogCase, rng: np.random.Generator) -> Fault:
+def reversed_sign(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Of one channel, or of all where the drive file tells the mirrored axis."""
-    names = ["reference", "position", "command"] + ([] if case.drive.reversible else ["all"])
+    names = ["reference", "position", "command"] + ([] if case.drive.mirrorable else ["all"])
     which = str(rng.choice(names))
     channels = tuple(name for name in case.log.channels if name not in ("time", "load")) if which == "all" else (which,)
 
     def undo(log: Log) -> Log:
         return replace(log, **{channel: -getattr(log, channel) for channel in channels})
 
-    return Fault(undo(case.log), case.log, which, ("reversed",), channels, undo=undo)
+    return LogFault(undo(case.log), case.log, which, ("reversed",), channels, undo=undo)
 
 
-def wrapped(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def wrapped(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """The position's counter has 16 bits."""
     period, position = COUNTER * case.drive.resolution, case.log.position
     low = float(rng.choice([0.0, -0.5])) * period
@@ -208,27 +210,27 @@ def wrapped(case: LogCase, rng: np.random.Generator) -> Fault | None:
         full = np.unwrap(log.position, period=period)
         return replace(log, position=full + period * np.round(np.median(log.reference - full) / period))
 
-    return of_channel(case, "position", short, f"at {period:.3g} m", "wrapped", undo=undo)
+    return channel_fault(case, "position", short, f"at {period:.3g} m", "wrapped", undo=undo)
 
 
-def rectified(case: LogCase, rng: np.random.Generator) -> Fault:
+def rectified(case: LogCase, rng: np.random.Generator) -> LogFault:
     """The command without its sign."""
-    return of_channel(case, "command", np.abs(case.log.command), "absolute value", "rectified")
+    return channel_fault(case, "command", np.abs(case.log.command), "absolute value", "rectified")
 
 
-def clipped(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def clipped(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """The command's logger saturates for one to twenty per cent of the samples."""
     size = np.abs(case.log.command)
     level = float(np.quantile(size, 1.0 - log_uniform(rng, 0.01, 0.2)))
     if level > 0.9 * np.max(size):
         return None
-    return of_channel(case, "command", np.clip(case.log.command, -level, level), f"at {level:.3g} N", "clipped")
+    return channel_fault(case, "command", np.clip(case.log.command, -level, level), f"at {level:.3g} N", "clipped")
 
 
-def frozen(case: LogCase, rng: np.random.Generator) -> Fault | None:
+def frozen(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """The position stands for 20 to 500 ms while the table moves."""
     length = round(log_uniform(rng, 0.02, 0.5) * case.drive.rate)
-    begin = int(rng.choice(moving(case.log)))
+    begin = int(rng.choice(moving_samples(case.log)))
     position = case.log.position.copy()
     if begin + length > len(position):
         return None
@@ -237,25 +239,29 @@ def frozen(case: LogCase, rng: np.random.Generator) -> Fault | None:
     least = max(100 * case.drive.resolution, 3 * float(np.std(following_error(case.log))))
     if gone < least:
         return None
-    return of_channel(case, "position", position, f"{1e3 * length / case.drive.rate:.3g} ms, {gone:.3g} m", "frozen")
+    return channel_fault(case, "position", position, f"{1e3 * length / case.drive.rate:.3g} ms, {gone:.3g} m", "frozen")
 
 
-def outliers(case: LogCase, rng: np.random.Generator) -> Fault:
+def outliers(case: LogCase, rng: np.random.Generator) -> LogFault:
     """One to twenty samples of position or command far from their neighbours."""
     channel = str(rng.choice(["position", "command"]))
     signal = getattr(case.log, channel).copy()
     at = rng.choice(np.arange(50, len(signal) - 50, 10), int(rng.integers(1, 21)), replace=False)
-    least = max(0.02 * span(signal), 20 * flutter(signal)) if channel == "command" else 200 * case.drive.resolution
+    least = (
+        max(0.02 * robust_range(signal), 20 * noise_std(signal))
+        if channel == "command"
+        else 200 * case.drive.resolution
+    )
     size = least * log_uniform(rng, 1.0, 20.0)
     signal[at] += size * rng.choice([-1.0, 1.0], len(at))
-    return of_channel(case, channel, signal, f"{len(at)} of {size:.3g} in the {channel}", "outliers")
+    return channel_fault(case, channel, signal, f"{len(at)} of {size:.3g} in the {channel}", "outliers")
 
 
-def burst(case: LogCase, rng: np.random.Generator) -> Fault:
+def burst(case: LogCase, rng: np.random.Generator) -> LogFault:
     """Pulses of 20 to 100 % of the command's range, 2 to 20 ms long, to which the table does not react."""
     command, places = case.log.command.copy(), int(rng.integers(1, 6))
     length = max(2, round(rng.uniform(2e-3, 20e-3) * case.drive.rate))
-    size = span(command) * rng.uniform(0.2, 1.0)
+    size = robust_range(command) * rng.uniform(0.2, 1.0)
     pulses = np.zeros(len(command))
     room = len(command) // (places + 1)
     for k in range(places):
@@ -266,27 +272,27 @@ def burst(case: LogCase, rng: np.random.Generator) -> Fault:
         return replace(log, command=log.command - pulses)
 
     amount = f"{places} of {size:.3g} N, {1e3 * length / case.drive.rate:.3g} ms"
-    return of_channel(case, "command", command + pulses, amount, "burst", undo=undo)
+    return channel_fault(case, "command", command + pulses, amount, "burst", undo=undo)
 
 
-VALUES = (
-    Draw("reference and position exchanged", swapped),
-    Draw("position rounded", position_rounded),
-    Draw("reference rounded", reference_rounded, known),
-    Draw("command rounded", command_rounded),
-    Draw("position averaged", position_averaged),
-    Draw("command averaged", command_averaged, known),
-    Draw("zero of reference or position", zero_of_length),
-    Draw("constant on the command", zero_of_command, known),
-    Draw("gain of position", gain_of_position),
-    Draw("gain of reference", gain_of_reference),
-    Draw("gain of both lengths", gain_of_both),
-    Draw("gain of command", gain_of_command),
-    Draw("sign", reversed_sign),
-    Draw("counter of 16 bits", wrapped),
-    Draw("absolute value of the command", rectified),
-    Draw("clipped command", clipped),
-    Draw("frozen position", frozen),
-    Draw("outliers", outliers),
-    Draw("pulses in the command", burst, known),
+VALUE_FAULTS = (
+    FaultKind("reference and position exchanged", swapped),
+    FaultKind("position rounded", position_rounded),
+    FaultKind("reference rounded", reference_rounded, controller_known),
+    FaultKind("command rounded", command_rounded),
+    FaultKind("position averaged", position_averaged),
+    FaultKind("command averaged", command_averaged, controller_known),
+    FaultKind("zero of reference or position", zero_of_length),
+    FaultKind("constant on the command", zero_of_command, controller_known),
+    FaultKind("gain of position", gain_of_position),
+    FaultKind("gain of reference", gain_of_reference),
+    FaultKind("gain of both lengths", gain_of_both),
+    FaultKind("gain of command", gain_of_command),
+    FaultKind("sign", reversed_sign),
+    FaultKind("counter of 16 bits", wrapped),
+    FaultKind("absolute value of the command", rectified),
+    FaultKind("clipped command", clipped),
+    FaultKind("frozen position", frozen),
+    FaultKind("outliers", outliers),
+    FaultKind("pulses in the command", burst, controller_known),
 )

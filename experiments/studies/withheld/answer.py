@@ -33,49 +33,49 @@ from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.workflow import diagnose_checked, result_of
 from tuning.store.edition import edition
 
-UNASKED = Experiment("", [], 0.0, "not asked")
+NO_EXPERIMENT = Experiment("", [], 0.0, "not asked")
 ATTENDED = "attended"
-TOGETHER = 10  # cases that a process is given at once, at most
+BATCH = 10  # cases that a process is given at once, at most
 
-Question = tuple[Path, Path, tuple[str, ...]]  # the case, where its answer goes, the effects left out
+DiagnosisTask = tuple[Path, Path, tuple[str, ...]]  # the case, where its answer goes, the effects left out
 
 
-def answer(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
+def diagnose_case(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     """What the command says of one case, its checks of the logs and all; it draws nothing, and plans no motion."""
     description = read_axis(place / "drive.toml")
     began = time.perf_counter()
     files = sorted(place.glob("log-*.parquet"))
     checked = check_logs(description, read_logs(files, description), files=files)
     found = diagnose_checked(description, checked, without=without)
-    told = result_of(description, checked, found, UNASKED).details
+    told = result_of(description, checked, found, NO_EXPERIMENT).details
     return dict(told) | {"seconds": round(time.perf_counter() - began, 1)}
 
 
-def _answer(questions: Sequence[Question]) -> None:
+def _diagnose_batch(questions: Sequence[DiagnosisTask]) -> None:
     """Write the answers to questions about cases that are alike, and a line about each as soon as it is there."""
     for place, path, without in questions:
         try:
-            told = answer(place, without)
+            told = diagnose_case(place, without)
         except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
             told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
-        _keep(place, path, without, told)
+        _write_answer(place, path, without, told)
         found = [one["effect"] for one in told["causes"] if one["found"]]
         print(f"{place.name} {told['verdict']} {found}", flush=True)
     jax.clear_caches()  # other lengths and rates have other programs: they would pile up
 
 
-def _alike(questions: Sequence[Question]) -> list[list[Question]]:
+def _batches(questions: Sequence[DiagnosisTask]) -> list[list[DiagnosisTask]]:
     """Questions about logs of nearly the same length side by side: they share their programs, and tracing and compiling
     these is half of a diagnosis.
     """
-    alike: dict[int, list[Question]] = {}
+    alike: dict[int, list[DiagnosisTask]] = {}
     for one in questions:
-        alike.setdefault(_length(one[0]), []).append(one)
+        alike.setdefault(_padded_length(one[0]), []).append(one)
     longest_first = sorted(alike.items(), reverse=True)
-    return [some[k : k + TOGETHER] for _, some in longest_first for k in range(0, len(some), TOGETHER)]
+    return [some[k : k + BATCH] for _, some in longest_first for k in range(0, len(some), BATCH)]
 
 
-def _length(place: Path) -> int:
+def _padded_length(place: Path) -> int:
     """Samples of a case's logs as their programs have them; 0 of what cannot be read, as the diagnosis will say."""
     try:
         return max(rounded(parquet.read_metadata(path).num_rows) for path in place.glob("log-*.parquet"))
@@ -83,53 +83,53 @@ def _length(place: Path) -> int:
         return 0
 
 
-def _keep(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any]) -> None:
+def _write_answer(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(told | {"question": question(place, without)}, indent=1) + "\n")
+    write_text(path, json.dumps(told | {"question": task_digest(place, without)}, indent=1) + "\n")
 
 
-def _begin() -> None:
-    _asked_of()  # the code as it is imported, whatever becomes of it meanwhile
+def _start_process() -> None:
+    _edition()  # the code as it is imported, whatever becomes of it meanwhile
     configure()
     keep_compiled()
 
 
-def machines(folder: Path) -> list[Path]:
+def case_folders(folder: Path) -> list[Path]:
     """The cases of `folder`."""
     return sorted(one.parent for one in folder.glob("*/drive.toml"))
 
 
-def question(place: Path, without: Sequence[str]) -> str:
+def task_digest(place: Path, without: Sequence[str]) -> str:
     """What tells the question from any other: the drive file, the logs, the effects left out, and who is asked."""
-    text = hashlib.sha256((_asked_of() + json.dumps(sorted(without))).encode())
+    text = hashlib.sha256((_edition() + json.dumps(sorted(without))).encode())
     for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
         text.update(path.name.encode() + path.read_bytes())
     return text.hexdigest()
 
 
-def _asked_of() -> str:
+def _edition() -> str:
     """What the diagnosis is made of, and what tells it."""
-    return edition(answer.__module__)
+    return edition(diagnose_case.__module__)
 
 
-def _answered(place: Path, path: Path, without: Sequence[str]) -> bool:
+def _is_answered(place: Path, path: Path, without: Sequence[str]) -> bool:
     if not path.exists():
         return False
     answered: str | None = json.loads(path.read_text(encoding="utf-8")).get("question")
-    return answered == question(place, without)
+    return answered == task_digest(place, without)
 
 
 def unanswered(folder: Path, out: Path, without: dict[str, list[str]] | None = None) -> list[Path]:
     """The cases of `folder`, or those of them that `without` names, whose question has no answer in `out` yet."""
     return [
         one
-        for one in machines(folder)
+        for one in case_folders(folder)
         if without is None or one.name in without
-        if not _answered(one, _path(out, one), (without or {}).get(one.name, ()))
+        if not _is_answered(one, _answer_path(out, one), (without or {}).get(one.name, ()))
     ]
 
 
-def _path(out: Path, place: Path) -> Path:
+def _answer_path(out: Path, place: Path) -> Path:
     return out / place.name / "diagnosis.json"
 
 
@@ -144,20 +144,22 @@ def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]
         return tuple((without or {}).get(place.name, ()))
 
     try:
-        _ask([(place, _path(out, place), leaving(place)) for place in unanswered(folder, out, without)], workers)
+        _diagnose_all(
+            [(place, _answer_path(out, place), leaving(place)) for place in unanswered(folder, out, without)], workers
+        )
     except BrokenProcessPool:
         for place in unanswered(folder, out, without):
-            path = _path(out, place)
+            path = _answer_path(out, place)
             try:
-                _ask([(place, path, leaving(place))], 1)
+                _diagnose_all([(place, path, leaving(place))], 1)
             except BrokenProcessPool as problem:
-                _keep(place, path, leaving(place), {"verdict": "error", "says": str(problem), "causes": []})
+                _write_answer(place, path, leaving(place), {"verdict": "error", "says": str(problem), "causes": []})
 
 
-def _ask(questions: Sequence[Question], workers: int) -> None:
+def _diagnose_all(questions: Sequence[DiagnosisTask], workers: int) -> None:
     """Ask each."""
-    with processes(workers, _begin) as pool:
-        for one in as_completed([pool.submit(_answer, some) for some in _alike(questions)]):
+    with processes(workers, _start_process) as pool:
+        for one in as_completed([pool.submit(_diagnose_batch, some) for some in _batches(questions)]):
             one.result()
 
 

@@ -18,13 +18,13 @@ class StudyAxis(NamedTuple):
     drive: Drive  # its sensor's resolution included; noise is drawn
     noise: tuple[float, float]  # m, between which it is drawn
     rates: tuple[float, ...]  # Hz
-    often: tuple[float, ...]  # with which probability each is
+    rate_probabilities: tuple[float, ...]  # with which probability each is
     bandwidth: tuple[float, float]  # rad/s, of the position loop
-    length: float = 1.0  # strokes and speeds
-    force: float = 1.0  # Coulomb friction
-    load: float = 1.0  # what on the guides comes to a like share of it
-    bristle: float = 1.0  # distance before sliding
-    fine: float = 1.0  # the scale's counts
+    length_ratio: float = 1.0  # strokes and speeds
+    force_ratio: float = 1.0  # Coulomb friction
+    load_ratio: float = 1.0  # what on the guides comes to a like share of it
+    bristle_ratio: float = 1.0  # distance before sliding
+    resolution_ratio: float = 1.0  # the scale's counts
 
     @property
     def resolution(self) -> float:
@@ -34,7 +34,7 @@ class StudyAxis(NamedTuple):
 
     def sizes(self) -> dict[str, float]:
         """By what each number of a fault is larger here, by its name; all others are alike on every axis."""
-        force, length, bristle = self.force, self.length, self.bristle
+        force, length, bristle = self.force_ratio, self.length_ratio, self.bristle_ratio
         return {
             **dict.fromkeys(
                 ("constant", "cogging", "process", "process_mean", "chip", "dead", "peak", "droop_force"), force
@@ -42,10 +42,10 @@ class StudyAxis(NamedTuple):
             **dict.fromkeys(("spring", "bumper"), force / length),
             **dict.fromkeys(("neutral", "wave_period", "cogging_period", "chip_place", "chip_width"), length),
             "slope": 1.0 / length,
-            "extra_load": self.load,
+            "extra_load": self.load_ratio,
             **dict.fromkeys(("slip", "longest", "gap"), bristle),
-            **dict.fromkeys(("lead_error", "interpolation"), self.fine),
-            "interpolation_period": max(self.fine, 1.0),
+            **dict.fromkeys(("lead_error", "interpolation"), self.resolution_ratio),
+            "interpolation_period": max(self.resolution_ratio, 1.0),
             "stiffness": float(self.drive.plant.mass) / float(presets.paper_drive().plant.mass),
         }
 
@@ -57,10 +57,10 @@ def _both(value: float) -> Directional:
 def _paper() -> StudyAxis:
     """The testbed of Lee et al.: a table on a screw, 0.1 um."""
     return StudyAxis(presets.paper_drive(), (2e-8, 5e-8), (1000.0, 2000.0, 4000.0, 10000.0), (0.15, 0.5, 0.25, 0.1),
-                (130.0, 250.0))  # fmt: skip
+                     (130.0, 250.0))  # fmt: skip
 
 
-def _like(axis: Drive, mass: float, constant: float, friction: Friction, damping: float, resolution: float) -> Drive:
+def _drive(axis: Drive, mass: float, constant: float, friction: Friction, damping: float, resolution: float) -> Drive:
     plant = Plant(mass=mass, damping=_both(damping), constant_force=constant)
     return dataclasses.replace(
         axis, plant=plant, friction=friction, sensor=dataclasses.replace(axis.sensor, resolution=resolution)
@@ -73,9 +73,10 @@ def _gantry() -> StudyAxis:
         coulomb_screw=_both(200.0), load_coefficient=_both(4e-3), initial_load=12e3, breakaway_gap=_both(60.0),
         stribeck_velocity=_both(3e-3), viscous=_both(1000.0), bristle_stiffness=_both(4e7), bristle_damping=_both(8e3),
     )  # fmt: skip
-    drive = _like(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
+    drive = _drive(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
     return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (80.0, 130.0),
-                length=4.0, force=3.5, load=0.32, bristle=3.0, fine=5.0)  # fmt: skip
+                     length_ratio=4.0, force_ratio=3.5, load_ratio=0.32, bristle_ratio=3.0,
+                     resolution_ratio=5.0)  # fmt: skip
 
 
 def _linear() -> StudyAxis:
@@ -84,9 +85,10 @@ def _linear() -> StudyAxis:
         coulomb_screw=_both(6.0), load_coefficient=_both(5e-4), initial_load=4e3, breakaway_gap=_both(2.0),
         stribeck_velocity=_both(5e-3), viscous=_both(12.0), bristle_stiffness=_both(2e6), bristle_damping=_both(500.0),
     )  # fmt: skip
-    drive = _like(presets.paper_drive(), 20.0, 0.0, friction, 3.0, 1e-8)
+    drive = _drive(presets.paper_drive(), 20.0, 0.0, friction, 3.0, 1e-8)
     return StudyAxis(drive, (3e-9, 1e-8), (4000.0, 8000.0, 10000.0), (0.4, 0.3, 0.3), (200.0, 350.0),
-                length=3.0, force=0.12, load=0.09, bristle=2.0, fine=0.15)  # fmt: skip
+                     length_ratio=3.0, force_ratio=0.12, load_ratio=0.09, bristle_ratio=2.0,
+                     resolution_ratio=0.15)  # fmt: skip
 
 
 def _vertical() -> StudyAxis:
@@ -96,9 +98,10 @@ def _vertical() -> StudyAxis:
         stribeck_velocity=_both(2e-3), viscous=_both(3500.0), bristle_stiffness=_both(5e7),
         bristle_damping=_both(1.2e4),
     )  # fmt: skip
-    drive = _like(presets.paper_drive(), 300.0, -250.0, friction, 300.0, 2e-7)
+    drive = _drive(presets.paper_drive(), 300.0, -250.0, friction, 300.0, 2e-7)
     return StudyAxis(drive, (3e-8, 1e-7), (1000.0, 2000.0, 4000.0), (0.4, 0.4, 0.2), (100.0, 180.0),
-                length=2.0, force=4.3, load=0.4, bristle=2.9, fine=2.0)  # fmt: skip
+                     length_ratio=2.0, force_ratio=4.3, load_ratio=0.4, bristle_ratio=2.9,
+                     resolution_ratio=2.0)  # fmt: skip
 
 
 AXES = {"paper": _paper(), "gantry": _gantry(), "linear": _linear(), "vertical": _vertical()}

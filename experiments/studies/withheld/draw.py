@@ -7,12 +7,12 @@ import numpy as np
 
 from diffdrive.model.parameters import Directional, Drive
 from experiments.studies.withheld.axes import AXES, StudyAxis
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, Fault, between
-from experiments.studies.withheld.machine import Faults, Kind, MachineTask
-from experiments.studies.withheld.motions import ROOM, told
+from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
+from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure
+from experiments.studies.withheld.motions import ROOM, draw_inputs
 
-OFF = 0.03  # the most that a true parameter is off nominal, by its logarithm
-FAINT, STRONG = 0.3, 4.0  # sizes against that which is clear
+MAX_DEVIATION = 0.03  # the most that a true parameter is off nominal, by its logarithm
+MIN_SIZE, MAX_SIZE = 0.3, 4.0  # sizes against that which is clear
 
 
 class WithheldCase(NamedTuple):
@@ -22,14 +22,14 @@ class WithheldCase(NamedTuple):
     true: Drive
     gains: tuple[float, float]
     rate: float
-    faults: tuple[Fault, ...]
-    told: tuple[MachineTask, MachineTask]
+    faults: tuple[InjectedFault, ...]
+    inputs: tuple[MachineInputs, MachineInputs]
     noise: float
     resolution: float  # m
     pitfall: bool  # the effect is such that other parameters absorb much of it
 
 
-def _scaled(drive: Drive, factors: dict[str, float]) -> Drive:
+def _scaled_drive(drive: Drive, factors: dict[str, float]) -> Drive:
     """The drive with parameters times factors; `name+` and `name-` are the two directions."""
 
     def pair(owner: Any, name: str) -> Directional:
@@ -62,34 +62,34 @@ def draw(room: ROOM, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) 
     varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
     varied |= {name: float(np.exp(room.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
     varied["initial_load"] = float(np.exp(apart.normal(0, 0.2)))
-    nominal = _scaled(base, varied)
+    nominal = _scaled_drive(base, varied)
     nominal = dataclasses.replace(nominal, sensor=dataclasses.replace(base.sensor, noise=0.0))
     names = ("mass", "coulomb_screw+", "coulomb_screw-", "load_coefficient+", "load_coefficient-", "breakaway_gap+",
              "breakaway_gap-", "stribeck_velocity+", "stribeck_velocity-", "viscous+", "viscous-", "damping",
              "bristle_stiffness", "bristle_damping")  # fmt: skip
-    off = {name: float(np.exp(room.choice([-1, 1]) * room.uniform(0.3, 1.0) * OFF)) for name in names}
-    sizes = np.exp(room.uniform(np.log(FAINT), np.log(STRONG), len(effects)))
+    off = {name: float(np.exp(room.choice([-1, 1]) * room.uniform(0.3, 1.0) * MAX_DEVIATION)) for name in names}
+    sizes = np.exp(room.uniform(np.log(MIN_SIZE), np.log(MAX_SIZE), len(effects)))
     if len(effects) > 1:
         sizes = np.maximum(sizes, 1.5)
     makers = KNOWN | OUTSIDE | PITFALLS
     drawn = [makers[name](room, float(size)) for name, size in zip(effects, sizes, strict=True)]
-    faults = tuple(_of_size(fault, axis) for fault in drawn)
-    true = _scaled(nominal, off)
+    faults = tuple(_scaled_to_axis(fault, axis) for fault in drawn)
+    true = _scaled_drive(nominal, off)
     for fault in faults:
-        true = _scaled(true, fault.scaled)
-    rate = float(room.choice(axis.rates, p=axis.often))
-    bandwidth = between(room, axis.bandwidth)  # rad/s
+        true = _scaled_drive(true, fault.drive_factors)
+    rate = float(room.choice(axis.rates, p=axis.rate_probabilities))
+    bandwidth = log_uniform(room, axis.bandwidth)  # rad/s
     kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
     noise = float(room.uniform(*axis.noise))
-    traces = {name: scale for fault in faults for name, scale in fault.traces.items()}
-    way = (rate, noise, traces, axis.length, axis.load)
-    logs = told(room, apart, *way), told(room, apart, *way)
+    traces = {name: scale for fault in faults for name, scale in fault.random_scales.items()}
+    way = (rate, noise, traces, axis.length_ratio, axis.load_ratio)
+    logs = draw_inputs(room, apart, *way), draw_inputs(room, apart, *way)
     faults = tuple(_placed(fault, logs) for fault in faults)
     pitfall = any(name in PITFALLS for name in effects)
     return WithheldCase(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
 
 
-def _of_size(fault: Fault, axis: StudyAxis) -> Fault:
+def _scaled_to_axis(fault: InjectedFault, axis: StudyAxis) -> InjectedFault:
     """The fault as large for this axis as it was drawn for the paper's; shares of the way stay shares."""
     sizes = axis.sizes() | {name: 1.0 for effect, name in PLACED.items() if effect == fault.effect}
 
@@ -101,32 +101,32 @@ def _of_size(fault: Fault, axis: StudyAxis) -> Fault:
             for name, value in numbers.items()
         }
 
-    return fault._replace(faults=brought(fault.faults), traces=brought(fault.traces))
+    return fault._replace(parameters=brought(fault.parameters), random_scales=brought(fault.random_scales))
 
 
-def _placed(fault: Fault, logs: tuple[MachineTask, MachineTask]) -> Fault:
+def _placed(fault: InjectedFault, logs: tuple[MachineInputs, MachineInputs]) -> InjectedFault:
     """With its place in metres: a share of the longer way of the two logs."""
     name = PLACED.get(fault.effect)
     if name is None:
         return fault
     low, high = max(((float(log.reference.min()), float(log.reference.max())) for log in logs), key=np.ptp)
-    return fault._replace(faults=fault.faults | {name: low + fault.faults[name] * (high - low)})  # type: ignore[operator]
+    return fault._replace(parameters=fault.parameters | {name: low + fault.parameters[name] * (high - low)})  # type: ignore[operator]
 
 
-def without(case: WithheldCase, number: int) -> WithheldCase:
+def without_fault(case: WithheldCase, number: int) -> WithheldCase:
     """The machine without one of its faults."""
-    undone = {name: 1.0 / factor for name, factor in case.faults[number].scaled.items()}
+    undone = {name: 1.0 / factor for name, factor in case.faults[number].drive_factors.items()}
     faults = (*case.faults[:number], *case.faults[number + 1 :])
-    return case._replace(true=_scaled(case.true, undone), faults=faults)
+    return case._replace(true=_scaled_drive(case.true, undone), faults=faults)
 
 
-def of_log(case: WithheldCase, log: int, peak: float | None = None) -> tuple[Faults, Kind]:
+def log_faults(case: WithheldCase, log: int, peak: float | None = None) -> tuple[FaultParameters, MachineStructure]:
     """Faults of one log; a limit is set below the `peak` (N) of the command without it, and not without a peak."""
     values: dict[str, float] = {}
     kind: dict[str, bool] = {}
     for fault in case.faults:
-        values |= {name: value[log] if isinstance(value, tuple) else value for name, value in fault.faults.items()}
-        kind |= fault.kind
+        values |= {name: value[log] if isinstance(value, tuple) else value for name, value in fault.parameters.items()}
+        kind |= fault.structure
     if values.get("limit", 1.0) < 0.0:
         values["limit"] = 1e9 if peak is None else (1.0 + values["limit"]) * peak
-    return Faults(**values), Kind(**kind)
+    return FaultParameters(**values), MachineStructure(**kind)

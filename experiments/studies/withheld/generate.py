@@ -24,70 +24,70 @@ from experiments.studies.withheld import axes, faults, machine, motions
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
 from experiments.studies.withheld.axes import AXES, StudyAxis
-from experiments.studies.withheld.draw import WithheldCase, draw, of_log, without
+from experiments.studies.withheld.draw import WithheldCase, draw, log_faults, without_fault
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS
 from experiments.studies.withheld.machine import run
-from experiments.studies.withheld.truth import truth
+from experiments.studies.withheld.truth import true_parameters
 
-NONE, TWO, UNKNOWN, PITFALL = 0.12, 0.12, 0.12, 0.05  # shares of cases
+NONE_SHARE, TWO_SHARE, UNKNOWN_SHARE, PITFALL_SHARE = 0.12, 0.12, 0.12, 0.05  # shares of cases
 # a loose screw is an elastic one; and a spring beside a tilt is a spring that is neutral elsewhere
-ONE = ({"compliance", "backlash"}, {"constant_force", "position_spring"})
+EQUIVALENT = ({"compliance", "backlash"}, {"constant_force", "position_spring"})
 ATTEMPTS = 10  # at a machine whose loop is stable, and that shows what it has
-SEEN = 1.0  # of the noise of the position: what each of two effects must change of a log
+MIN_CHANGE = 1.0  # of the noise of the position: what each of two effects must change of a log
 
 
-def kinds(seed: int, count: int) -> list[tuple[str, ...]]:
+def draw_effects(seed: int, count: int) -> list[tuple[str, ...]]:
     """Which effects each case has: every effect of the catalogue in turn, and none, two, and others mixed in."""
     room = np.random.default_rng([seed, 0])
     names, pits = list(KNOWN), list(PITFALLS)
-    mixed: list[tuple[str, ...]] = [()] * round(NONE * count)
-    mixed += [_two(room, names) for _ in range(round(TWO * count))]
-    mixed += [(str(room.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN * count))]
+    mixed: list[tuple[str, ...]] = [()] * round(NONE_SHARE * count)
+    mixed += [_draw_pair(room, names) for _ in range(round(TWO_SHARE * count))]
+    mixed += [(str(room.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN_SHARE * count))]
     left = count - len(mixed)
-    trapped = round(PITFALL * count)
+    trapped = round(PITFALL_SHARE * count)
     singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(left - trapped)]
     cases = [*mixed, *singles, *((pits[k % len(pits)],) for k in range(trapped))]
     return [tuple(map(str, cases[k])) for k in room.permutation(len(cases))]
 
 
-def _two(room: np.random.Generator, names: list[str]) -> tuple[str, ...]:
+def _draw_pair(room: np.random.Generator, names: list[str]) -> tuple[str, ...]:
     """Two effects that a machine can have at once, and that are not one."""
     while True:
         pair = tuple(map(str, room.choice(names, 2, replace=False)))
-        if set(pair) not in ONE:
+        if set(pair) not in EQUIVALENT:
             return pair
 
 
-def _followed(log: Log) -> bool:
+def _follows(log: Log) -> bool:
     assert log.reference is not None
     return bool(np.all(np.abs(log.position - log.reference) < 2e-3))
 
 
-def _log(case: WithheldCase, log: int, peak: float | None = None) -> Log:
-    told = case.told[log]
-    faults, kind = of_log(case, log, peak)
+def _simulate_log(case: WithheldCase, log: int, peak: float | None = None) -> Log:
+    told = case.inputs[log]
+    faults, kind = log_faults(case, log, peak)
     position, command = run(case.true, faults, kind, case.gains, case.resolution, told, case.rate)
     time = np.arange(len(position)) / case.rate
     return Log("ab"[log], time, position, command, reference=told.reference, load=told.load)
 
 
-def _seen(case: WithheldCase, logs: list[Log], peak: float | None) -> bool:
+def _is_visible(case: WithheldCase, logs: list[Log], peak: float | None) -> bool:
     """Whether each of two effects changes a log: a limit that nothing but noise exceeds is none to be found."""
     noise = np.hypot(case.noise, case.resolution / np.sqrt(12.0))
 
     def changes(number: int) -> bool:
-        other = without(case, number)
-        gone = (_log(other, log, peak).position - logs[log].position for log in range(2))
-        return any(np.sqrt(np.mean(np.square(one))) >= SEEN * noise for one in gone)
+        other = without_fault(case, number)
+        gone = (_simulate_log(other, log, peak).position - logs[log].position for log in range(2))
+        return any(np.sqrt(np.mean(np.square(one))) >= MIN_CHANGE * noise for one in gone)
 
     return len(case.faults) < 2 or all(changes(number) for number in range(len(case.faults)))
 
 
-def _logs(case: WithheldCase) -> tuple[list[Log], float | None]:
+def _simulate_logs(case: WithheldCase) -> tuple[list[Log], float | None]:
     """Both logs; of a machine with a limit also the peak (N) below which it is set, that of the first log without."""
     limited = any(fault.effect == "force_limit" for fault in case.faults)
-    peak = float(np.abs(_log(case, 0).command).max()) if limited else None
-    return [_log(case, log, peak) for log in range(2)], peak
+    peak = float(np.abs(_simulate_log(case, 0).command).max()) if limited else None
+    return [_simulate_log(case, log, peak) for log in range(2)], peak
 
 
 def key_of(case: WithheldCase, peak: float | None = None) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def key_of(case: WithheldCase, peak: float | None = None) -> dict[str, Any]:
                 "name": fault.effect,
                 "size": fault.size,
                 "outside": fault.effect in OUTSIDE,
-                "true": truth(case, fault, peak),
+                "true": true_parameters(case, fault, peak),
             }
             for fault in case.faults
         ],
@@ -117,9 +117,9 @@ def generate(
     """
     parts.mkdir(parents=True, exist_ok=True)
     remove_temporary(parts)
-    for number, effects in enumerate(kinds(seed, count)):
+    for number, effects in enumerate(draw_effects(seed, count)):
         name, axis = f"{number + 1:03d}", on[number % len(on)]
-        drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": drawn_by()}
+        drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": source_digest()}
         part = parts / f"{name}.json"
         there = part.exists() and (folder / name / "drive.toml").exists()
         if there and json.loads(part.read_text(encoding="utf-8"))["drawn"] != drawn:
@@ -128,40 +128,40 @@ def generate(
                 "folder"
             )
         if not there:
-            case, logs, peak = _followable(seed, number, effects, axis)
+            case, logs, peak = _draw_followable(seed, number, effects, axis)
             write_text(part, json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n")
-            _write(folder / name, case, logs)
+            _write_case(folder / name, case, logs)
         yield name
 
 
 @functools.cache
-def drawn_by() -> str:
+def source_digest() -> str:
     """A digest of what draws and integrates machines: those of two editions are no one study."""
     parts = [inspect.getsource(one) for one in (axes, draws, faults, machine, motions, truths, sys.modules[__name__])]
     parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
-def _followable(
+def _draw_followable(
     seed: int, number: int, effects: tuple[str, ...], axis: StudyAxis
 ) -> tuple[WithheldCase, list[Log], float | None]:
     for attempt in range(ATTEMPTS):
         case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects, axis)
-        logs, peak = _logs(case)
-        if all(_followed(log) for log in logs) and _seen(case, logs, peak):
+        logs, peak = _simulate_logs(case)
+        if all(_follows(log) for log in logs) and _is_visible(case, logs, peak):
             return case, logs, peak
     raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference or show its effects")
 
 
-def _write(place: Path, case: WithheldCase, logs: list[Log]) -> None:
+def _write_case(place: Path, case: WithheldCase, logs: list[Log]) -> None:
     place.mkdir(parents=True, exist_ok=True)
     remove_temporary(place)
     for log in logs:
         write_log(place / f"log-{log.name}.parquet", log)
-    write_axis(place / "drive.toml", _believed(case))  # the last: with it a case is there
+    write_axis(place / "drive.toml", _nominal_axis(case))  # the last: with it a case is there
 
 
-def _believed(case: WithheldCase) -> Axis:
+def _nominal_axis(case: WithheldCase) -> Axis:
     kp, kd = case.gains
     return Axis(case.nominal, PD(Tracking(PDGains(kp, kd))), Sampling(case.rate, 10), Limits())
 

@@ -23,13 +23,13 @@ from diffdrive.model.parameters import Drive, Scalar, as_arrays
 
 TOLERANCE = 1e-8
 ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the longest
-LONGEST_DELAY = 8
-MOST_STEPS = 20_000  # of a control period
-AWAY = 5e-3  # m off the reference
-SOFT = 5.0  # N, about which an inverter's dead time takes its full toll
+MAX_DELAY = 8
+MAX_STEPS = 20_000  # of a control period
+DIVERGED = 5e-3  # m off the reference
+DEAD_TIME_ROUNDING = 5.0  # N, about which an inverter's dead time takes its full toll
 
 
-class Faults(NamedTuple):
+class FaultParameters(NamedTuple):
     """Everything that may be wrong, neutral by default; SI units."""
 
     extra_load: Scalar = 0.0  # N
@@ -94,7 +94,7 @@ class Faults(NamedTuple):
     bumper_place: Scalar = 1.0  # m
 
 
-class Kind(NamedTuple):
+class MachineStructure(NamedTuple):
     """What changes the equations' form; hashable."""
 
     elastic: bool = False
@@ -102,7 +102,7 @@ class Kind(NamedTuple):
     lagging: bool = False
 
 
-class State(NamedTuple):
+class MachineState(NamedTuple):
     """All that moves."""
 
     x: Scalar  # m, table against base
@@ -118,7 +118,7 @@ class State(NamedTuple):
     elements: Float[Array, " e"]
 
 
-class MachineTask(NamedTuple):
+class MachineInputs(NamedTuple):
     """What the machine is told and what happens to it, [n] each."""
 
     reference: Float[Array, " n"]  # m
@@ -133,7 +133,16 @@ def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
 
 
 def _friction(
-    drive: Drive, f: Faults, kind: Kind, s: State, v: Scalar, z: Scalar, x: Scalar, load: Scalar, rub: Scalar, t: Scalar
+    drive: Drive,
+    f: FaultParameters,
+    kind: MachineStructure,
+    s: MachineState,
+    v: Scalar,
+    z: Scalar,
+    x: Scalar,
+    load: Scalar,
+    rub: Scalar,
+    t: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Friction with damping (N), the bristle's rate (m/s), and the level (N)."""
     own, speed = drive.friction, jnp.abs(v)
@@ -159,7 +168,7 @@ def _friction(
     return bend + viscous, rate, level
 
 
-def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
+def _rates(t: Scalar, s: MachineState, args: Any, *, kind: MachineStructure) -> MachineState:
     drive, f, now, later, switch, load, push, rub = args
     asked = jnp.where(t < switch, now, later)
     force = s.force if kind.lagging else asked
@@ -197,7 +206,7 @@ def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
         distance = f.longest * jnp.arange(1, ELEMENTS + 1) / ELEMENTS
         stop = (s.elements * jnp.sign(s.v) >= 1.0) & (s.v != 0.0)
         elements = jnp.where(stop, 0.0, s.v / distance)
-    return State(
+    return MachineState(
         x=s.v,
         v=a,
         z=rate,
@@ -214,13 +223,20 @@ def _rates(t: Scalar, s: State, args: Any, *, kind: Kind) -> State:
 
 @eqx.filter_jit
 def _run(
-    drive: Drive, f: Faults, kp: Scalar, kd: Scalar, resolution: Scalar, told: MachineTask, rate: float, kind: Kind
+    drive: Drive,
+    f: FaultParameters,
+    kp: Scalar,
+    kd: Scalar,
+    resolution: Scalar,
+    told: MachineInputs,
+    rate: float,
+    kind: MachineStructure,
 ) -> Any:
     period = 1.0 / rate
     term = diffrax.ODETerm(partial(_rates, kind=kind))
     unit = jnp.ones(())
-    scales = State(1e-10 * unit, 1e-8 * unit, 1e-12 * unit, 1e-12 * unit, 1e-8 * unit, 1e-12 * unit, 1e-12 * unit,
-                   1e-9 * unit, 1e-5 * unit, 1e-4 * unit, 1e-6 * jnp.ones(ELEMENTS))  # fmt: skip
+    scales = MachineState(1e-10 * unit, 1e-8 * unit, 1e-12 * unit, 1e-12 * unit, 1e-8 * unit, 1e-12 * unit,
+                          1e-12 * unit, 1e-9 * unit, 1e-5 * unit, 1e-4 * unit, 1e-6 * jnp.ones(ELEMENTS))  # fmt: skip
 
     def norm(error: Any) -> Scalar:
         return jnp.max(jnp.stack([jnp.max(jnp.abs(one)) for one in jax.tree.leaves(error)]))
@@ -245,42 +261,43 @@ def _run(
         through = jnp.clip((1.0 + f.gain) * command, -f.limit, f.limit)
         through = through * (1.0 - f.droop * jnp.abs(through) / f.droop_force)
         through = through * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
-        through = through - f.dead * jnp.tanh(through / jnp.maximum(f.dead, SOFT))  # no more than there is
+        # no more than there is
+        through = through - f.dead * jnp.tanh(through / jnp.maximum(f.dead, DEAD_TIME_ROUNDING))
         forces = jnp.concatenate([through[None], forces[:-1]])
         whole = jnp.floor(f.delay).astype(int)
         later, now = forces[whole], forces[whole + 1]
         switch = time + (f.delay - jnp.floor(f.delay)) * period
         args = (drive, f, now, later, switch, load, push, rub)
 
-        def onward(state: State) -> State:
+        def onward(state: MachineState) -> MachineState:
             begin = jax.tree.map(jnp.divide, state, scales)
             found = diffrax.diffeqsolve(
                 scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, begin, args,
                 # a step across the instant at which a late command arrives would blur it by nanometres
                 stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=switch[None]),
-                max_steps=MOST_STEPS, throw=False,
+                max_steps=MAX_STEPS, throw=False,
                 saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
             )  # fmt: skip
             return jax.tree.map(lambda y, scale: y[-1] * scale, found.ys, scales)
 
         # a machine that has run away need not be followed any further
-        ahead = lax.cond(jnp.abs(error) < AWAY, onward, lambda state: state, state)
+        ahead = lax.cond(jnp.abs(error) < DIVERGED, onward, lambda state: state, state)
         ahead = ahead._replace(elements=jnp.clip(ahead.elements, -1.0, 1.0), age=jnp.maximum(ahead.age, 0.0))
         return (ahead, forces, error, k + 1.0), (measured, command)
 
     zero = jnp.zeros(())
-    start = State(told.reference[0], *([zero] * 8), f.rested + zero, jnp.zeros(ELEMENTS))
-    carry = (start, jnp.zeros(LONGEST_DELAY + 2), zero, zero)
+    start = MachineState(told.reference[0], *([zero] * 8), f.rested + zero, jnp.zeros(ELEMENTS))
+    carry = (start, jnp.zeros(MAX_DELAY + 2), zero, zero)
     return lax.scan(sample, carry, told)[1]
 
 
 def run(
     drive: Drive,
-    faults: Faults,
-    kind: Kind,
+    faults: FaultParameters,
+    kind: MachineStructure,
     gains: tuple[float, float],
     resolution: float,
-    told: MachineTask,
+    told: MachineInputs,
     rate: float,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Measured position (m) and command (N) of a machine under PD control; `gains` are kp (N/m) and kd (N s/m)."""

@@ -3,20 +3,20 @@
 import numpy as np
 from jaxtyping import Float
 
-from experiments.studies.withheld.machine import MachineTask
+from experiments.studies.withheld.machine import MachineInputs
 
-SHORTEST, LONGEST = 8.0, 11.0  # s
+MIN_DURATION, MAX_DURATION = 8.0, 11.0  # s
 STROKE = 0.05  # m, to either side
-LOADED = 0.3  # of the logs have a load that the log tells
-HEAVIEST = 8e3  # N, of that load
-PUT_ON = 0.1  # s, that a load takes to be put on or off
+LOAD_PROBABILITY = 0.3  # of the logs have a load that the log tells
+MAX_LOAD = 8e3  # N, of that load
+LOAD_RAMP = 0.1  # s, that a load takes to be put on or off
 ROOM = np.random.Generator
 
 
-def moves(room: ROOM, rate: float) -> Float[np.ndarray, " n"]:
+def draw_reference(room: ROOM, rate: float) -> Float[np.ndarray, " n"]:
     """Strokes at several speeds with pauses, and vibrations to and fro, as a commissioning engineer would run them."""
     pieces, at = [np.zeros(round(0.2 * rate))], 0.0
-    total, wanted = 0.2, room.uniform(SHORTEST, LONGEST)
+    total, wanted = 0.2, room.uniform(MIN_DURATION, MAX_DURATION)
     while total < wanted:
         if room.random() < 0.25:
             amplitude, frequency = np.exp(room.uniform(np.log(2e-5), np.log(3e-3))), room.uniform(0.8, 5.0)
@@ -45,24 +45,24 @@ def moves(room: ROOM, rate: float) -> Float[np.ndarray, " n"]:
     return np.concatenate(pieces)
 
 
-def known_load(room: ROOM, n: int, rate: float) -> Float[np.ndarray, " n"]:
+def draw_load(room: ROOM, n: int, rate: float) -> Float[np.ndarray, " n"]:
     """A load (N) that the log tells: none, or put on once and perhaps taken off again."""
-    if room.random() >= LOADED:
+    if room.random() >= LOAD_PROBABILITY:
         return np.zeros(n)
-    load, (start, end) = room.uniform(0.2, 1.0) * HEAVIEST, np.sort(room.uniform(0.5, 1.3 * n / rate, 2))
+    load, (start, end) = room.uniform(0.2, 1.0) * MAX_LOAD, np.sort(room.uniform(0.5, 1.3 * n / rate, 2))
     time = np.arange(n) / rate
-    return load * np.clip((time - start) / PUT_ON, 0, 1) * np.clip((end - time) / PUT_ON, 0, 1)
+    return load * np.clip((time - start) / LOAD_RAMP, 0, 1) * np.clip((end - time) / LOAD_RAMP, 0, 1)
 
 
-def told(
+def draw_inputs(
     room: ROOM, apart: ROOM, rate: float, noise: float, traces: dict[str, float], length: float, load: float
-) -> MachineTask:
+) -> MachineInputs:
     """One log's instructions at `rate` (Hz) under `noise` (m, rms); `traces` as in `faults.Fault`.
 
     Motions are so many times as long and as fast as on the paper's axis, loads so many times as large; these are drawn
     from a stream `apart`.
     """
-    reference = length * moves(room, rate)
+    reference = length * draw_reference(room, rate)
     n = len(reference)
     push, rub = np.zeros(n), np.zeros(n)
     if "peak" in traces:
@@ -76,4 +76,4 @@ def told(
         kick = traces["share"] * np.sqrt(1 - fade**2) * room.standard_normal(n)
         for k in range(1, n):
             rub[k] = fade * rub[k - 1] + kick[k]
-    return MachineTask(reference, load * known_load(apart, n, rate), noise * room.standard_normal(n), push, rub)
+    return MachineInputs(reference, load * draw_load(apart, n, rate), noise * room.standard_normal(n), push, rub)

@@ -14,7 +14,7 @@ Answers = dict[str, dict[str, Any]]
 Key = dict[str, dict[str, Any]]
 
 
-def oracle(answers: Answers, key: Key) -> dict[str, list[str]]:
+def oracle_exclusions(answers: Answers, key: Key) -> dict[str, list[str]]:
     """For each clear case of one known effect that was not just what was found: the others, not to be considered."""
     asked = {}
     for name, case in key.items():
@@ -26,7 +26,7 @@ def oracle(answers: Answers, key: Key) -> dict[str, list[str]]:
     return asked
 
 
-def removed(answers: Answers, key: Key) -> dict[str, list[str]]:
+def removal_exclusions(answers: Answers, key: Key) -> dict[str, list[str]]:
     """For each effect of the catalogue the case that showed it best: believed alone, and by the most evidence.
 
     One that was not believed would be `unknown` without it, too: that would show nothing.
@@ -41,7 +41,7 @@ def removed(answers: Answers, key: Key) -> dict[str, list[str]]:
     return {name: [effect] for effect, (_, name) in best.items()}
 
 
-def without_it(answers: Answers, again: Answers, asked: dict[str, list[str]]) -> list[list[Any]]:
+def removal_rows(answers: Answers, again: Answers, asked: dict[str, list[str]]) -> list[list[Any]]:
     """Effect, case, verdict without it, what was found, and whether that is as it must be."""
     rows = []
     for name, (effect,) in asked.items():

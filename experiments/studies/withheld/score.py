@@ -11,11 +11,11 @@ from scipy.stats import binomtest
 from diffdrive.errors import ParameterError
 
 CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
-MEANT = 1.0  # the size from which an effect was drawn to be clear
+CLEAR_SIZE = 1.0  # the size from which an effect was drawn to be clear
 BINS = 10  # of confidence
-MOST = 2  # effects of a case
-FEW = 2  # rivals: an engineer looks at as many
-NOTHING = 0.2  # of the floor's square, that is left: too little to speak of a share
+MAX_EFFECTS = 2  # effects of a case
+MAX_ALTERNATIVES = 2  # rivals: an engineer looks at as many
+MIN_GAP = 0.2  # of the floor's square, that is left: too little to speak of a share
 UNANSWERED: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
 
 
@@ -46,7 +46,7 @@ def is_clear(told: dict[str, Any], key: dict[str, Any]) -> bool:
         return bool(key["visibility"] == "clear")
     seen = visibility(told)
     if seen is None:
-        return min((one["size"] for one in key["effects"]), default=0.0) >= MEANT
+        return min((one["size"] for one in key["effects"]), default=0.0) >= CLEAR_SIZE
     return seen >= CLEAR
 
 
@@ -62,14 +62,14 @@ def score(
     counts for, and closes nothing of the gap. `intervals` are Wilson's, of 95 %.
     """
     rows = [_row(name, answers.get(name, UNANSWERED), key[name]) for name in sorted(key)]
-    best = {row["case"]: _best(row, oracle) for row in rows}
+    best = {row["case"]: _oracle_reduction(row, oracle) for row in rows}
     single = [row for row in rows if row["kind"] == "single"]
     clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
     sound = [row for row in rows if row["kind"] == "none"]
     outside = [row for row in rows if row["kind"] == "unknown"]
     two = [row for row in rows if row["kind"] == "compound"]
     pitfalls = [row for row in rows if row["kind"] == "pitfall"]
-    drawn = [row for row in single + pitfalls if row["size"][0] >= MEANT]
+    drawn = [row for row in single + pitfalls if row["size"][0] >= CLEAR_SIZE]
     shrinks = [_ratio(row["shrink"], best[row["case"]], row["failed"]) for row in clear if oracle is not None]
     shares = {
         "named_clear": (clear, "named"),
@@ -105,8 +105,8 @@ def score(
         "intervals": {name: _interval(*which) for name, which in shares.items()},
         "calibration_error": _calibration(_reliability(rows)),
         "reliability": _reliability(rows),
-        "interval_coverage": _covered(rows)[0],
-        "intervals_told": _covered(rows)[1],
+        "interval_coverage": _interval_coverage(rows)[0],
+        "intervals_told": _interval_coverage(rows)[1],
         "median_parameter_error": _quantile([row["parameter_error"] for row in clear if row["top1"]], 0.5),
         "median_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.5),
         "quarter_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.25),
@@ -149,7 +149,7 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "named": top1 and said_effect,
         "top2": bool(true) and true[0] in ranked[:2],
         "declared": bool(true) and true[0] in declared,
-        "declared_of_few": bool(true) and true[0] in declared and len(declared) <= 1 + FEW,
+        "declared_of_few": bool(true) and true[0] in declared and len(declared) <= 1 + MAX_ALTERNATIVES,
         "rivals": len(declared - set(found[:1])),
         "both": set(true) <= set(found),
         "exact": said_effect and set(found) == set(true),
@@ -158,27 +158,27 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "said_unknown": told["verdict"] == "unknown",
         "confidently_wrong": failed or (said_effect and any(one["effect"] not in true for one in sure)),
         "sure": [(one["effect"], one["confidence"], one["effect"] in true) for one in causes if one["found"]],
-        "within": _within(first, key["effects"][0].get("true", {}))
+        "within": _interval_hits(first, key["effects"][0].get("true", {}))
         if first and [first["effect"]] == true == found
         else [],
         "parameter_error": _parameter_error(first["parameters"], key["effects"][0]["true"])
         if first and top1 and "true" in key["effects"][0]
         else None,
-        "shrink": _shrink(told),
+        "shrink": _gap_reduction(told),
         "seconds": told.get("seconds"),
     }
 
 
-def _best(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | None) -> float | None:
+def _oracle_reduction(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | None) -> float | None:
     """The shrink with the true effects: the oracle's; where just these were found there was no need to ask it."""
     if oracle is None:
         return None
     if row["case"] in oracle:
-        return _shrink(oracle[row["case"]])
+        return _gap_reduction(oracle[row["case"]])
     return row["shrink"] if set(row["found"]) == set(row["true"]) else None  # type: ignore[no-any-return]
 
 
-def _shrink(told: dict[str, Any]) -> float | None:
+def _gap_reduction(told: dict[str, Any]) -> float | None:
     """How far the whole answer closes the gap to the floor on what was held out, as a share of what recalibration left.
 
     None where recalibration leaves nothing; nothing of it by an answer that failed.
@@ -196,7 +196,7 @@ def _shrink(told: dict[str, Any]) -> float | None:
     if not floor:
         return None
     before, after = (max(rms**2 - floor**2, 0.0) for rms in (base, last))
-    return 1.0 - after / before if before > NOTHING * floor**2 else None
+    return 1.0 - after / before if before > MIN_GAP * floor**2 else None
 
 
 def _ratio(one: float | None, other: float | None, failed: bool) -> float | None:
@@ -225,7 +225,7 @@ def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | Non
     return float(max(errors)) if errors else None
 
 
-def _within(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
+def _interval_hits(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
     """Whether the interval of each number that both name holds the true one; one without an end holds nothing."""
     held: list[bool] = []
     for name in cause["intervals"].keys() & true.keys():
@@ -235,7 +235,7 @@ def _within(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
     return held
 
 
-def _covered(rows: list[dict[str, Any]]) -> tuple[float | None, int]:
+def _interval_coverage(rows: list[dict[str, Any]]) -> tuple[float | None, int]:
     """Share of the 95 % intervals that hold the truth, where one effect acts and was found alone; and of how many."""
     held = [one for row in rows for one in row["within"]]
     return (round(float(np.mean(held)), 3) if held else None), len(held)
@@ -307,8 +307,8 @@ def read_key(path: Path) -> dict[str, dict[str, Any]]:
                 one["name"]
                 one.setdefault("outside", case.get("kind") == "unknown")
                 one.setdefault("size", CLEAR if case.get("visibility") == "clear" else 0.0)
-            if len(case["effects"]) > MOST:
-                raise ParameterError(f"{path}: case {name} has more than {MOST} effects, which cannot be scored")
+            if len(case["effects"]) > MAX_EFFECTS:
+                raise ParameterError(f"{path}: case {name} has more than {MAX_EFFECTS} effects, which cannot be scored")
     except FileNotFoundError:
         raise ParameterError(f"{path}: not there; a folder of machines to examine holds the key to them") from None
     except (ValueError, TypeError, KeyError, AttributeError) as problem:

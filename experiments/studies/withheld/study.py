@@ -15,7 +15,7 @@ from diffdrive.support.atomic_write import atomic_write
 from diffdrive.support.resources import counted, require_disk, require_memory
 from experiments.reports.report import Report
 from experiments.studies.withheld import reruns
-from experiments.studies.withheld.answer import ATTENDED, machines, unanswered
+from experiments.studies.withheld.answer import ATTENDED, case_folders, unanswered
 from experiments.studies.withheld.axes import axes_named
 from experiments.studies.withheld.generate import generate, write_key
 from experiments.studies.withheld.score import read_answers, read_key, score
@@ -30,8 +30,8 @@ SHOWN = (
     "declared_clear_of_few",
 )  # fmt: skip
 CASE, PROCESS = 2e5, 2e9  # bytes at least: of a case's logs on the disk, and of a process that diagnoses
-ANSWERING = ("-m", "experiments.studies.withheld.answer")
-CODE = Path(__file__).resolve().parents[3]
+ANSWER_COMMAND = ("-m", "experiments.studies.withheld.answer")
+REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 def require_workers(workers: int) -> None:
@@ -40,7 +40,7 @@ def require_workers(workers: int) -> None:
     require_memory(ParameterError, request, PROCESS * (workers - 1), "give fewer")
 
 
-def withheld(
+def check_drawn_machines(
     out: Path, count: int, seed: int, workers: int = 1, twice: bool = False, axes: tuple[str, ...] = ("paper",)
 ) -> dict[str, Any]:
     """Run the check, or what is left of it, in the folder `out`, on machines of these axes in turn.
@@ -57,23 +57,23 @@ def withheld(
         with report.stages() as progress:
             for done, _ in enumerate(generate(cases, parts, seed, count, on), start=1):
                 progress("drawing machines", done, count)
-        _ask(report, cases, out / "answers", workers)
-        return _tell(report, cases, write_key(out / "key.json", parts), workers, twice)
+        _answer_cases(report, cases, out / "answers", workers)
+        return _report_scores(report, cases, write_key(out / "key.json", parts), workers, twice)
 
 
-def examined(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
+def check_given_machines(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
     """The same on machines that are there, such as a bench's: a folder for each, and the key to all."""
     require_workers(workers)
     told = _checked_key(cases, key)
     with Report(f"withheld-effect check: {cases.name}", out) as report:
-        _ask(report, cases, out / "answers", workers)
-        return _tell(report, cases, told, workers, twice)
+        _answer_cases(report, cases, out / "answers", workers)
+        return _report_scores(report, cases, told, workers, twice)
 
 
 def _checked_key(cases: Path, path: Path) -> dict[str, dict[str, Any]]:
     """The key of machines that are there; hours later would be late to learn that it does not fit."""
     key = read_key(path)
-    there = {place.name for place in machines(cases)}
+    there = {place.name for place in case_folders(cases)}
     if not there:
         raise ParameterError(f"{cases}: no machine in it; each is a folder with a drive.toml and log-*.parquet")
     if there != key.keys():
@@ -82,7 +82,9 @@ def _checked_key(cases: Path, path: Path) -> dict[str, dict[str, Any]]:
     return key
 
 
-def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict[str, list[str]] | None = None) -> None:
+def _answer_cases(
+    report: Report, cases: Path, answers: Path, workers: int, without: dict[str, list[str]] | None = None
+) -> None:
     """Have those cases diagnosed that are not yet, in a process that is given them and nothing else."""
     wanted = unanswered(cases, answers, without)
     if not wanted:
@@ -95,8 +97,8 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
             for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
                 shutil.copyfile(path, room / "cases" / place.name / path.name)
         (room / "without.json").write_text(json.dumps(without), encoding="utf-8")
-        command = [sys.executable, *ANSWERING, "cases", "answers", str(workers), "without.json", ATTENDED]
-        paths = os.pathsep.join([str(CODE), *filter(None, [os.environ.get("PYTHONPATH")])])
+        command = [sys.executable, *ANSWER_COMMAND, "cases", "answers", str(workers), "without.json", ATTENDED]
+        paths = os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = os.environ | {"PYTHONPATH": paths}
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         with subprocess.Popen(command, cwd=room, env=environment, text=True, **pipes) as process:
@@ -104,12 +106,12 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
             try:
                 for line in process.stdout:
                     print(line, end="", flush=True)
-                    _bring(room / "answers", answers)  # one by one: an interrupted run goes on from there
+                    _copy_answers(room / "answers", answers)  # one by one: an interrupted run goes on from there
             except BaseException:
                 process.terminate()
                 raise
             finally:
-                _bring(room / "answers", answers)
+                _copy_answers(room / "answers", answers)
         if process.returncode:
             raise subprocess.CalledProcessError(process.returncode, command)
     if odd := [place.name for place in unanswered(cases, answers, without)]:
@@ -119,7 +121,7 @@ def _ask(report: Report, cases: Path, answers: Path, workers: int, without: dict
         )
 
 
-def _bring(there: Path, here: Path) -> None:
+def _copy_answers(there: Path, here: Path) -> None:
     """Bring the answers that are `there` over, those that are not `here` yet."""
     for path in there.glob("*/diagnosis.json"):
         place, text = here / path.parent.name / path.name, path.read_bytes()
@@ -130,25 +132,27 @@ def _bring(there: Path, here: Path) -> None:
             file.write(text)
 
 
-def _asked_again(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> reruns.Answers:
+def _rerun(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> reruns.Answers:
     assert report.out is not None
-    _ask(report, cases, report.out / name, workers, wanted)
+    _answer_cases(report, cases, report.out / name, workers, wanted)
     told = read_answers(report.out / name)
     return {case: told[case] for case in wanted if case in told}  # not what an earlier edition was asked
 
 
-def _tell(report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool) -> dict[str, Any]:
+def _report_scores(
+    report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool
+) -> dict[str, Any]:
     assert report.out is not None
     answers = read_answers(report.out / "answers")
     oracle: reruns.Answers | None = None
     if twice:
-        oracle = _asked_again(report, cases, "oracle", reruns.oracle(answers, key), workers)
-        removed = reruns.removed(answers, key)
-        without = _asked_again(report, cases, "removed", removed, workers)
+        oracle = _rerun(report, cases, "oracle", reruns.oracle_exclusions(answers, key), workers)
+        removed = reruns.removal_exclusions(answers, key)
+        without = _rerun(report, cases, "removed", removed, workers)
         report.table(
             "removed",
             ("effect", "case", "verdict without it", "found", "declared before", "as it must be"),
-            reruns.without_it(answers, without, removed),
+            reruns.removal_rows(answers, without, removed),
             "The catalogue without the true effect: unknown, or a declared rival",
         )
         unseen = sorted(set(EFFECTS) - {effect for (effect,) in removed.values()})

@@ -11,25 +11,25 @@ from typing import Any
 
 from diffdrive.effects.machine import AS_LOGARITHMS
 from diffdrive.model.parameters import Directional
-from experiments.studies.withheld.draw import WithheldCase, of_log
-from experiments.studies.withheld.faults import Fault
+from experiments.studies.withheld.draw import WithheldCase, log_faults
+from experiments.studies.withheld.faults import InjectedFault
 
 LOAD_RISE, PROCESS_RISE = 0.05, 0.01  # s, of the machine's windows, which the catalogue counts from halfway up
 
 
-def truth(case: WithheldCase, fault: Fault, peak: float | None = None) -> dict[str, Any]:
+def true_parameters(case: WithheldCase, fault: InjectedFault, peak: float | None = None) -> dict[str, Any]:
     """The true parameters of one of a machine's faults; `peak` (N) as in `draw.of_log`."""
-    make = TRUE.get(fault.effect)
+    make = TRUE_PARAMETERS.get(fault.effect)
     if fault.effect == "force_limit":
-        return {} if peak is None else {"limit": float(of_log(case, 0, peak)[0].limit)}
+        return {} if peak is None else {"limit": float(log_faults(case, 0, peak)[0].limit)}
     return {} if make is None else make(case, fault)
 
 
-def _same(**names: str) -> Callable[[WithheldCase, Fault], dict[str, Any]]:
+def _renamed(**names: str) -> Callable[[WithheldCase, InjectedFault], dict[str, Any]]:
     """Numbers of the same meaning by the catalogue's name for them."""
 
-    def make(case: WithheldCase, fault: Fault) -> dict[str, Any]:
-        return {ours: fault.faults[theirs] for ours, theirs in names.items() if theirs in fault.faults}
+    def make(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
+        return {ours: fault.parameters[theirs] for ours, theirs in names.items() if theirs in fault.parameters}
 
     return make
 
@@ -38,69 +38,69 @@ def _mean(pair: Directional) -> float:
     return 0.5 * float(pair.positive + pair.negative)
 
 
-def _window(fault: Fault, start: str, end: str, rise: float) -> dict[str, list[float]]:
-    on, off = fault.faults[start], fault.faults[end]
+def _window(fault: InjectedFault, start: str, end: str, rise: float) -> dict[str, list[float]]:
+    on, off = fault.parameters[start], fault.parameters[end]
     assert isinstance(on, tuple)
     assert isinstance(off, tuple)
     return {"start": [float(t) + 0.5 * rise for t in on], "end": [float(t) - 0.5 * rise for t in off]}
 
 
-def _applied_load(case: WithheldCase, fault: Fault) -> dict[str, Any]:
-    load = fault.faults["extra_load"]
-    if "load_start" not in fault.faults:
+def _applied_load(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
+    load = fault.parameters["extra_load"]
+    if "load_start" not in fault.parameters:
         return {"load": load}
     return {"more": load} | _window(fault, "load_start", "load_end", LOAD_RISE)
 
 
-def _process_force(case: WithheldCase, fault: Fault) -> dict[str, Any]:
-    same = _same(amplitude="process", mean="process_mean", frequency="process_frequency")
+def _process_force(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
+    same = _renamed(amplitude="process", mean="process_mean", frequency="process_frequency")
     return same(case, fault) | _window(fault, "process_start", "process_end", PROCESS_RISE)
 
 
-def _friction_shape(case: WithheldCase, fault: Fault) -> dict[str, Any]:
+def _friction_shape(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
     drive = case.true
-    told = {name: math.log(way) for name, way in fault.scaled.items() if name in AS_LOGARITHMS}
-    if "viscous" in fault.scaled:
+    told = {name: math.log(way) for name, way in fault.drive_factors.items() if name in AS_LOGARITHMS}
+    if "viscous" in fault.drive_factors:
         grown = _mean(drive.friction.viscous) + _mean(drive.plant.damping)
-        told["viscous"] = grown * (1.0 - 1.0 / fault.scaled["viscous"])
+        told["viscous"] = grown * (1.0 - 1.0 / fault.drive_factors["viscous"])
     return told
 
 
-def _friction_asymmetry(case: WithheldCase, fault: Fault) -> dict[str, Any]:
+def _friction_asymmetry(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
     screw = case.true.friction.coulomb_screw
-    up, down = fault.scaled["coulomb_screw+"], fault.scaled["coulomb_screw-"]
+    up, down = fault.drive_factors["coulomb_screw+"], fault.drive_factors["coulomb_screw-"]
     return {"coulomb": 0.5 * float(screw.positive * (1.0 - 1.0 / up) - screw.negative * (1.0 - 1.0 / down))}
 
 
-def _payload_mass(case: WithheldCase, fault: Fault) -> dict[str, Any]:
-    return {"mass": float(case.true.plant.mass) * (1.0 - 1.0 / fault.scaled["mass"])}
+def _payload_mass(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
+    return {"mass": float(case.true.plant.mass) * (1.0 - 1.0 / fault.drive_factors["mass"])}
 
 
-def _elastic(case: WithheldCase, fault: Fault) -> dict[str, Any]:
-    same = _same(gap="gap", damping="screw_damping", motor_share="motor_share", table_friction="table_friction")
+def _elastic(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
+    same = _renamed(gap="gap", damping="screw_damping", motor_share="motor_share", table_friction="table_friction")
     told = same(case, fault)
     reduced = told["motor_share"] * (1.0 - told["motor_share"]) * float(case.true.plant.mass)
-    return told | {"frequency": math.sqrt(fault.faults["stiffness"] / reduced) / (2.0 * math.pi)}  # type: ignore[operator]
+    return told | {"frequency": math.sqrt(fault.parameters["stiffness"] / reduced) / (2.0 * math.pi)}  # type: ignore[operator]
 
 
-TRUE: dict[str, Callable[[WithheldCase, Fault], dict[str, Any]]] = {
+TRUE_PARAMETERS: dict[str, Callable[[WithheldCase, InjectedFault], dict[str, Any]]] = {
     "applied_load": _applied_load,
     "friction_shape": _friction_shape,
     "friction_asymmetry": _friction_asymmetry,
-    "position_friction": _same(slope="slope", amplitude="wave", period="wave_period"),
-    "viscous_drift": _same(viscous="drift_viscous", coulomb="drift_coulomb", time_constant="drift_time"),
-    "friction_dwell": _same(growth="growth", onset="onset", slip="slip"),
+    "position_friction": _renamed(slope="slope", amplitude="wave", period="wave_period"),
+    "viscous_drift": _renamed(viscous="drift_viscous", coulomb="drift_coulomb", time_constant="drift_time"),
+    "friction_dwell": _renamed(growth="growth", onset="onset", slip="slip"),
     "payload_mass": _payload_mass,
-    "constant_force": _same(force="constant"),
-    "position_spring": _same(stiffness="spring", neutral="neutral"),
+    "constant_force": _renamed(force="constant"),
+    "position_spring": _renamed(stiffness="spring", neutral="neutral"),
     "compliance": _elastic,
     "backlash": _elastic,
-    "frame_vibration": _same(ratio="base_ratio", frequency="base_frequency", damping="base_damping"),
+    "frame_vibration": _renamed(ratio="base_ratio", frequency="base_frequency", damping="base_damping"),
     "process_force": _process_force,
-    "cogging": _same(amplitude="cogging", period="cogging_period"),
-    "force_gain": _same(gain="gain"),
-    "actuator_lag": _same(time_constant="lag"),
-    "loop_delay": _same(delay="delay"),
-    "lead_error": _same(amplitude="lead_error", lead="lead"),
-    "interpolation_error": _same(amplitude="interpolation", period="interpolation_period"),
+    "cogging": _renamed(amplitude="cogging", period="cogging_period"),
+    "force_gain": _renamed(gain="gain"),
+    "actuator_lag": _renamed(time_constant="lag"),
+    "loop_delay": _renamed(delay="delay"),
+    "lead_error": _renamed(amplitude="lead_error", lead="lead"),
+    "interpolation_error": _renamed(amplitude="interpolation", period="interpolation_period"),
 }

@@ -165,8 +165,8 @@ def test_a_fault_is_sure_beside_a_curve_of_another_exponent():
     """A tilt on a machine of other numerics, whose drive file has the paper's curve: whole catalogue, some minutes."""
     case = draw(np.random.default_rng([3, 1, 0]), ("constant_force",))
     case = case._replace(true=curved(2.0, case.true))
-    logs, _ = generate._logs(case)
-    believed = generate._believed(case)
+    logs, _ = generate._simulate_logs(case)
+    believed = generate._nominal_axis(case)
     told = diagnose(believed.drive, believed.controller, logs).verdict
     sure = {one.effect for one in told.beliefs if one.found and one.confidence > 0.9}
     assert (told.verdict, sure) == ("effect", {"constant_force", "friction_shape"})

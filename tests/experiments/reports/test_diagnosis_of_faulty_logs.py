@@ -72,7 +72,7 @@ def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_
     write_log(place / "log-a.parquet", late)
     write_axis(place / "drive.toml", DRIVE)
     monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: tilted)
-    answered = answer.answer(place)
+    answered = answer.diagnose_case(place)
     assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
     assert answered["verdict"] == told["verdict"] == "unknown"
     assert answered["says"] == re.sub(r"\blap:", "log-a:", told["says"])

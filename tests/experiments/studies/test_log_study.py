@@ -13,21 +13,21 @@ from diffdrive.logs.checks.finding import CAUSES
 from diffdrive.model.parameters import as_arrays
 from diffdrive.runtime import configure
 from experiments.reports.report import Report
-from experiments.studies.log_study.controllers import WEIGHTS, commanded
+from experiments.studies.log_study.controllers import WEIGHTS, replayed_command
 from experiments.studies.log_study.drives import study_drives
-from experiments.studies.log_study.fault import Fault
-from experiments.studies.log_study.machines import lost_motion, side
+from experiments.studies.log_study.fault import LogFault
+from experiments.studies.log_study.machines import lost_motion, play_side
 from experiments.studies.log_study.repair_check import differences
-from experiments.studies.log_study.score import interval, scored
-from experiments.studies.log_study.sound import motions, sound
-from experiments.studies.log_study.study import FAULTS, drawn, log_study
-from experiments.studies.log_study.timing import later
+from experiments.studies.log_study.score import interval, score_fault
+from experiments.studies.log_study.sound import motions, sound_log
+from experiments.studies.log_study.study import FAULTS, draw_faulty_logs, log_study
+from experiments.studies.log_study.timing import delayed
 from experiments.studies.log_study.values import averaged
 
 configure()
 
 TABLE = study_drives()[0]
-CASE = sound(TABLE, np.random.default_rng([9, 0]))
+CASE = sound_log(TABLE, np.random.default_rng([9, 0]))
 ON_THE_TABLE = [draw for draw in FAULTS if draw.applies(TABLE)]
 
 
@@ -37,7 +37,7 @@ def finding(cause, channel="position", *, severity="fatal", rivals=(), repair=No
 
 def fault_of(draw, seed=0):
     rng = np.random.default_rng(seed)
-    return next(filter(None, (draw.make(CASE, rng) for _ in range(50))))
+    return next(filter(None, (draw.draw(CASE, rng) for _ in range(50))))
 
 
 def truthful(fault):
@@ -60,10 +60,10 @@ def test_a_fault_is_undone_and_a_right_answer_scores(draw):
         if fault.undo is not None:
             assert differences(fault.log, fault, TABLE.resolution) != []
             assert differences(fault.undo(fault.log), fault, TABLE.resolution) == []
-        score = scored(fault, TABLE.description, TABLE.resolution, truthful(fault))
+        score = score_fault(fault, TABLE.axis, TABLE.resolution, truthful(fault))
         assert {*fault.causes, *fault.rivals} <= set(CAUSES)
-        assert (score.first, score.named, score.rivals, score.wrong_mend) == (True, True, True, "")
-        assert score.mended == (fault.undo is not None)
+        assert (score.first, score.named, score.rivals, score.wrong_repair) == (True, True, True, "")
+        assert score.repaired == (fault.undo is not None)
 
 
 @pytest.mark.parametrize("draw", ON_THE_TABLE, ids=lambda draw: draw.name)
@@ -74,33 +74,33 @@ def test_a_mend_of_something_else_is_wrong(draw):
     def examine(log, description):
         return [finding("gain", "command", repair=half)] if log is fault.log else []
 
-    score = scored(fault, TABLE.description, TABLE.resolution, examine)
-    assert not score.mended
-    assert "gain" in score.leading
-    assert "command" in score.wrong_mend.partition(" after: ")[0]
+    score = score_fault(fault, TABLE.axis, TABLE.resolution, examine)
+    assert not score.repaired
+    assert "gain" in score.summary
+    assert "command" in score.wrong_repair.partition(" after: ")[0]
 
 
 def test_silence_and_a_wrong_cause_score_nothing():
     fault = fault_of(ON_THE_TABLE[0])
-    silent = scored(fault, TABLE.description, TABLE.resolution, lambda log, description: [])
-    assert (silent.first, silent.named, silent.mended, silent.wrong_mend) == (False, False, False, "")
-    wrong = scored(fault, TABLE.description, TABLE.resolution, lambda *_: [finding("gain", rivals=("swapped",))])
+    silent = score_fault(fault, TABLE.axis, TABLE.resolution, lambda log, description: [])
+    assert (silent.first, silent.named, silent.repaired, silent.wrong_repair) == (False, False, False, "")
+    wrong = score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: [finding("gain", rivals=("swapped",))])
     assert (wrong.first, wrong.named) == (False, True)
 
 
 def test_the_first_finding_that_is_more_than_a_note_counts():
     fault = fault_of(ON_THE_TABLE[0])
     findings = [finding("gain", severity="note"), finding("swapped", severity="warning"), finding("offset")]
-    assert scored(fault, TABLE.description, TABLE.resolution, lambda *_: findings).first
-    assert scored(fault, TABLE.description, TABLE.resolution, lambda *_: findings[:1]).leading == "gain (position)"
-    assert not scored(fault, TABLE.description, TABLE.resolution, lambda *_: [finding("swapped", "command")]).first
+    assert score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: findings).first
+    assert score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: findings[:1]).summary == "gain (position)"
+    assert not score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: [finding("swapped", "command")]).first
 
 
 def test_rivals_that_nobody_can_rule_out_must_be_named():
     fault = dataclasses.replace(fault_of(ON_THE_TABLE[0]), rivals=("other machine",))
-    sure = scored(fault, TABLE.description, TABLE.resolution, lambda *_: [finding("swapped")])
-    open_minded = scored(
-        fault, TABLE.description, TABLE.resolution, lambda *_: [finding("swapped", rivals=("other machine",))]
+    sure = score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: [finding("swapped")])
+    open_minded = score_fault(
+        fault, TABLE.axis, TABLE.resolution, lambda *_: [finding("swapped", rivals=("other machine",))]
     )
     assert (sure.first, sure.rivals) == (True, False)
     assert (open_minded.first, open_minded.rivals) == (True, True)
@@ -108,27 +108,27 @@ def test_rivals_that_nobody_can_rule_out_must_be_named():
 
 def test_mends_are_applied_one_after_the_other_and_at_most_three():
     true = CASE.log
-    fault = Fault(dataclasses.replace(true, command=8 * true.command), true, "x 8", ("gain",))
+    fault = LogFault(dataclasses.replace(true, command=8 * true.command), true, "x 8", ("gain",))
     half = SimpleNamespace(apply=lambda log: dataclasses.replace(log, command=0.5 * log.command))
-    score = scored(fault, TABLE.description, TABLE.resolution, lambda *_: [finding("gain", "command", repair=half)])
-    assert score.mended
+    score = score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: [finding("gain", "command", repair=half)])
+    assert score.repaired
     fault = dataclasses.replace(fault, log=dataclasses.replace(true, command=16 * true.command), undo=lambda log: true)
-    score = scored(fault, TABLE.description, TABLE.resolution, lambda *_: [finding("gain", "command", repair=half)])
-    assert score.wrong_mend.startswith("command")
+    score = score_fault(fault, TABLE.axis, TABLE.resolution, lambda *_: [finding("gain", "command", repair=half)])
+    assert score.wrong_repair.startswith("command")
 
 
 BOTH = ("position", "reference")
 
 
 def unfaulted(**channels):
-    return Fault(CASE.log, CASE.log, "", ("gain",)), dataclasses.replace(CASE.log, **channels)
+    return LogFault(CASE.log, CASE.log, "", ("gain",)), dataclasses.replace(CASE.log, **channels)
 
 
 def test_a_common_zero_and_a_common_delay_are_no_difference():
     log = CASE.log
     fault, moved = unfaulted(reference=log.reference + 0.01, position=log.position + 0.01)
     assert differences(moved, fault, TABLE.resolution) == []
-    late = {name: later(getattr(log, name), 3) for name in ("reference", "position", "command")}
+    late = {name: delayed(getattr(log, name), 3) for name in ("reference", "position", "command")}
     fault, moved = unfaulted(**late)
     assert differences(moved, fault, TABLE.resolution) == []
 
@@ -139,8 +139,8 @@ def test_a_common_zero_and_a_common_delay_are_no_difference():
         ({"command": lambda log: 1.05 * log.command}, "command"),
         ({"reference": lambda log: log.reference + 1e-5}, "following error"),
         ({"position": lambda log: 1.01 * log.position, "reference": lambda log: 1.01 * log.reference}, "position"),
-        ({"position": lambda log: later(log.position, 1)}, "following error"),
-        ({name: lambda log, n=name: later(getattr(log, n), 0.5) for name in BOTH}, "delay between channels"),
+        ({"position": lambda log: delayed(log.position, 1)}, "following error"),
+        ({name: lambda log, n=name: delayed(getattr(log, n), 0.5) for name in BOTH}, "delay between channels"),
         ({"time": lambda log: 1.001 * log.time}, "time"),
     ],
 )
@@ -151,7 +151,7 @@ def test_what_would_give_another_drive_is_a_difference(channels, wrong):
 
 def test_lost_motion_follows_the_direction_and_keeps_it_at_rest():
     made = motions(TABLE)["strokes"](np.random.default_rng(1))
-    where = side(made, TABLE.rate)
+    where = play_side(made, TABLE.rate)
     fast = np.abs(made.velocity) > 0.5 * np.max(np.abs(made.velocity))
     np.testing.assert_array_equal(where[fast], np.sign(made.velocity[fast]))
     began = np.argmax(fast)
@@ -174,8 +174,10 @@ def test_the_fitted_velocity_is_the_slope_of_a_line():
 def test_what_a_controller_would_have_commanded_is_what_it_did():
     made, log = CASE.motion, CASE.log
     reference = Reference(made.position, made.velocity, made.acceleration)
-    arrays = as_arrays((TABLE.description.controller, reference, log.position, log.command))
-    np.testing.assert_allclose(commanded(*arrays, 1.0 / TABLE.rate), log.command, atol=1e-6 * np.std(log.command))
+    arrays = as_arrays((TABLE.axis.controller, reference, log.position, log.command))
+    np.testing.assert_allclose(
+        replayed_command(*arrays, 1.0 / TABLE.rate), log.command, atol=1e-6 * np.std(log.command)
+    )
 
 
 def test_trailing_means_hold_the_past_and_centred_ones_both_sides():
@@ -190,10 +192,10 @@ def test_the_interval_is_wilsons():
 
 
 def test_a_seed_gives_the_same_cases():
-    one, other = ([*drawn(6, 3, [TABLE])] for _ in range(2))
+    one, other = ([*draw_faulty_logs(6, 3, [TABLE])] for _ in range(2))
     assert [(a.kind, a.fault.amount) for a in one] == [(b.kind, b.fault.amount) for b in other]
     assert all(np.array_equal(a.fault.log.command, b.fault.log.command) for a, b in zip(one, other, strict=True))
-    assert [a.fault.amount for a in drawn(6, 4, [TABLE])] != [a.fault.amount for a in one]
+    assert [a.fault.amount for a in draw_faulty_logs(6, 4, [TABLE])] != [a.fault.amount for a in one]
 
 
 def test_the_report_counts(tmp_path):

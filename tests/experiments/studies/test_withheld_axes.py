@@ -14,9 +14,9 @@ from diffdrive.motion.builders import from_array
 from experiments.cli import main as cli
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
-from experiments.studies.withheld.draw import draw, of_log
+from experiments.studies.withheld.draw import draw, log_faults
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PLACED
-from experiments.studies.withheld.machine import Faults, Kind, MachineTask, run
+from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
 
 OTHERS = [name for name in AXES if name != "paper"]
 
@@ -35,14 +35,14 @@ def test_the_papers_axis_is_taken_where_none_is_named():
 def test_a_fault_is_drawn_for_every_axis(axis, name):
     case, paper = drawn(name, axis=axis), drawn(name)
     assert case.faults[0].size == paper.faults[0].size
-    assert case.faults[0].kind == paper.faults[0].kind
+    assert case.faults[0].structure == paper.faults[0].structure
     for log in range(2):
-        faults, _ = of_log(case, log, 200.0)
+        faults, _ = log_faults(case, log, 200.0)
         assert np.all(np.isfinite(faults))
-        assert faults != Faults() or case.faults[0].scaled or case.faults[0].traces
+        assert faults != FaultParameters() or case.faults[0].drive_factors or case.faults[0].random_scales
     if name in PLACED:  # somewhere along the way
-        ways = [(one.reference.min(), one.reference.max()) for one in case.told]
-        assert any(low < case.faults[0].faults[PLACED[name]] < high for low, high in ways)
+        ways = [(one.reference.min(), one.reference.max()) for one in case.inputs]
+        assert any(low < case.faults[0].parameters[PLACED[name]] < high for low, high in ways)
 
 
 @pytest.mark.parametrize("axis", OTHERS)
@@ -53,8 +53,8 @@ def test_a_fault_is_as_large_a_share_of_what_it_spoils(axis):
         return float(coulomb(case.nominal.friction, 1.0, 0.0))
 
     def share(case, name):
-        fault, drive = case.faults[0].faults, case.nominal
-        travel = float(np.ptp(case.told[0].reference))
+        fault, drive = case.faults[0].parameters, case.nominal
+        travel = float(np.ptp(case.inputs[0].reference))
         return {
             "constant_force": lambda: fault["constant"] / friction(case),
             "position_friction": lambda: fault.get("slope", 0.0) * travel + fault.get("wave_period", 0.0) / travel,
@@ -74,13 +74,19 @@ def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
     """Two programs and two integrators: they agree to a hundredth of the distance before sliding."""
     one, rate = AXES[axis], 2000.0
     time = np.arange(600) / rate
-    reference = one.length * 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
+    reference = one.length_ratio * 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
     bandwidth = float(np.mean(one.bandwidth))
     mass = float(one.drive.plant.mass)
     gains = mass * bandwidth**2, 0.6 * mass * bandwidth
     still = np.zeros_like(time)
     position, _ = run(
-        one.drive, Faults(), Kind(), gains, 1e-15, MachineTask(reference, still, still, still, still), rate
+        one.drive,
+        FaultParameters(),
+        MachineStructure(),
+        gains,
+        1e-15,
+        MachineInputs(reference, still, still, still, still),
+        rate,
     )
     unquantised = one.drive.__class__(**{**vars(one.drive), "sensor": one.drive.sensor.__class__(None, 0.0)})
     ours = simulate(
@@ -97,14 +103,14 @@ def test_machines_of_several_axes_come_in_turn_and_are_no_others(tmp_path, monke
         asked.append(axis)
         raise KeyboardInterrupt if len(asked) > 3 else StopIteration
 
-    monkeypatch.setattr(generate, "_followable", followable)
+    monkeypatch.setattr(generate, "_draw_followable", followable)
     on = (AXES["gantry"], AXES["linear"])
     parts = tmp_path / "parts"
     for number in range(3):
         with pytest.raises(RuntimeError):  # what a generator makes of it
             list(generate.generate(tmp_path / "cases", parts, 0, 4, on))
         parts.mkdir(exist_ok=True)
-        drawn_there = {"drawn": {"seed": 0, "of": 4, "axis": repr(on[number % 2]), "by": generate.drawn_by()}}
+        drawn_there = {"drawn": {"seed": 0, "of": 4, "axis": repr(on[number % 2]), "by": generate.source_digest()}}
         (parts / f"{number + 1:03d}.json").write_text(json.dumps(drawn_there))
         place = tmp_path / "cases" / f"{number + 1:03d}"
         place.mkdir(parents=True)

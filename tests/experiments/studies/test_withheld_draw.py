@@ -11,10 +11,10 @@ import pytest
 from diffdrive.effects.catalogue import EFFECTS
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
-from experiments.studies.withheld.draw import draw, of_log, without
+from experiments.studies.withheld.draw import draw, log_faults, without_fault
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED
-from experiments.studies.withheld.machine import Faults
-from experiments.studies.withheld.truth import truth
+from experiments.studies.withheld.machine import FaultParameters
+from experiments.studies.withheld.truth import true_parameters
 
 ALL = [*KNOWN, *OUTSIDE, *PITFALLS]
 
@@ -28,21 +28,23 @@ def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
     case, same = drawn(name), drawn(name)
     assert case.rate in AXES["paper"].rates
     for log in range(2):
-        faults, kind = of_log(case, log, 200.0)
-        assert (faults, kind) == of_log(same, log, 200.0)
+        faults, kind = log_faults(case, log, 200.0)
+        assert (faults, kind) == log_faults(same, log, 200.0)
         assert np.all(np.isfinite(faults))
-        assert faults != Faults() or case.faults[0].scaled or case.faults[0].traces
-        told = case.told[log]
+        assert faults != FaultParameters() or case.faults[0].drive_factors or case.faults[0].random_scales
+        told = case.inputs[log]
         assert len({len(trace) for trace in told}) == 1
         assert np.all(np.isfinite(told))
         assert np.all(told.load >= 0.0)
-        np.testing.assert_array_equal(told, same.told[log])
+        np.testing.assert_array_equal(told, same.inputs[log])
         assert len(told.reference) / case.rate > 8.0
     assert case.true == same.true
     assert case.true != drawn(name, seed=4).true
     known = {field.name for field in dataclasses.fields(EFFECTS[case.faults[0].effect])} if name not in OUTSIDE else ()
-    assert truth(case, case.faults[0], 200.0).keys() <= {*known, "amplitude"}
-    assert bool(truth(case, case.faults[0], 200.0)) == (name not in OUTSIDE and name != "presliding_hysteresis")
+    assert true_parameters(case, case.faults[0], 200.0).keys() <= {*known, "amplitude"}
+    assert bool(true_parameters(case, case.faults[0], 200.0)) == (
+        name not in OUTSIDE and name != "presliding_hysteresis"
+    )
     json.dumps(generate.key_of(case, 200.0))
 
 
@@ -50,24 +52,24 @@ def test_machines_differ_in_what_the_engineer_knows():
     several = [drawn("cogging", seed=seed) for seed in range(30)]
     assert {one.rate for one in several} == set(AXES["paper"].rates)
     assert len({float(one.nominal.friction.initial_load) for one in several}) == 30
-    loaded = [bool(told.load.any()) for one in several for told in one.told]
+    loaded = [bool(told.load.any()) for one in several for told in one.inputs]
     assert 0 < sum(loaded) < len(loaded)
 
 
 def sole(effect):
     """A machine with the effect, its fault, and the drive without, all else alike."""
     case = drawn(effect)
-    return case, case.faults[0], without(case, 0).true
+    return case, case.faults[0], without_fault(case, 0).true
 
 
 def test_a_machine_without_one_of_its_faults_has_the_other():
     case = drawn("friction_asymmetry", "force_gain")
-    friction, gain = without(case, 1), without(case, 0)
+    friction, gain = without_fault(case, 1), without_fault(case, 0)
     assert [one.effect for one in friction.faults] == ["friction_asymmetry"]
     assert friction.true == case.true
     assert [one.effect for one in gain.faults] == ["force_gain"]
     assert gain.true != case.true
-    assert of_log(gain, 0)[0].gain == of_log(case, 0)[0].gain
+    assert log_faults(gain, 0)[0].gain == log_faults(case, 0)[0].gain
 
 
 @pytest.mark.parametrize(("share", "seen"), [(0.5, False), (2.0, True)])
@@ -84,30 +86,30 @@ def test_each_of_two_effects_is_seen_in_a_log(monkeypatch, share, seen, log):
         position = 50.0 * noise * wave * ("force_gain" in effects) + limit * ("force_limit" in effects) * (which == log)
         return SimpleNamespace(position=position)
 
-    monkeypatch.setattr(generate, "_log", run)
-    assert generate._seen(case, [run(case, 0), run(case, 1)], 200.0) == seen
+    monkeypatch.setattr(generate, "_simulate_log", run)
+    assert generate._is_visible(case, [run(case, 0), run(case, 1)], 200.0) == seen
     alone = drawn("force_limit")
-    assert generate._seen(alone, [run(alone, 0), run(alone, 1)], 200.0)
+    assert generate._is_visible(alone, [run(alone, 0), run(alone, 1)], 200.0)
 
 
 def test_truths_are_those_of_the_catalogue_on_the_true_drive():
-    case, fault, without = sole("payload_mass")
-    assert truth(case, fault)["mass"] == pytest.approx(float(case.true.plant.mass - without.plant.mass))
-    case, fault, without = sole("friction_asymmetry")
-    altered = EFFECTS["friction_asymmetry"](**truth(case, fault)).alter(without).friction.coulomb_screw
+    case, fault, without_fault = sole("payload_mass")
+    assert true_parameters(case, fault)["mass"] == pytest.approx(float(case.true.plant.mass - without_fault.plant.mass))
+    case, fault, without_fault = sole("friction_asymmetry")
+    altered = EFFECTS["friction_asymmetry"](**true_parameters(case, fault)).alter(without_fault).friction.coulomb_screw
     there = case.true.friction.coulomb_screw
     assert altered.positive - altered.negative == pytest.approx(there.positive - there.negative)
 
 
 @pytest.mark.parametrize("which", ["stribeck_velocity", "stribeck_exponent", "breakaway_gap", "viscous"])
 def test_the_shape_of_friction_is_told_as_the_catalogue_bends_it(which):
-    seed = next(seed for seed in range(50) if which in drawn("friction_shape", seed=seed).faults[0].scaled)
+    seed = next(seed for seed in range(50) if which in drawn("friction_shape", seed=seed).faults[0].drive_factors)
     case = drawn("friction_shape", seed=seed)
     fault = case.faults[0]
-    told, factor = truth(case, fault), fault.scaled[which]
+    told, factor = true_parameters(case, fault), fault.drive_factors[which]
     if which == "stribeck_exponent":
         assert case.true.friction.stribeck_exponent == pytest.approx(factor)
-        assert without(case, 0).true.friction.stribeck_exponent == pytest.approx(1.0)
+        assert without_fault(case, 0).true.friction.stribeck_exponent == pytest.approx(1.0)
         assert case.nominal.friction.stribeck_exponent is None
     if which != "viscous":
         assert told == {which: pytest.approx(math.log(factor))}
@@ -119,42 +121,42 @@ def test_the_shape_of_friction_is_told_as_the_catalogue_bends_it(which):
 
 def test_a_screws_frequency_is_that_of_the_true_masses_and_windows_are_counted_from_halfway():
     case = drawn("compliance")
-    told = truth(case, case.faults[0])
+    told = true_parameters(case, case.faults[0])
     s, mass = told["motor_share"], float(case.true.plant.mass)
     angular = 2 * np.pi * told["frequency"]
-    assert angular**2 * s * (1 - s) * mass == pytest.approx(case.faults[0].faults["stiffness"])
+    assert angular**2 * s * (1 - s) * mass == pytest.approx(case.faults[0].parameters["stiffness"])
     case = drawn("process_force")
-    told, faults = truth(case, case.faults[0]), case.faults[0].faults
+    told, faults = true_parameters(case, case.faults[0]), case.faults[0].parameters
     np.testing.assert_allclose(np.subtract(told["start"], faults["process_start"]), 0.005)
     np.testing.assert_allclose(np.subtract(told["end"], faults["process_end"]), -0.005)
 
 
 def test_a_limit_is_one_for_the_machine():
     case = drawn("force_limit")
-    told = truth(case, case.faults[0], 200.0)["limit"]
-    assert told == of_log(case, 0, 200.0)[0].limit == of_log(case, 1, 200.0)[0].limit
+    told = true_parameters(case, case.faults[0], 200.0)["limit"]
+    assert told == log_faults(case, 0, 200.0)[0].limit == log_faults(case, 1, 200.0)[0].limit
     assert 150.0 < told < 200.0
-    assert truth(case, case.faults[0]) == {}
+    assert true_parameters(case, case.faults[0]) == {}
 
 
 @pytest.mark.parametrize("name", PLACED)
 def test_what_is_met_at_a_place_is_met(name):
     for seed in range(20):
         case = drawn(name, seed=seed)
-        place = case.faults[0].faults[PLACED[name]]
-        ways = [(log.reference.min(), log.reference.max()) for log in case.told]
+        place = case.faults[0].parameters[PLACED[name]]
+        ways = [(log.reference.min(), log.reference.max()) for log in case.inputs]
         assert any(low + 0.1 * (high - low) < place < high - 0.1 * (high - low) for low, high in ways)
 
 
 def test_no_two_faults_are_one():
     """A spring beside a tilt is a spring that is neutral elsewhere; a loose screw is an elastic one."""
-    pairs = {frozenset(kind) for seed in range(40) for kind in generate.kinds(seed, 120) if len(kind) == 2}
+    pairs = {frozenset(kind) for seed in range(40) for kind in generate.draw_effects(seed, 120) if len(kind) == 2}
     assert {"constant_force", "cogging"} in pairs
     assert not pairs & {frozenset(("constant_force", "position_spring")), frozenset(("compliance", "backlash"))}
 
 
 def test_kinds_mix_every_effect_with_none_two_outsiders_and_pitfalls():
-    kinds = generate.kinds(0, 120)
+    kinds = generate.draw_effects(0, 120)
     assert len(kinds) == 120
     assert sum(kind == () for kind in kinds) == 14
     assert sum(len(kind) == 2 for kind in kinds) == 14

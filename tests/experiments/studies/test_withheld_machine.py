@@ -20,7 +20,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.motion.builders import from_array
 from experiments.studies.withheld import machine
 from experiments.studies.withheld.faults import KNOWN
-from experiments.studies.withheld.machine import Faults, Kind, MachineTask, run
+from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
 from tests.support.sound_log import RATE, described
 
 PLAIN = described(resolution=None, noise=0.0)
@@ -96,10 +96,10 @@ def wrong(faults, noise=0.0):
     """Position and command of the machine that is not the simulator."""
     flat = np.zeros(len(TIME))
     rough = noise * np.random.default_rng(0).standard_normal(len(TIME))
-    kind = Kind(elastic="stiffness" in faults, lagging="lag" in faults)
+    kind = MachineStructure(elastic="stiffness" in faults, lagging="lag" in faults)
     gains = (float(PLAIN.controller.tracking.gains.kp), float(PLAIN.controller.tracking.gains.kd))
-    told = MachineTask(MOTION.position, flat, rough, flat, flat)
-    return np.stack(run(PLAIN.drive, Faults(**faults), kind, gains, 1e-12, told, RATE))
+    told = MachineInputs(MOTION.position, flat, rough, flat, flat)
+    return np.stack(run(PLAIN.drive, FaultParameters(**faults), kind, gains, 1e-12, told, RATE))
 
 
 def simulated(*effects):

@@ -248,7 +248,7 @@ def test_the_oracle_is_asked_where_the_known_effects_were_not_just_what_was_foun
     }
     key = {name: truth("cogging") for name in answers}
     key |= {"outside": truth("chip", outside=True), "sound": truth()}
-    asked = reruns.oracle(answers, key)
+    asked = reruns.oracle_exclusions(answers, key)
     assert sorted(asked) == ["failed", "more", "unsure"]
     assert "cogging" not in asked["more"]
     assert len(asked["more"]) == 20
@@ -268,7 +268,7 @@ def test_an_effect_is_removed_where_it_was_seen_best():
     key = {name: truth("cogging") for name in [*answers, "never asked"]}
     answers["of another check"] = told("effect", cause("cogging", evidence=900.0))
     key |= {"3": truth("cogging", "backlash"), "4": truth("backlash"), "5": truth("compliance")}
-    assert reruns.removed(answers, key) == {"2": ["cogging"]}
+    assert reruns.removal_exclusions(answers, key) == {"2": ["cogging"]}
 
 
 @pytest.mark.parametrize(
@@ -284,6 +284,6 @@ def test_an_effect_is_removed_where_it_was_seen_best():
 )
 def test_without_the_true_effect_the_answer_is_unknown_or_a_declared_rival(now, good):
     answers = {"1": told("effect", cause("cogging", others=["lead_error"]))}
-    (row,) = reruns.without_it(answers, {"1": now}, {"1": ["cogging"], "2": ["backlash"]})
+    (row,) = reruns.removal_rows(answers, {"1": now}, {"1": ["cogging"], "2": ["backlash"]})
     assert row[:3] == ["cogging", "1", now["verdict"]]
     assert row[-1] is good

@@ -15,7 +15,7 @@ from diffdrive.effects.friction import FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.scale import InterpolationError
 from diffdrive.model.parameters import Directional, Sensor
 from diffdrive.motion.builders import from_array
-from experiments.studies.withheld.machine import Faults, Kind, MachineTask, run
+from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
 from experiments.studies.withheld.score import read_key
 from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -210,9 +210,9 @@ def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
     motion = from_array(time, 1e-3 * (1 - np.cos(2 * np.pi * 5.0 * time)))
     ours = logged(plain, motion)
     flat = np.zeros(600)
-    told = MachineTask(motion.position, flat, flat, flat, flat)
+    told = MachineInputs(motion.position, flat, flat, flat, flat)
     gains = (float(plain.controller.tracking.gains.kp), float(plain.controller.tracking.gains.kd))
-    position, command = run(plain.drive, Faults(), Kind(), gains, 1e-12, told, RATE)
+    position, command = run(plain.drive, FaultParameters(), MachineStructure(), gains, 1e-12, told, RATE)
     assert np.abs(position - ours.position).max() < 5e-9
     assert np.sqrt(np.mean((command - ours.command) ** 2)) < 0.01 * np.abs(command).max()
 
