@@ -30,7 +30,7 @@ def cores() -> int:
 
 
 def configure(devices: int | None = None) -> None:
-    """Double precision, hoisted loops, one CPU device per core or so many, and no GPU (`with_accelerator` takes one);
+    """Double precision, hoisted loops, one CPU device per core or so many, and no GPU (`allow_accelerator` takes one);
     what the environment sets stays.
     """
     flags = os.environ.get("XLA_FLAGS", "").split()
@@ -46,7 +46,7 @@ def configure(devices: int | None = None) -> None:
             jax.config.update("jax_num_cpu_devices", devices or cores())
 
 
-def with_accelerator() -> None:
+def allow_accelerator() -> None:
     """After `configure`: for very many lanes, on a GPU if jax finds one."""
     if "JAX_PLATFORMS" not in os.environ:
         jax.config.update("jax_platforms", None)
@@ -59,7 +59,7 @@ def arithmetic() -> list[str]:
     return [jax.default_backend(), jax.devices()[0].device_kind, platform.machine(), *vectors, *sorted(flags)]
 
 
-def keep_compiled() -> None:
+def enable_compilation_cache() -> None:
     """Keep what is compiled in the user's cache folder for the next run: compilation is most of a short command.
 
     jax recognises programs by content, version, flags and processor. `JAX_COMPILATION_CACHE_DIR` names another folder,

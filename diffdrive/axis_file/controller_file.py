@@ -4,7 +4,7 @@ from typing import Any
 
 from diffdrive.controllers import KINDS, Controller
 from diffdrive.model.parameters import Drive
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 
 
 def _kinds_with(table: str, key: str) -> list[str]:
@@ -18,7 +18,7 @@ def build_controller(section: Any, drive: Drive) -> Controller:
     if name is None:
         raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
     if not isinstance(name, str) or name not in KINDS:
-        raise section.fail("kind", f"unknown controller {shown(name)}; known: {', '.join(KINDS)}")
+        raise section.fail("kind", f"unknown controller {short_repr(name)}; known: {', '.join(KINDS)}")
     section.of_kind(name, _kinds_with)
     return KINDS[name].build(section, drive)
 

@@ -21,7 +21,7 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import build_controller, controller_table
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.effects.possible import envelope_within, require_possible
+from diffdrive.effects.possible import limits_envelope, require_feasible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import mapping_tables, parse_mapping
@@ -40,19 +40,19 @@ from diffdrive.model.parameters import (
 )
 from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import write_text
-from diffdrive.support.messages import shortened, shown
+from diffdrive.support.messages import short_repr, shortened
 from diffdrive.support.text_file import read_toml
 from diffdrive.support.units import in_unit, to_si
 
 # pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
 
 
-class Section:
+class TomlSection:
     """One table of a drive file; takes keys out one by one and complains about what is left."""
 
     def __init__(self, source: str, name: str, table: Any) -> None:
         if not isinstance(table, dict):
-            raise DriveFileError(f"{source}: [{name}] must be a table, got {shown(table)}")
+            raise DriveFileError(f"{source}: [{name}] must be a table, got {short_repr(table)}")
         self.source, self.name, self.table, self._left = source, name, table, dict(table)
         self._known: list[str] = []
         self.kind: str | None = None  # of the controller, where keys hang on it
@@ -71,9 +71,9 @@ class Section:
             return default
         return self._left.pop(key)
 
-    def subsection(self, key: str) -> "Section":
+    def subsection(self, key: str) -> "TomlSection":
         """The table below `key`, empty if it is absent."""
-        below = Section(self.source, f"{self.name}.{key}", self.take(key, {}))
+        below = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}))
         if self.kind is not None:
             below.of_kind(self.kind, self._kinds_of_table)
         return below
@@ -90,12 +90,14 @@ class Section:
     def _number(self, key: str, value: Any, unit: str) -> Any:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             worded = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
-            raise self.fail(key, f"must be a number{in_unit(unit)}{worded}, got {shown(value)}")
+            raise self.fail(key, f"must be a number{in_unit(unit)}{worded}, got {short_repr(value)}")
         if not isinstance(value, str):
             try:
                 return float(value)
             except OverflowError:
-                raise self.fail(key, f"{shown(value)} is larger than any number that a computer reckons with") from None
+                raise self.fail(
+                    key, f"{short_repr(value)} is larger than any number that a computer reckons with"
+                ) from None
         try:
             return to_si(value, unit)
         except ValueError as problem:
@@ -116,9 +118,9 @@ class Section:
             return None
         if isinstance(value, list):
             if not declared.directional:
-                raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {shown(value)}")
+                raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {short_repr(value)}")
             if len(value) != 2:
-                raise self.fail(key, f"needs two values, [positive, negative], got {shown(value)}")
+                raise self.fail(key, f"needs two values, [positive, negative], got {short_repr(value)}")
             return Directional(*(self._number(key, one, declared.unit) for one in value))
         return self._number(key, value, declared.unit)
 
@@ -149,32 +151,34 @@ class Section:
         raise self.fail(key, f"unknown key; {hint}")
 
 
-def _limits(section: Section) -> Limits:
+def _limits(section: TomlSection) -> Limits:
     stroke = section.take("stroke", None)
     if stroke is None:
         ends = (-np.inf, np.inf)
     else:
         if not isinstance(stroke, list) or len(stroke) != 2:
-            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {shown(stroke)}")
+            raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {short_repr(stroke)}")
         bare = [end for end in stroke if not isinstance(end, str)]
         if len(bare) == 1 and bare[0] != 0:  # 75 beside "-75 mm" would be 75 m
-            raise section.fail("stroke", f"give both ends a unit, or neither where they are in m, got {shown(stroke)}")
+            raise section.fail(
+                "stroke", f"give both ends a unit, or neither where they are in m, got {short_repr(stroke)}"
+            )
         ends = tuple(section._number("stroke", value, "m") for value in stroke)
         if not ends[0] < ends[1]:
-            raise section.fail("stroke", f"the lowest position must be below the highest, got {shown(stroke)}")
+            raise section.fail("stroke", f"the lowest position must be below the highest, got {short_repr(stroke)}")
     most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
     for key, value in most.items():
         if not value > 0:
-            raise section.fail(key, f"must be positive, got {shown(value)}")
+            raise section.fail(key, f"must be positive, got {short_repr(value)}")
     return Limits(stroke=ends, **most)
 
 
-def _effects(section: Section) -> tuple[Effect, ...]:
+def _effects(section: TomlSection) -> tuple[Effect, ...]:
     """[effects.cogging] and its like, in the catalogue's order."""
     found = []
     for name, effect in EFFECTS.items():
         if section.take(name, None) is not None:
-            own = Section(section.source, f"effects.{name}", section.table[name])
+            own = TomlSection(section.source, f"effects.{name}", section.table[name])
             found.append(own.build(effect))
             own.done()
     section.done()
@@ -186,9 +190,9 @@ def _effects(section: Section) -> tuple[Effect, ...]:
 
 def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
-    root = Section(source, "drive file", tables)
+    root = TomlSection(source, "drive file", tables)
     sections = {
-        name: Section(source, name, root.take(name, {}))
+        name: TomlSection(source, name, root.take(name, {}))
         for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
     }
     try:
@@ -200,14 +204,14 @@ def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise sections["actuator"].fail(
-            "delay_samples", f"must be a whole number of samples, 0 or more, got {shown(delay)}"
+            "delay_samples", f"must be a whole number of samples, 0 or more, got {short_repr(delay)}"
         )
     drive = Drive(
         plant=sections["plant"].build(Plant),
         friction=sections["friction"].build(Friction),
         actuator=sections["actuator"].build(Actuator, delay_samples=delay),
         sensor=sections["sensor"].build(Sensor),
-        effects=_effects(Section(source, "effects", effects)),
+        effects=_effects(TomlSection(source, "effects", effects)),
     )
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
@@ -219,7 +223,7 @@ def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
     limits = _limits(sections["limits"])
     low, high = limits.stroke
     try:
-        require_possible(drive, envelope_within(limits, sampling))
+        require_feasible(drive, limits_envelope(limits, sampling))
     except ParameterError as error:
         raise DriveFileError(f"{source}: {error}") from None
     if drive.sensor.resolution is not None and float(drive.sensor.resolution) > 1e-2 * min(high - low, 1.0):

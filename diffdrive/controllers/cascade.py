@@ -13,7 +13,7 @@ from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 
 
 class CascadeState(NamedTuple):
@@ -42,7 +42,7 @@ class Cascade(Controller):
     def __check_init__(self) -> None:
         samples = self.velocity_samples
         if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-            raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {shown(samples)}")
+            raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {short_repr(samples)}")
 
     @property
     def kind(self) -> str:
@@ -88,7 +88,7 @@ def _build(section: Section, drive: Drive) -> Cascade:
     # the loop of most CNCs has no feed-forward of force unless the file says so
     feedforward, samples = feedforward_of(section, drive, default=False), section.take("velocity_samples", 1)
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-        raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {shown(samples)}")
+        raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {short_repr(samples)}")
     return section.build(Cascade, feedforward=feedforward, velocity_samples=samples)
 
 

@@ -24,7 +24,7 @@ from diffdrive.controllers.kinds import (
     Section,
     tracking_of,
 )
-from diffdrive.model.friction import bristle_at, friction_force, slide
+from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Friction, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
 
@@ -68,8 +68,8 @@ class PDFeedforwardDOB(Controller):
     def step(
         self, state: FeedforwardState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[FeedforwardState, Command]:
-        bristle = bristle_at(self.friction, reference.velocity, state.bristle, self.load)
-        deflection = slide(state.bristle, reference.velocity, bristle.rate, period)
+        bristle = lugre_coefficients(self.friction, reference.velocity, state.bristle, self.load)
+        deflection = deflection_after(state.bristle, reference.velocity, bristle.rate, period)
         predicted = friction_force(bristle, reference.velocity, deflection)
         unexplained = applied - state.last_feedforward
         disturbance, resisting = self.observer.step(state.disturbance, position, unexplained, period)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 from diffdrive.controllers.base import Controller, Feedforward, PDGains, Tracking
 from diffdrive.model.parameters import Drive
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 
 
 class Section(Protocol):
@@ -83,7 +83,7 @@ def feedforward_of(section: Section, drive: Drive, default: bool) -> Feedforward
     """The motion feed-forward that a table asks for: that of the drive's inertia and damping, or none."""
     wanted = section.take("feedforward", default)
     if not isinstance(wanted, bool):
-        raise section.fail("feedforward", f"must be true or false, got {shown(wanted)}")
+        raise section.fail("feedforward", f"must be true or false, got {short_repr(wanted)}")
     return Feedforward.of(drive.plant) if wanted else Feedforward()
 
 
@@ -92,7 +92,7 @@ def tracking_of(section: Section, drive: Drive, feedforward: bool = True) -> Tra
     fed = feedforward_of(section, drive, feedforward)
     derivative = section.take("derivative", DERIVATIVE.default)
     if derivative != DERIVATIVE.default:
-        raise section.fail("derivative", f"only '{DERIVATIVE.default}' is known, got {shown(derivative)}")
+        raise section.fail("derivative", f"only '{DERIVATIVE.default}' is known, got {short_repr(derivative)}")
     return Tracking(section.build(PDGains), fed)
 
 

@@ -12,19 +12,19 @@ from diffdrive.effects.base import (
     ActuatorEffect,
     Effect,
     MachineEffect,
-    Place,
     Push,
     ScaleEffect,
     Seen,
+    StepOrder,
     TableEffect,
 )
-from diffdrive.model.friction import bristle_at, friction_force
+from diffdrive.model.friction import friction_force, lugre_coefficients
 from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar
 
 Effects = tuple[Effect, ...]
 
 
-def altered(drive: Drive, effects: Effects) -> Drive:
+def with_machine_effects(drive: Drive, effects: Effects) -> Drive:
     """The drive with the effects that are other parameters."""
     for effect in effects:
         if isinstance(effect, MachineEffect):
@@ -32,7 +32,7 @@ def altered(drive: Drive, effects: Effects) -> Drive:
     return drive
 
 
-def at_rest(effects: Effects, force: Scalar) -> tuple[Any, ...]:
+def initial_states(effects: Effects, force: Scalar) -> tuple[Any, ...]:
     """The state of every effect at rest, the actuator's after a long time at `force` (N)."""
     return tuple(_begin(effect, force) for effect in effects)
 
@@ -43,7 +43,9 @@ def _begin(effect: Effect, force: Scalar) -> Any:
     return effect.init() if isinstance(effect, TableEffect) else ()
 
 
-def through(effects: Effects, states: tuple[Any, ...], force: Scalar, period: float) -> tuple[tuple[Any, ...], Push]:
+def actuator_output(
+    effects: Effects, states: tuple[Any, ...], force: Scalar, period: float
+) -> tuple[tuple[Any, ...], Push]:
     """What comes out of the actuator when `force` (N) is asked of it."""
     ahead, push = list(states), Push(force)
     chain = [(effect.stage, k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
@@ -69,7 +71,7 @@ def force_limit(drive: Drive) -> Scalar | None:
     return functools.reduce(jnp.minimum, limits) if limits else None
 
 
-def plant_steps(effects: Effects, sampling: Sampling) -> int:
+def plant_substeps(effects: Effects, sampling: Sampling) -> int:
     """Substeps of the plant: as many as were asked for; by default no more than an effect takes that integrates the
     table itself.
     """
@@ -78,34 +80,34 @@ def plant_steps(effects: Effects, sampling: Sampling) -> int:
     return sampling.plant_steps if sampling.substeps else min(least, sampling.plant_steps)
 
 
-def displaced(drive: Drive, tilt: Scalar, period: float) -> Scalar:
+def slope_displacement(drive: Drive, tilt: Scalar, period: float) -> Scalar:
     """How much further (m) a force of this tilt carries the table in a period than its mean."""
     return -tilt * period**2 / (12.0 * drive.plant.mass)
 
 
-def upon(
+def table_action(
     effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
 ) -> tuple[tuple[Any, ...], Acts]:
     """What acts on the table and its friction over the coming period."""
-    return upon_in_turn(effects, states, seen, drive, period)[:2]
+    return table_action_in_order(effects, states, seen, drive, period)[:2]
 
 
-def upon_in_turn(
+def table_action_in_order(
     effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
 ) -> tuple[tuple[Any, ...], Acts, tuple[Seen, Drive]]:
-    """`upon`, and the table and the drive as an effect that comes after all of these sees them.
+    """`table_action`, and the table and the drive as an effect that comes after all of these sees them.
 
-    What an effect is to know of the others, those of an earlier `Place` tell it: what they push, and how they bend
+    What an effect is to know of the others, those of an earlier `StepOrder` tell it: what they push, and how they bend
     the friction.
     """
     ahead, total, before = list(states), Acts(), (seen, drive)
-    for place in Place:
+    for place in StepOrder:
         mine = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.place == place]
         for k in mine:
             ahead[k], acts = effects[k].step(states[k], *before, period)
             total = total.plus(acts)
         if mine:
-            machine = bent(drive, total)
+            machine = with_friction_offset(drive, total)
             friction = resistance(machine, seen.velocity, seen.bristle, seen.load)
             before = (seen._replace(push=seen.push + total.force, friction=friction), machine)
     return tuple(ahead), total, before
@@ -117,7 +119,7 @@ def scale_error(effects: Effects, position: Scalar) -> Scalar:
     return sum(errors[1:], errors[0]) if errors else 0.0 * position
 
 
-def bent(drive: Drive, acts: Any) -> Drive:
+def with_friction_offset(drive: Drive, acts: Any) -> Drive:
     """The drive with its friction as `acts` bends it."""
 
     def more(pair: Directional, by: Scalar) -> Directional:
@@ -137,7 +139,7 @@ def bent(drive: Drive, acts: Any) -> Drive:
 
 def resistance(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar) -> Scalar:
     """All that resists the table (N): friction and damping."""
-    sliding = friction_force(bristle_at(drive.friction, velocity, bristle, load), velocity, bristle)
+    sliding = friction_force(lugre_coefficients(drive.friction, velocity, bristle, load), velocity, bristle)
     return sliding + drive.plant.damping.towards(velocity) * velocity
 
 

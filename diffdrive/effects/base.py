@@ -125,7 +125,7 @@ class ActuatorEffect(Effect):
         """The force over the coming period, of length `period` (s), when `force` (N) is asked for."""
 
 
-class Place(enum.IntEnum):
+class StepOrder(enum.IntEnum):
     """What an effect on the table has to know, in the order in which effects are stepped."""
 
     GIVEN = 0  # where the table is
@@ -137,7 +137,7 @@ class TableEffect(Effect):
     """On the table and its friction; it `remembers` where its state outlasts a tenth of a second."""
 
     remembers: ClassVar[bool] = False
-    place: ClassVar[Place] = Place.GIVEN
+    place: ClassVar[StepOrder] = StepOrder.GIVEN
 
     @abc.abstractmethod
     def init(self) -> Any:

@@ -13,9 +13,9 @@ from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
 
-AnyEffect = TypeVar("AnyEffect", bound=Effect)
+EffectType = TypeVar("EffectType", bound=Effect)
 
-PLACES: dict[str, tuple[type[Effect], ...]] = {
+EFFECTS_BY_PART: dict[str, tuple[type[Effect], ...]] = {
     "friction": (
         AppliedLoad,
         FrictionShape,
@@ -31,18 +31,18 @@ PLACES: dict[str, tuple[type[Effect], ...]] = {
     "actuator": (Cogging, ForceGain, ActuatorLag, LoopDelay, ForceLimit),
     "sensor": (LeadError, InterpolationError),
 }
-EFFECTS: dict[str, type[Effect]] = {effect.name: effect for place in PLACES.values() for effect in place}
+EFFECTS: dict[str, type[Effect]] = {effect.name: effect for place in EFFECTS_BY_PART.values() for effect in place}
 
 
-def register(effect: type[AnyEffect]) -> type[AnyEffect]:
+def register(effect: type[EffectType]) -> type[EffectType]:
     """Make an effect of your own known, as a decorator of its class.
 
     `simulate`, axis files, `sweep` and `diagnose` then treat it as they do those of the catalogue.
 
     Its `name` is that of its table in an axis file ([effects.NAME]), its `part` the part of the machine that it is
-    told as, one of `PLACES`. Registering a class of the same name again replaces it. Raises `ParameterError` for a
-    class without a name, an unknown part, parameters that declare neither unit nor meaning, and a parameter without a
-    default: an effect is neutral, and does nothing, at its defaults.
+    reported as, one of `EFFECTS_BY_PART`. Registering a class of the same name again replaces it. Raises
+    `ParameterError` for a class without a name, an unknown part, parameters that declare neither unit nor meaning, and
+    a parameter without a default: an effect is neutral, and does nothing, at its defaults.
 
     Example:
         >>> @register
@@ -57,8 +57,10 @@ def register(effect: type[AnyEffect]) -> type[AnyEffect]:
     name = getattr(effect, "name", None)
     if not isinstance(name, str) or not name.isidentifier():
         raise ParameterError(f"{effect.__name__}.name: must be a word, as it stands in an axis file, got {name!r}")
-    if effect.part not in PLACES:
-        raise ParameterError(f"effect {name}: no part '{effect.part}' of a machine; known: {', '.join(PLACES)}")
+    if effect.part not in EFFECTS_BY_PART:
+        raise ParameterError(
+            f"effect {name}: no part '{effect.part}' of a machine; known: {', '.join(EFFECTS_BY_PART)}"
+        )
     for field in dataclasses.fields(effect):
         if "quantity" not in field.metadata:
             raise ParameterError(f"effect {name}: declare {field.name} with its unit and meaning, as by `amplitude`")
@@ -67,9 +69,9 @@ def register(effect: type[AnyEffect]) -> type[AnyEffect]:
     known = EFFECTS.get(name)
     if known is not None and known.__module__.startswith("diffdrive."):
         raise ParameterError(f"effect {name}: the catalogue has one of this name; choose another")
-    for part, effects in PLACES.items():
-        PLACES[part] = tuple(one for one in effects if one is not known)
-    PLACES[effect.part] = (*PLACES[effect.part], effect)
+    for part, effects in EFFECTS_BY_PART.items():
+        EFFECTS_BY_PART[part] = tuple(one for one in effects if one is not known)
+    EFFECTS_BY_PART[effect.part] = (*EFFECTS_BY_PART[effect.part], effect)
     EFFECTS.pop(name, None)
     EFFECTS[name] = effect
     return effect

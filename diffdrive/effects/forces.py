@@ -5,21 +5,21 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
-from diffdrive.effects.oscillator import Oscillator, swinging
-from diffdrive.model.friction import resisting_midway, under
+from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
+from diffdrive.effects.oscillator import Oscillator, discretise
+from diffdrive.model.friction import friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive, Scalar, quantity
-from diffdrive.numerics.turning import MOST_TURNS, cosine_sine, doubled, tripled
+from diffdrive.numerics.turning import MAX_TURNS, cosine_sine, double_angle, triple_angle
 
 EDGE = 5e-3  # s, over which a process force sets in and ends
 
 
-def middle(seen: Seen, period: float) -> Scalar:
+def midpoint_position(seen: Seen, period: float) -> Scalar:
     """The table's position in the middle of the coming period (m)."""
     return seen.position + 0.5 * period * seen.velocity
 
 
-def ending(seen: Seen, drive: Drive, period: float) -> Scalar:
+def end_velocity(seen: Seen, drive: Drive, period: float) -> Scalar:
     """The table's velocity at the end of the coming period (m/s), were its friction constant."""
     return seen.velocity + period * seen.resultant(drive) / drive.plant.mass
 
@@ -49,9 +49,9 @@ def too_stiff(stiffness: Any, drive: Drive, within: Envelope) -> str | None:
 def too_many_turns(turns: Any, what: str) -> str | None:
     """Why a wave of so many turns cannot be computed: its phase is lost in rounding."""
     largest = float(np.max(np.abs(turns)))
-    if largest <= MOST_TURNS:
+    if largest <= MAX_TURNS:
         return None
-    return f"{what} is {largest:.3g} of its waves, of which {MOST_TURNS:g} can be told apart: check its units"
+    return f"{what} is {largest:.3g} of its waves, of which {MAX_TURNS:g} can be told apart: check its units"
 
 
 class ConstantForce(TableEffect):
@@ -86,7 +86,7 @@ class PositionSpring(TableEffect):
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The spring's force."""
-        return state, Acts(force=-self.stiffness * (middle(seen, period) - self.neutral))
+        return state, Acts(force=-self.stiffness * (midpoint_position(seen, period) - self.neutral))
 
 
 class Cogging(TableEffect):
@@ -122,9 +122,9 @@ class Cogging(TableEffect):
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The ripple's force."""
-        first = cosine_sine(2.0 * jnp.pi * middle(seen, period) / self.period)
-        second = doubled(*first)
-        sixth = tripled(*second)
+        first = cosine_sine(2.0 * jnp.pi * midpoint_position(seen, period) / self.period)
+        second = double_angle(*first)
+        sixth = triple_angle(*second)
         force = self.cosine * first[0] + self.sine * first[1] + self.cosine2 * second[0] + self.sine2 * second[1]
         return state, Acts(force=force + self.cosine6 * sixth[0] + self.sine6 * sixth[1])
 
@@ -160,7 +160,7 @@ class ProcessForce(TableEffect):
         """The force in the middle of the coming period."""
         time = seen.time + 0.5 * period
         first = cosine_sine(2.0 * jnp.pi * self.frequency * time)
-        second = doubled(*first)
+        second = double_angle(*first)
         force = self.mean + self.cosine * first[0] + self.sine * first[1]
         force = force + self.cosine2 * second[0] + self.sine2 * second[1]
         return state, Acts(force=force * window(time, self.start, self.end))
@@ -175,7 +175,7 @@ class FrameVibration(TableEffect):
 
     name: ClassVar[str] = "frame_vibration"
     remembers: ClassVar[bool] = True
-    place: ClassVar[Place] = Place.FOLLOWING
+    place: ClassVar[StepOrder] = StepOrder.FOLLOWING
     ratio: Scalar = quantity("1", "moving mass over the base's", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "natural frequency of the base", above=0.0, default=20.0)
     damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, default=0.03)
@@ -189,8 +189,8 @@ class FrameVibration(TableEffect):
         # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
         rising = seen.resultant(drive) + self.ratio * (seen.force - seen.friction)
         halfway = seen.velocity + 0.5 * period * rising / drive.plant.mass
-        friction = under(drive.friction, seen.load)
-        resisting = resisting_midway(friction, drive.plant.damping, halfway, seen.bristle, period)[0]
+        friction = friction_under_load(drive.friction, seen.load)
+        resisting = midpoint_friction(friction, drive.plant.damping, halfway, seen.bristle, period)[0]
         push = -self.ratio * (seen.force - resisting) / drive.plant.mass
-        ahead = swinging(2.0 * jnp.pi * self.frequency, self.damping, period).step(state, push)
+        ahead = discretise(2.0 * jnp.pi * self.frequency, self.damping, period).step(state, push)
         return ahead, Acts(force=-drive.plant.mass * (ahead.rate - state.rate) / period)

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
-from diffdrive.effects.forces import ending, middle, too_many_turns, window
-from diffdrive.model.friction import coulomb, relaxing, slide, under
+from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
+from diffdrive.effects.forces import end_velocity, midpoint_position, too_many_turns, window
+from diffdrive.model.friction import coulomb, deflection_after, friction_under_load, relaxation_map
 from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
 from diffdrive.numerics.once import once
-from diffdrive.numerics.polynomial import inverse
+from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation
 from diffdrive.numerics.turning import cosine_sine
 
@@ -98,7 +98,7 @@ class PositionFriction(TableEffect):
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The share of the Coulomb friction here."""
-        at = middle(seen, period)
+        at = midpoint_position(seen, period)
         cosine, sine = cosine_sine(2.0 * jnp.pi * at / self.period)
         share = self.slope * (at - self.neutral) + self.cosine * cosine + self.sine * sine
         return state, Acts(coulomb=share * coulomb(drive.friction, seen.velocity, seen.load))
@@ -146,7 +146,7 @@ class FrictionDwell(TableEffect):
     """Breakaway that grows with the logarithm of the contact's age, d age/dt = 1 - |v| age / D (Dieterich)."""
 
     name: ClassVar[str] = "friction_dwell"
-    place: ClassVar[Place] = Place.FOLLOWING
+    place: ClassVar[StepOrder] = StepOrder.FOLLOWING
     growth: Scalar = quantity("1", "growth of the breakaway gap per e-fold of time at rest", default=0.0)
     onset: Scalar = quantity("s", "time at rest from which it grows", above=0.0, default=0.1)
     slip: Scalar = quantity("m", "travel over which it is forgotten", above=0.0, default=1e-5)
@@ -174,13 +174,13 @@ class FrictionDwell(TableEffect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The gap grown with age."""
         half = 0.5 * period
-        speed = _mean_speed(seen.velocity, ending(seen, drive, period))
+        speed = _mean_speed(seen.velocity, end_velocity(seen, drive, period))
         fade = relaxation(half * speed, self.slip)  # the age's equation is a bristle's
-        share = inverse(fade.whole)
+        share = reciprocal(fade.whole)
         left, gained = once((fade.end * share, half * fade.mean * share))
-        middle = left * state + gained
+        midway = left * state + gained
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
-        return left * middle + gained, Acts(gap=self.growth * gap * jnp.log1p(middle / self.onset))
+        return left * midway + gained, Acts(gap=self.growth * gap * jnp.log1p(midway / self.onset))
 
 
 class PreslidingHysteresis(TableEffect):
@@ -194,7 +194,7 @@ class PreslidingHysteresis(TableEffect):
 
     name: ClassVar[str] = "presliding_hysteresis"
     remembers: ClassVar[bool] = True
-    place: ClassVar[Place] = Place.FOLLOWING
+    place: ClassVar[StepOrder] = StepOrder.FOLLOWING
     share: Scalar = quantity("1", "of the bristle that elements replace", default=0.0)
     longest: Scalar = quantity("m", "longest slip distance", above=0.0, default=5e-6)
     shortest: Scalar = quantity("1", "shortest slip distance over the longest", above=0.0, default=0.2)
@@ -227,7 +227,7 @@ class PreslidingHysteresis(TableEffect):
         """
         *elements, deflection = state
         steps = max(1, round(period / FINE))
-        duration, friction = period / steps, under(drive.friction, seen.load)
+        duration, friction = period / steps, friction_under_load(drive.friction, seen.load)
         lightness = 1.0 / drive.plant.mass
 
         def held(levels: Directional, stretched: Sequence[Scalar]) -> Scalar:
@@ -243,7 +243,7 @@ class PreslidingHysteresis(TableEffect):
             mean = once(velocity + (pushed - resisting) * (0.5 * duration * lightness))
             levels = once(friction.levels(mean))
             ahead = once(self._stretched(elements, duration * mean))
-            stays, drawn = relaxing(stiffness, levels.towards(mean), mean, duration)
+            stays, drawn = relaxation_map(stiffness, levels.towards(mean), mean, duration)
             bent = stays * bristle + drawn
             midway = [0.5 * (one + other) for one, other in zip(elements, ahead, strict=True)]
             bending = stiffness * 0.5 * (bristle + bent)
@@ -265,8 +265,8 @@ class PreslidingHysteresis(TableEffect):
     def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
         """What stretches the elements and bends the bristle is the travel; no force has to be known."""
         *elements, deflection = state
-        at = under(drive.friction, seen.load).at(travel / period, deflection)
-        return (*self._stretched(elements, travel), slide(deflection, travel / period, at.rate, period))
+        at = friction_under_load(drive.friction, seen.load).at(travel / period, deflection)
+        return (*self._stretched(elements, travel), deflection_after(deflection, travel / period, at.rate, period))
 
     def _stretched(self, elements: Sequence[Scalar], travel: Scalar) -> tuple[Scalar, ...]:
         pairs = zip(elements, self._spread(), strict=True)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from diffdrive.model.parameters import Scalar
-from diffdrive.numerics.exponential import fading
+from diffdrive.numerics.exponential import exp_neg
 from diffdrive.numerics.turning import cosine_sine
 
 
@@ -24,12 +24,12 @@ class Oscillator(NamedTuple):
         return cls(jnp.zeros(()), jnp.zeros(()))
 
 
-class Swinging(NamedTuple):
+class DiscreteOscillator(NamedTuple):
     """What a step of one oscillator needs, computed once for many steps."""
 
     cosine: Scalar  # both faded
     sine: Scalar  # over its angular frequency, s
-    fading: Scalar  # 1/s
+    decay_rate: Scalar  # 1/s
     square: Scalar  # of the undamped angular frequency, 1/s^2
     softness: Scalar  # its inverse
 
@@ -38,15 +38,15 @@ class Swinging(NamedTuple):
         rest = push * self.softness
         from_rest = state.deflection - rest
         return Oscillator(
-            rest + self.cosine * from_rest + self.sine * (state.rate + self.fading * from_rest),
-            self.cosine * state.rate - self.sine * (self.fading * state.rate + self.square * from_rest),
+            rest + self.cosine * from_rest + self.sine * (state.rate + self.decay_rate * from_rest),
+            self.cosine * state.rate - self.sine * (self.decay_rate * state.rate + self.square * from_rest),
         )
 
 
-def swinging(angular: Scalar, damping: Scalar, time: Scalar) -> Swinging:
+def discretise(angular: Scalar, damping: Scalar, time: Scalar) -> DiscreteOscillator:
     """Steps of `time` (s); `angular` in rad/s, damping ratio below 1."""
     ratio = jnp.minimum(damping, 0.999)
     turning, rate = angular * jnp.sqrt(1.0 - ratio**2), ratio * angular
     cosine, sine = cosine_sine(turning * time)
-    fade = fading(rate * time)
-    return Swinging(fade * cosine, fade * sine / turning, rate, angular**2, 1.0 / angular**2)
+    fade = exp_neg(rate * time)
+    return DiscreteOscillator(fade * cosine, fade * sine / turning, rate, angular**2, 1.0 / angular**2)

@@ -12,14 +12,14 @@ from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.motion import Limits
 
 
-def envelope_of(position: np.ndarray, velocity: np.ndarray, load: np.ndarray, period: float) -> Envelope:
+def motion_envelope(position: np.ndarray, velocity: np.ndarray, load: np.ndarray, period: float) -> Envelope:
     """Within what a motion (m, m/s, [n] each) under a load (N) moves a drive, sampled each `period` (s)."""
     ends = float(np.min(position)), float(np.max(position))
     speed, lowest = float(np.max(np.abs(velocity))), float(np.min(load))
     return Envelope(ends, speed, lowest, period * (len(position) - 1), period)
 
 
-def envelope_within(limits: Limits, sampling: Sampling) -> Envelope:
+def limits_envelope(limits: Limits, sampling: Sampling) -> Envelope:
     """Within what any motion that keeps the limits of an axis moves it."""
     return Envelope(
         position=limits.stroke if np.all(np.isfinite(limits.stroke)) else None,
@@ -28,7 +28,7 @@ def envelope_within(limits: Limits, sampling: Sampling) -> Envelope:
     )
 
 
-def require_possible(drive: Drive, within: Envelope) -> None:
+def require_feasible(drive: Drive, within: Envelope) -> None:
     """Raise `ParameterError` that names the effect which no machine can have, or with which none can be computed.
 
     Each parameter is in its range by then (`check_drive`). Traced values cannot be looked at and are passed over.
@@ -43,7 +43,7 @@ def require_possible(drive: Drive, within: Envelope) -> None:
             machine = effect.alter(machine)
             if problem := _broken(machine, within.load):
                 raise ParameterError(f"effects.{effect.name}: with it {problem}")
-        machine = acting.altered(drive, drive.effects)
+        machine = acting.with_machine_effects(drive, drive.effects)
         for effect in drive.effects:
             if problem := effect.problem(machine, within):
                 raise ParameterError(f"effects.{effect.name}: {problem}")

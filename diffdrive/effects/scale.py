@@ -8,7 +8,7 @@ import numpy as np
 from diffdrive.effects.base import Envelope, ScaleEffect
 from diffdrive.effects.forces import too_many_turns
 from diffdrive.model.parameters import Drive, Scalar, quantity
-from diffdrive.numerics.turning import cosine_sine, doubled
+from diffdrive.numerics.turning import cosine_sine, double_angle
 
 
 def _backwards(linear: Any, height: Any, period: Any, within: Envelope) -> str | None:
@@ -63,5 +63,5 @@ class InterpolationError(ScaleEffect):
     def error(self, position: Scalar) -> Scalar:
         """The error within a signal period."""
         cosine, sine = cosine_sine(2.0 * jnp.pi * position / self.period)
-        cosine2, sine2 = doubled(cosine, sine)
+        cosine2, sine2 = double_angle(cosine, sine)
         return self.cosine * cosine + self.sine * sine + self.cosine2 * cosine2 + self.sine2 * sine2

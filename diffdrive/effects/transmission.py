@@ -25,10 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from diffdrive.effects.base import Acts, Envelope, Place, Seen, TableEffect
+from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.forces import too_many_turns
-from diffdrive.effects.oscillator import Oscillator, Swinging, swinging
-from diffdrive.model.friction import coulomb, resisting_midway, under
+from diffdrive.effects.oscillator import DiscreteOscillator, Oscillator, discretise
+from diffdrive.model.friction import coulomb, friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.numerics.once import once
 
@@ -52,7 +52,7 @@ class Screw(NamedTuple):
         return 0.5 * gap + jnp.maximum(jnp.abs(force), coulomb(drive.friction, 1.0, 0.0)) / stiffness
 
 
-class Motor(NamedTuple):
+class MotorState(NamedTuple):
     """The motor's deflection against the table, its friction's bristle (m), and both masses' last accelerations.
 
     The table's is not that of a rigid drive: the screw carries what friction holds.
@@ -64,12 +64,12 @@ class Motor(NamedTuple):
     rising: Scalar  # m/s^2, of the table
 
     @classmethod
-    def at_rest(cls) -> "Motor":
+    def at_rest(cls) -> "MotorState":
         """Nothing deflected."""
         return cls(Oscillator.at_rest(), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
 
 
-class Answer(NamedTuple):
+class Sensitivity(NamedTuple):
     """How motor and table answer, over a period, a change of one number at its beginning, per unit of it."""
 
     deflection: Scalar  # m, of the motor against the table, at the period's end
@@ -81,7 +81,7 @@ class Answer(NamedTuple):
 class _Pair(NamedTuple):
     """Motor and table on their way through a period."""
 
-    motor: Motor
+    motor: MotorState
     velocity: Scalar  # m/s, of the table
     bristle: Scalar  # m, of its friction
     impulse: Scalar  # N s, that the rigid drive needs beside the motor's force
@@ -101,7 +101,7 @@ class _Period(NamedTuple):
     ripple: Any
     constant: Scalar  # N, that pushes the table throughout
 
-    def end(self, pair: _Pair, drive: Drive, period: float) -> tuple[Motor, Acts]:
+    def end(self, pair: _Pair, drive: Drive, period: float) -> tuple[MotorState, Acts]:
         """The motor, and what the rigid drive needs."""
         force, shift = pair.acts(drive.plant.mass, period)
         return pair.motor, Acts(force=force + self.constant, shift=shift)
@@ -111,23 +111,23 @@ def _substeps(period: float) -> int:
     return math.ceil(round(period / LONGEST_SUBSTEP, 6))
 
 
-def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> _Period:
+def _period(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> _Period:
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
     angular, reduced = 2.0 * jnp.pi * screw.frequency, s * (1.0 - s) * mass
     parts = 1 if seen.ripple is None else len(seen.ripple)
     count = parts * _substeps(period / parts)
     h = period / count
-    pushed, friction, damping = seen.pushes(drive), under(drive.friction, seen.load), drive.plant.damping
+    pushed, friction, damping = seen.pushes(drive), friction_under_load(drive.friction, seen.load), drive.plant.damping
     # by products: divisions cost as much as the rest of the balance
     per_motor, per_share = 1.0 / (s * mass), 1.0 / (1.0 - s)
     per_table = per_share / mass
-    contact = swinging(angular, screw.damping, h)
+    contact = discretise(angular, screw.damping, h)
 
     def substep(pair: _Pair, ripple: Any) -> _Pair:
         (q, bristle, swing, rising), velocity, deflection, impulse, travel = pair
         middle = velocity + 0.5 * h * rising
-        table, deflection = resisting_midway(friction, damping, middle, deflection, h)
-        own, bristle = resisting_midway(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
+        table, deflection = midpoint_friction(friction, damping, middle, deflection, h)
+        own, bristle = midpoint_friction(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
         force = seen.force if ripple is None else seen.force + ripple
         push = (force - (1.0 - r) * own) * per_motor + (r * table - pushed) * per_table
         ahead = contact.step(q, push) if screw.gap is None else _loose(contact, 0.5 * screw.gap, q, push, h)
@@ -139,7 +139,7 @@ def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float)
         velocity = velocity + h * rising
         more = (pull - r * table) * per_share + table
         impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
-        return _Pair(Motor(ahead, bristle, swing, rising), velocity, deflection, impulse, travel)
+        return _Pair(MotorState(ahead, bristle, swing, rising), velocity, deflection, impulse, travel)
 
     zero = jnp.zeros_like(seen.velocity)
     begin = _Pair(motor, seen.velocity, seen.bristle, zero, zero)
@@ -147,7 +147,7 @@ def _period(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float)
     return _Period(begin, substep, count, ripple, pushed * per_share - seen.force - pushed)
 
 
-def _loose(contact: Swinging, half: Scalar, q: Oscillator, push: Scalar, h: float) -> Oscillator:
+def _loose(contact: DiscreteOscillator, half: Scalar, q: Oscillator, push: Scalar, h: float) -> Oscillator:
     """A motor with a dead zone of `half` to either side, a substep later."""
     midway = q.deflection + 0.5 * h * q.rate
     inside = jnp.clip(midway, -half, half)
@@ -161,7 +161,7 @@ def _loose(contact: Swinging, half: Scalar, q: Oscillator, push: Scalar, h: floa
     return Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
 
 
-def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) -> tuple[Motor, Acts]:
+def step_screw(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> tuple[MotorState, Acts]:
     """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
     way = _period(screw, motor, seen, drive, period)
 
@@ -171,10 +171,10 @@ def driven(screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float) 
     return way.end(lax.scan(body, way.begin, way.ripple, length=way.count)[0], drive, period)
 
 
-def driven_along(
-    screw: Screw, motor: Motor, seen: Seen, drive: Drive, period: float
-) -> tuple[Motor, Acts, tuple[Answer, ...]]:
-    """`driven`, and its answers to the table's velocity and bristle and to the motor's deflection and its rate.
+def step_screw_with_sensitivities(
+    screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float
+) -> tuple[MotorState, Acts, tuple[Sensitivity, ...]]:
+    """`step_screw`, and its answers to the table's velocity and bristle and to the motor's deflection and its rate.
 
     All are carried through one loop; the derivative of the loop would run it anew for each.
     """
@@ -195,14 +195,14 @@ def driven_along(
         nothing._replace(motor=still._replace(against=rest._replace(rate=one))),
     )
     (pair, tangents), _ = lax.scan(body, (way.begin, tangents), way.ripple, length=way.count)
-    answers = tuple(Answer(*one.motor.against, *one.acts(drive.plant.mass, period)) for one in tangents)
+    answers = tuple(Sensitivity(*one.motor.against, *one.acts(drive.plant.mass, period)) for one in tangents)
     return (*way.end(pair, drive, period), answers)
 
 
 class Transmission(TableEffect):
     """Between motor and table: the motor's force reaches the table through it."""
 
-    place: ClassVar[Place] = Place.BETWEEN
+    place: ClassVar[StepOrder] = StepOrder.BETWEEN
 
     @property
     @abc.abstractmethod
@@ -222,15 +222,17 @@ class Transmission(TableEffect):
 
     def init(self) -> Any:
         """The screw relaxed, in the middle of any dead zone."""
-        return Motor.at_rest()
+        return MotorState.at_rest()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """Free within a dead zone, an oscillator in contact, which lasts as long as it pushes."""
-        return driven(self.screw, state, seen, drive, period)
+        return step_screw(self.screw, state, seen, drive, period)
 
-    def step_along(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts, tuple[Answer, ...]]:
+    def step_along(
+        self, state: Any, seen: Seen, drive: Drive, period: float
+    ) -> tuple[Any, Acts, tuple[Sensitivity, ...]]:
         """`step`, and its answers to the table's velocity and bristle, and to the motor's deflection and its rate."""
-        return driven_along(self.screw, state, seen, drive, period)
+        return step_screw_with_sensitivities(self.screw, state, seen, drive, period)
 
 
 class Compliance(Transmission):

@@ -10,7 +10,7 @@ from typing import Any
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 from diffdrive.support.units import to_si
 
 
@@ -38,7 +38,9 @@ class ColumnMapping:
                 if channel not in READABLE:
                     raise LogError(f"[{table}] {channel}: no such channel; {_near(channel, known)}")
                 if not isinstance(text, str) or not text.strip():
-                    raise LogError(f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {shown(text)}")
+                    raise LogError(
+                        f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {short_repr(text)}"
+                    )
         for key, electric in FORCE_PER.items():
             gain = getattr(self, key)
             if gain is not None and not (math.isfinite(gain) and gain != 0):
@@ -51,7 +53,7 @@ class ColumnMapping:
                 known = [one for one in READABLE if one != "time"]
                 raise LogError(f"[shifts] {key}: no channel that can be moved; {_near(channel, known)}")
             if isinstance(by, bool) or not isinstance(by, int):
-                raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {shown(by)}")
+                raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {short_repr(by)}")
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
         held: dict[str, str] = {}
@@ -127,7 +129,7 @@ def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[s
     """From the tables of a drive file; raises `LogError` naming the key and the mend."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
-            raise LogError(f"[{name}] must be a table, got {shown(table)}")
+            raise LogError(f"[{name}] must be a table, got {short_repr(table)}")
     gains = {key: _gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
     plain = {key: unit for key, unit in units.items() if key not in FORCE_PER}
     return ColumnMapping(dict(columns), plain, **gains, shifts=dict(shifts))
@@ -158,12 +160,12 @@ def _gain(key: str, value: Any, where: str) -> float:
         except ValueError as problem:
             raise LogError(f"{where} {key}: {problem}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise LogError(f"{where} {key}: must be a number in {unit}, got {shown(value)}")
+        raise LogError(f"{where} {key}: must be a number in {unit}, got {short_repr(value)}")
     try:
         return float(value)
     except OverflowError:
         raise LogError(
-            f"{where} {key}: {shown(value)} is larger than any number that a computer reckons with"
+            f"{where} {key}: {short_repr(value)} is larger than any number that a computer reckons with"
         ) from None
 
 

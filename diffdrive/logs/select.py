@@ -13,7 +13,7 @@ from diffdrive.logs.column_unit import FORCES, Conversion, is_unit_of, split_uni
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import ColumnMapping
-from diffdrive.support.messages import listed
+from diffdrive.support.messages import quoted_names
 
 _EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
@@ -56,7 +56,7 @@ def _chosen(table: Table, mapping: ColumnMapping) -> dict[str, str]:
         found = _find(free, channel, channel, exact=False)
         if len(found) > 1:
             raise LogError(
-                f"{table.source}: the columns {listed(found)} may each be the {channel}; say which: [columns] "
+                f"{table.source}: the columns {quoted_names(found)} may each be the {channel}; say which: [columns] "
                 f'{channel} = "{found[0]}", or {_option(channel, found[0])}'
             )
         if found:
@@ -74,7 +74,7 @@ def missing(table: Table, channel: str) -> LogError:
     return LogError(
         f'{table.source}: no column is called "{channel}"; say which is the {READABLE[channel].meaning}, such as '
         f'[columns] {channel} = "{guess}" or {_option(channel, guess)}; the file has '
-        f"{listed(names, channel, 'columns')}{_unusable(table, channel)}"
+        f"{quoted_names(names, channel, 'columns')}{_unusable(table, channel)}"
     )
 
 
@@ -113,14 +113,14 @@ def _mapped(table: Table, channel: str, column: str) -> str:
         return found[0]
     if found:
         raise LogError(
-            f"{table.source}: [columns] {channel} = '{column}' fits {listed(found)}; write one of them in full"
+            f"{table.source}: [columns] {channel} = '{column}' fits {quoted_names(found)}; write one of them in full"
         )
     near = difflib.get_close_matches(column, list(table.columns), n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     without = "" if READABLE[channel].required else f"; a log needs no {channel}: leave that line out"
     raise LogError(
         f"{table.source}: [columns] {channel} = '{column}': no such column; {hint}the file has "
-        f"{listed(list(table.columns), column, 'columns')}{_unusable(table, column)}{without}"
+        f"{quoted_names(list(table.columns), column, 'columns')}{_unusable(table, column)}{without}"
     )
 
 

@@ -25,9 +25,9 @@ from diffdrive.controllers import Controller, FrictionCompensation, Reference
 from diffdrive.effects import acting
 from diffdrive.effects.base import Push
 from diffdrive.errors import ParameterError
-from diffdrive.loop.simulate import LoopState, move, start
+from diffdrive.loop.simulate import LoopState, initial_state, step_machine
 from diffdrive.model import actuator, plant, sensor
-from diffdrive.model.friction import bristle_at, steady_friction, stribeck_level
+from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.observers.load_estimator import FixedLoad
 from diffdrive.support.resources import require_memory
@@ -39,7 +39,7 @@ MATRICES = 4  # of a loop that are in memory at once: itself, and what solving n
 APART = 1e-12  # cosine below which left and right eigenvectors tell no derivative: a multiple mode
 
 
-class Operating(NamedTuple):
+class OperatingPoint(NamedTuple):
     """A steady motion: velocity (m/s; zero for a table at rest with a relaxed bristle) and applied load (N)."""
 
     velocity: Scalar
@@ -60,13 +60,13 @@ class OpenLoop(eqx.Module):
         return self.a + jnp.outer(self.b, self.c)
 
 
-def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Operating) -> OpenLoop:
+def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: OperatingPoint) -> OpenLoop:
     """The loop about the steady motion `at`; give the smooth variants of drive and controller.
 
     Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are those that it has settled
     to; that they too depend on its state is of second order where its innovation vanishes, and is left out.
     """
-    drive = acting.altered(drive, drive.effects)
+    drive = acting.with_machine_effects(drive, drive.effects)
     settled = _settled(drive, controller, sampling, at)
     held = (*HELD, "load") if _load_is_assumed(controller) else HELD
     moving, rebuild = _moving(settled, held)
@@ -81,8 +81,8 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
             state.controller, reference, measured, state.actuator.applied, sampling.period
         )
         asked = actuator.step(drive.actuator, state.actuator, command.force)
-        carried, applied = acting.through(drive.effects, state.effects, asked.applied, sampling.period)
-        table, carried, _ = move(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
+        carried, applied = acting.actuator_output(drive.effects, state.effects, asked.applied, sampling.period)
+        table, carried, _ = step_machine(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
         return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied.mean
 
     force = _steady_force(drive, at)
@@ -91,17 +91,17 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
     return _balanced(a, b, c, sampling.period)
 
 
-def _steady_force(drive: Drive, at: Operating) -> Scalar:
+def _steady_force(drive: Drive, at: OperatingPoint) -> Scalar:
     sliding = steady_friction(drive.friction, at.velocity, at.load)
     return sliding + drive.plant.damping.towards(at.velocity) * at.velocity - drive.plant.constant_force
 
 
-def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: Operating) -> LoopState:
+def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: OperatingPoint) -> LoopState:
     """The loop after `SETTLING` of the steady motion, with what the controller made of watching it."""
     force, velocity = _steady_force(drive, at), at.velocity
-    begin = start(drive, controller, jnp.zeros(()))
+    begin = initial_state(drive, controller, jnp.zeros(()))
     level = stribeck_level(drive.friction, velocity, at.load)
-    deflection = jnp.sign(velocity) * level / bristle_at(drive.friction, velocity, velocity, at.load).stiffness
+    deflection = jnp.sign(velocity) * level / lugre_coefficients(drive.friction, velocity, velocity, at.load).stiffness
     inside = begin.controller
     if isinstance(controller, FrictionCompensation):  # a filter that begins at the truth has only its gains to find
         before = -velocity * sampling.period  # its first step ends at the first position
@@ -118,23 +118,23 @@ def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: Opera
     way = velocity * sampling.period * jnp.arange(count)
     inside, _ = lax.scan(body, inside, way)
     table = plant.PlantState(velocity * sampling.period * count, velocity + 0.0 * force, deflection + 0.0 * force)
-    under_way = actuator.under_way(drive.actuator, force)
+    under_way = actuator.steady_state(drive.actuator, force)
     carried = _carried(drive, sampling, at, table, force, count)
     return LoopState(table, under_way, inside, begin.count, carried)
 
 
 def _carried(
-    drive: Drive, sampling: Sampling, at: Operating, table: plant.PlantState, force: Scalar, count: int
+    drive: Drive, sampling: Sampling, at: OperatingPoint, table: plant.PlantState, force: Scalar, count: int
 ) -> tuple[Any, ...]:
     """The effects after as long a steady motion."""
-    begin = acting.at_rest(drive.effects, force)
+    begin = acting.initial_states(drive.effects, force)
     if not drive.effects:
         return begin
 
     def body(carried: Any, k: Scalar) -> tuple[Any, None]:
         position = at.velocity * sampling.period * k
         seen = acting.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, at.load)
-        return acting.upon(drive.effects, carried, seen, drive, sampling.period)[0], None
+        return acting.table_action(drive.effects, carried, seen, drive, sampling.period)[0], None
 
     return lax.scan(body, begin, jnp.arange(1.0, count + 1.0))[0]
 
@@ -206,7 +206,7 @@ def response(loop: OpenLoop, frequency: Float[Array, " f"] | Float[np.ndarray, "
     return Response(jnp.asarray(frequency), -(value + bent), slope)
 
 
-def growth(loop: OpenLoop) -> Scalar:
+def growth_rate(loop: OpenLoop) -> Scalar:
     """Growth rate (1/s) of the closed loop's slowest decaying motion: below zero where the loop is stable.
 
     Differentiable once, where one mode or one oscillation leads: d(eigenvalue) = l dA r / (l r), by its eigenvectors.

@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
 
-from diffdrive.loop.linearise import OpenLoop, Response, growth, response
+from diffdrive.loop.linearise import OpenLoop, Response, growth_rate, response
 from diffdrive.model.parameters import Scalar
 
 LOWEST = 0.5  # Hz
@@ -35,7 +35,7 @@ class Margins(NamedTuple):
     crossover: Scalar  # Hz, the highest frequency with |L| = 1; 0 where there is none
 
 
-def frequencies(rate: float) -> Float[np.ndarray, " f"]:
+def frequency_grid(rate: float) -> Float[np.ndarray, " f"]:
     """Where margins are looked for (Hz): from `LOWEST` to half the control rate, where a response is real."""
     highest = 0.4999 * rate
     grid = np.geomspace(LOWEST, highest, int(PER_DECADE * np.log10(highest / LOWEST)))
@@ -44,7 +44,7 @@ def frequencies(rate: float) -> Float[np.ndarray, " f"]:
 
 def margins(loop: OpenLoop) -> Margins:
     """The margins of a loop; pure, differentiable once."""
-    critical = lax.stop_gradient(_critical(response(loop, frequencies(1.0 / loop.period))))
+    critical = lax.stop_gradient(_critical(response(loop, frequency_grid(1.0 / loop.period))))
     found = response(loop, critical.frequency)
     value, slope = jnp.where(critical.exists, found.loop, 1.0), found.slope
 
@@ -61,7 +61,7 @@ def margins(loop: OpenLoop) -> Margins:
     exists = critical.exists
     phase = jnp.abs(jnp.angle(-(value[2] + slope[2] * unit(2))))
     return Margins(
-        growth=growth(loop),
+        growth=growth_rate(loop),
         gain_up=jnp.where(exists[0], 1.0 / jnp.where(exists[0], real(0), 1.0), jnp.inf),
         gain_down=jnp.where(exists[1], real(1), jnp.inf),
         phase=jnp.where(exists[2], phase, jnp.inf),

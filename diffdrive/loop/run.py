@@ -102,18 +102,18 @@ class Run(Result):
         return self
 
 
-def sane_error(reference: np.ndarray, limits: Limits) -> float:
+def divergence_bound(reference: np.ndarray, limits: Limits) -> float:
     """The tracking error (m) beyond which a loop has diverged: ten times the travel, a tenth of a metre, the stroke."""
     low, high = limits.stroke
     return min(max(10.0 * float(np.ptp(reference)), 0.1), (high - low) if np.isfinite(high - low) else np.inf)
 
 
-def judged(run: Run, limits: Limits, force_limit: float | None, effects: Sequence[str] = ()) -> Run:
+def with_status(run: Run, limits: Limits, force_limit: float | None, effects: Sequence[str] = ()) -> Run:
     """The run with its status: finite, within a sane distance of its reference, and how much of it saturated.
 
     `effects` are those without which the same loop stays within its bounds, where that is known.
     """
-    reach = sane_error(run.reference, limits)
+    reach = divergence_bound(run.reference, limits)
     limit = np.inf if force_limit is None else force_limit
     with np.errstate(invalid="ignore", over="ignore"):
         faults = [("tracking error", run.error, ~(np.abs(run.error) <= reach), f"{reach:g} m")]

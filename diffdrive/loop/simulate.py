@@ -24,9 +24,9 @@ from diffdrive.effects import acting, possible
 from diffdrive.effects.base import Effect, Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.loop.metrics import safe_sqrt
-from diffdrive.loop.run import Run, judged
+from diffdrive.loop.run import Run, with_status
 from diffdrive.model import actuator, plant, sensor
-from diffdrive.model.friction import bristle_at, friction_force
+from diffdrive.model.friction import friction_force, lugre_coefficients
 from diffdrive.model.parameters import (
     Drive,
     Sampling,
@@ -37,13 +37,13 @@ from diffdrive.model.parameters import (
     in_precision_of,
     require_double_precision,
 )
-from diffdrive.motion.load import Ramp, require_possible, require_resolved
+from diffdrive.motion.load import Ramp, require_resolved, validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.once import once
 from diffdrive.numerics.pipeline import require_shorter
-from diffdrive.observers.convergence import advice
+from diffdrive.observers.convergence import convergence_warnings
 from diffdrive.observers.friction_observer import ObserverEstimate
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 from diffdrive.support.resources import require_memory
 
 GIVEN, KEPT, DOUBLE = 8, 14, 8  # arrays over the samples of a run, those over the kept ones, and bytes of a number
@@ -79,19 +79,19 @@ class LoopState(NamedTuple):
     effects: tuple[Any, ...] = ()
 
 
-def start(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
+def initial_state(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
     """Everything at rest at `position` (m), in its precision."""
     state = LoopState(
         plant.at_rest(position),
         actuator.init(drive.actuator),
         controller.init(position),
         jnp.zeros((), jnp.uint32),
-        acting.at_rest(drive.effects, jnp.zeros(())),
+        acting.initial_states(drive.effects, jnp.zeros(())),
     )
     return in_precision_of(position, state)
 
 
-def move(
+def step_machine(
     drive: Drive, sampling: Sampling, state: LoopState, push: Push, disturbance: Scalar, load: Scalar
 ) -> tuple[plant.PlantState, tuple[Any, ...], Drive]:
     """The table and the effects one period later, the actuator's `push` and a disturbance acting on the table; and the
@@ -104,35 +104,35 @@ def move(
         return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), (), drive
     time = sampling.period * state.count
     seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
-    carried, acts = acting.upon(effects, state.effects, seen, drive, sampling.period)
+    carried, acts = acting.table_action(effects, state.effects, seen, drive, sampling.period)
     carried, acts = once((carried, acts))
-    machine = acting.bent(drive, acts)
-    steps = acting.plant_steps(effects, sampling)
+    machine = acting.with_friction_offset(drive, acts)
+    steps = acting.plant_substeps(effects, sampling)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, steps)
-    shift = acts.shift + acting.displaced(drive, push.tilt, sampling.period)
+    shift = acts.shift + acting.slope_displacement(drive, push.tilt, sampling.period)
     return moved._replace(position=moved.position + shift), carried, machine
 
 
 def step(
     drive: Drive, controller: Controller, sampling: Sampling, key: Array | None, state: LoopState, inputs: Inputs
 ) -> tuple[LoopState, Frame]:
-    """One control period of the closed loop of a drive that has been `altered`."""
+    """One control period of the closed loop of a drive that has its machine effects in it."""
     table = state.plant
-    shown = table.position + acting.scale_error(drive.effects, table.position)
+    scale_position = table.position + acting.scale_error(drive.effects, table.position)
     normal = None
     if key is not None:  # the same noise in either precision
         drawn = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
-        normal = in_precision_of(shown, drawn)
-    measured = sensor.measure(drive.sensor, shown, normal)
+        normal = in_precision_of(scale_position, drawn)
+    measured = sensor.measure(drive.sensor, scale_position, normal)
     controller_state, command = controller.step(
         state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
     )
     controller_state, command = once((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
-    carried, applied = acting.through(drive.effects, state.effects, drive_state.applied, sampling.period)
+    carried, applied = acting.actuator_output(drive.effects, state.effects, drive_state.applied, sampling.period)
     before = state._replace(effects=carried)
-    moved, carried, bent = move(drive, sampling, before, applied, inputs.disturbance, inputs.load)
-    bristle = bristle_at(bent.friction, table.velocity, table.bristle, inputs.load)
+    moved, carried, bent = step_machine(drive, sampling, before, applied, inputs.disturbance, inputs.load)
+    bristle = lugre_coefficients(bent.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,
         velocity=table.velocity,
@@ -147,22 +147,22 @@ def step(
 
 # In reverse mode a step keeps its carry alone and is computed again on the way back: a fiftieth of the memory, and
 # faster too, since it stays in cache. In forward mode it changes nothing.
-recomputed = partial(jax.checkpoint, prevent_cse=False)
+rematerialised = partial(jax.checkpoint, prevent_cse=False)
 
 
 def _scanned(body: Callable[[Any, Any], tuple[Any, Any]], begin: Any, inputs: Any, kept: int) -> tuple[Any, Any]:
     """`lax.scan` that in reverse mode keeps the carry of each `kept`-th step and computes the steps between again."""
     if kept == 1:
-        return lax.scan(recomputed(body), begin, inputs)
+        return lax.scan(rematerialised(body), begin, inputs)
     if not isinstance(kept, int) or kept < 1:
         raise ParameterError(f"kept must be a whole number from 1 on, got {kept!r}")
     whole = len(jax.tree.leaves(inputs)[0]) // kept * kept
     chunks = jax.tree.map(lambda signal: signal[:whole].reshape(-1, kept, *signal.shape[1:]), inputs)
-    state, frames = lax.scan(recomputed(lambda state, at: lax.scan(body, state, at, unroll=kept)), begin, chunks)
+    state, frames = lax.scan(rematerialised(lambda state, at: lax.scan(body, state, at, unroll=kept)), begin, chunks)
     frames = jax.tree.map(lambda signal: signal.reshape(whole, *signal.shape[2:]), frames)
     if whole == len(jax.tree.leaves(inputs)[0]):
         return state, frames
-    state, last = lax.scan(recomputed(body), state, jax.tree.map(lambda signal: signal[whole:], inputs))
+    state, last = lax.scan(rematerialised(body), state, jax.tree.map(lambda signal: signal[whole:], inputs))
     return state, jax.tree.map(lambda some, rest: jnp.concatenate([some, rest]), frames, last)
 
 
@@ -179,21 +179,22 @@ def rollout(
     """Roll the loop over `inputs` ([n] each) and record each `every`-th frame: arrays of shape [n // every].
 
     Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
-    `begin` is the state to begin from (see `start`); by default at rest where the reference begins. In reverse mode the
-    state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile (docs/method/numerics.md).
+    `begin` is the state to begin from (see `initial_state`); by default at rest where the reference begins. In reverse
+    mode the state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile
+    (docs/method/numerics.md).
     """
     require_double_precision()
-    drive = acting.altered(drive, drive.effects)
+    drive = acting.with_machine_effects(drive, drive.effects)
 
     def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
         return step(drive, controller, sampling, key, state, at)
 
-    begin = start(drive, controller, inputs.reference.position[0]) if begin is None else begin
+    begin = initial_state(drive, controller, inputs.reference.position[0]) if begin is None else begin
     if every == 1:
         return _scanned(body, begin, inputs, kept)[1]
 
     def block(state: LoopState, chunk: Inputs) -> tuple[LoopState, Frame]:
-        state, frame = recomputed(body)(state, jax.tree.map(lambda signal: signal[0], chunk))
+        state, frame = rematerialised(body)(state, jax.tree.map(lambda signal: signal[0], chunk))
         rest = jax.tree.map(lambda signal: signal[1:], chunk)
         state, _ = _scanned(lambda s, at: (body(s, at)[0], None), state, rest, kept)
         return state, frame
@@ -228,13 +229,13 @@ def running_costs(
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
 
     `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `kept`: as `rollout`.
-    A loop has diverged whose tracking error is beyond `reach` (m; `run.sane_error`). It runs in the precision of the
-    arrays that it is given, all of one kind; its sums are always double.
+    A loop has diverged whose tracking error is beyond `reach` (m; `run.divergence_bound`). It runs in the precision of
+    the arrays that it is given, all of one kind; its sums are always double.
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
     require_double_precision()
-    drive = acting.altered(drive, drive.effects)
+    drive = acting.with_machine_effects(drive, drive.effects)
     limit = acting.force_limit(drive)
     limit = jnp.inf if limit is None else limit
 
@@ -261,7 +262,7 @@ def running_costs(
         return (state, frame.command, sums), None
 
     zero = jnp.zeros(())  # sums stay in double precision, whatever the loop runs in
-    begin = start(drive, controller, inputs.reference.position[0])
+    begin = initial_state(drive, controller, inputs.reference.position[0])
     still = jnp.zeros_like(begin.plant.position)
     at_first = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
     estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, at_first)[1].estimate)
@@ -286,7 +287,7 @@ def running_costs(
 compiled_rollout = eqx.filter_jit(rollout)
 
 
-def inputs_of(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
+def loop_inputs(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
     """A motion, a load and a disturbing force (N, [n] each; None: no force) as the arrays that `rollout` takes."""
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
     force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
@@ -319,9 +320,9 @@ def simulate(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
         )
     if not isinstance(every, int) or not 1 <= every < len(motion.time):
-        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {shown(every)}")
+        raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {short_repr(every)}")
     if isinstance(load, str):
-        raise MotionError(f"load must be in N, one number or one per sample, got {shown(load)}")
+        raise MotionError(f"load must be in N, one number or one per sample, got {short_repr(load)}")
     require_shorter(len(motion.time), (*drive.actuator.pipelines, *controller.pipelines))
     require_memory(
         ParameterError,
@@ -330,18 +331,18 @@ def simulate(
         "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
     )
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
-    loads = require_possible(drive, loads, motion.time)
+    loads = validated_load(drive, loads, motion.time)
     require_resolved(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
-    possible.require_possible(drive, possible.envelope_of(motion.position, motion.velocity, loads, sampling.period))
-    for problem in advice(controller, motion, loads, sampling.period):
+    possible.require_feasible(drive, possible.motion_envelope(motion.position, motion.velocity, loads, sampling.period))
+    for problem in convergence_warnings(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
     if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
-        raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {shown(seed)}")
+        raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {short_repr(seed)}")
     noisy = seed is not None and float(drive.sensor.noise) > 0
     key = jax.random.key(seed) if noisy else None
 
     def of(machine: Drive) -> tuple[Run, float | None]:
-        frames = compiled_rollout(*as_arrays((machine, controller)), inputs_of(motion, loads), sampling, key, every)
+        frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, every)
         limit = acting.force_limit(machine)
         return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
 
@@ -350,13 +351,13 @@ def simulate(
             drive, effects=tuple(one for one in drive.effects if not any(one is gone for gone in effects))
         )
         run, limit = of(machine)
-        return judged(run, limits, limit).status.ok
+        return with_status(run, limits, limit).status.ok
 
     run, limit = of(drive)
-    found = judged(run, limits, limit)
+    found = with_status(run, limits, limit)
     if found.status.ok or found.status.message.startswith("saturated") or not drive.effects:
         return found
     # gains are blamed only for what they do without the effects, too
     single = [[one] for one in drive.effects]
     guilty = next((some for some in (*single, list(drive.effects)) if sound_without(some)), [])
-    return judged(run, limits, limit, [one.name for one in guilty])
+    return with_status(run, limits, limit, [one.name for one in guilty])

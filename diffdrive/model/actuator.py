@@ -24,15 +24,15 @@ class ActuatorState(NamedTuple):
 def init(actuator: Actuator) -> ActuatorState:
     """No force now, none under way."""
     zero = jnp.zeros(())
-    return under_way(actuator, zero)
+    return steady_state(actuator, zero)
 
 
-def under_way(actuator: Actuator, force: Scalar) -> ActuatorState:
+def steady_state(actuator: Actuator, force: Scalar) -> ActuatorState:
     """The same force (N) for as long as the delay lasts, and before."""
     return ActuatorState(filled(force, actuator.delay_samples), force, force)
 
 
-def limited(actuator: Actuator, command: Scalar) -> Scalar:
+def saturate(actuator: Actuator, command: Scalar) -> Scalar:
     """The command within the force limit; with `limit_rounding`, the limit's corners are rounded by softplus."""
     limit, width = actuator.force_limit, actuator.limit_rounding
     if limit is None:
@@ -45,7 +45,7 @@ def limited(actuator: Actuator, command: Scalar) -> Scalar:
 
 def step(actuator: Actuator, state: ActuatorState, command: Scalar) -> ActuatorState:
     """The force for the coming period is `applied` of the state returned."""
-    now, pending = pushed(state.pending, limited(actuator, command))
+    now, pending = pushed(state.pending, saturate(actuator, command))
     share = actuator.delay_fraction
     applied = now if share is None else share * state.arrived + (1.0 - share) * now
     return ActuatorState(pending, now, applied)

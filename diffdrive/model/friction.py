@@ -15,13 +15,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from diffdrive.model.parameters import Directional, Friction, Scalar
-from diffdrive.numerics.exponential import LOG2_E, halving, raised
+from diffdrive.numerics.exponential import LOG2_E, bounded_power, exp2_neg
 from diffdrive.numerics.once import once
-from diffdrive.numerics.polynomial import inverse
+from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import decay, relaxation
 
 
-class Bristle(NamedTuple):
+class LuGreCoefficients(NamedTuple):
     """The LuGre coefficients at one velocity, load and direction."""
 
     stiffness: Scalar  # s0, N/m
@@ -39,15 +39,15 @@ def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
 
 def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
     """Friction level g(v), N, without the viscous part (eq. (5))."""
-    return under(friction, load).level(velocity)
+    return friction_under_load(friction, load).level(velocity)
 
 
-def bristle_at(friction: Friction, velocity: Scalar, deflection: Scalar, load: Scalar) -> Bristle:
+def lugre_coefficients(friction: Friction, velocity: Scalar, deflection: Scalar, load: Scalar) -> LuGreCoefficients:
     """The coefficients of eq. (4) at this velocity, bristle deflection and load."""
-    return under(friction, load).at(velocity, deflection)
+    return friction_under_load(friction, load).at(velocity, deflection)
 
 
-class Loaded(NamedTuple):
+class LoadedFriction(NamedTuple):
     """Friction under one load, for many velocities: what does not hang on these is computed once."""
 
     coulomb: Directional  # F_C, N
@@ -58,14 +58,14 @@ class Loaded(NamedTuple):
     viscous: Directional
     exponent: Scalar | None  # d, of the Stribeck curve; None: 1
 
-    def at(self, velocity: Scalar, deflection: Scalar) -> Bristle:
+    def at(self, velocity: Scalar, deflection: Scalar) -> LuGreCoefficients:
         """The coefficients of eq. (4) at this velocity and bristle deflection."""
         return self.under_level(self.level(velocity), velocity, deflection)
 
-    def under_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> Bristle:
+    def under_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> LuGreCoefficients:
         """The same with a friction level (N) that is known already."""
         stiffness = self.stiffness.towards(deflection)
-        return Bristle(
+        return LuGreCoefficients(
             stiffness=stiffness,
             damping=self.damping.towards(velocity),
             viscous=self.viscous.towards(velocity),
@@ -88,10 +88,10 @@ class Loaded(NamedTuple):
 
     def falling(self, speeds: Scalar) -> Scalar:
         """The share of the gap that is left at a speed times `halvings`."""
-        return halving(speeds if self.exponent is None else LOG2_E * raised(speeds, self.exponent))
+        return exp2_neg(speeds if self.exponent is None else LOG2_E * bounded_power(speeds, self.exponent))
 
 
-def under(friction: Friction, load: Scalar) -> Loaded:
+def friction_under_load(friction: Friction, load: Scalar) -> LoadedFriction:
     """The friction under an applied load (N)."""
     pressed = friction.initial_load + load
 
@@ -101,7 +101,7 @@ def under(friction: Friction, load: Scalar) -> Loaded:
     screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
     exponent = friction.stribeck_exponent
     base = LOG2_E if exponent is None else 1.0
-    return Loaded(
+    return LoadedFriction(
         Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
         friction.breakaway_gap,
         Directional(base / slow.positive, base / slow.negative),
@@ -112,7 +112,7 @@ def under(friction: Friction, load: Scalar) -> Loaded:
     )
 
 
-def friction_force(bristle: Bristle, velocity: Scalar, deflection: Scalar) -> Scalar:
+def friction_force(bristle: LuGreCoefficients, velocity: Scalar, deflection: Scalar) -> Scalar:
     """Friction force F, N (eq. (4))."""
     bristle_velocity = velocity - bristle.rate * deflection
     return bristle.stiffness * deflection + bristle.damping * bristle_velocity + bristle.viscous * velocity
@@ -124,7 +124,7 @@ def steady_friction(friction: Friction, velocity: Scalar, load: Scalar = 0.0) ->
     return jnp.sign(velocity) * level + friction.viscous.towards(velocity) * velocity
 
 
-def steepest_fall(friction: Friction, side: str) -> float:
+def steepest_stribeck_slope(friction: Friction, side: str) -> float:
     """The steepest fall of the Stribeck curve in one direction ("positive" or "negative"), N s/m, by its magnitude.
 
     From d = 1 on it is that of the curve itself, at rest for d = 1; below, where the curve leaves rest upright, that of
@@ -137,31 +137,31 @@ def steepest_fall(friction: Friction, side: str) -> float:
     return gap / width * steepest
 
 
-def slide(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:
+def deflection_after(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:
     """The bristle's deflection after `duration` at constant `velocity`: the exact solution of dz/dt = v - r z."""
     fade = decay(rate * duration)
     return fade.end * deflection + duration * fade.mean * velocity
 
 
-def sound(level: Scalar) -> Scalar:
+def nan_unless_positive(level: Scalar) -> Scalar:
     """A friction level (N), or NaN where it is not above zero, as an effect may make it: no bristle holds then."""
     return jnp.where(level > 0.0, level, jnp.nan)
 
 
-def relaxing(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
-    """`slide` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
-    level, bent = once((sound(level), duration * stiffness * jnp.abs(velocity)))
+def relaxation_map(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
+    """`deflection_after` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
+    level, bent = once((nan_unless_positive(level), duration * stiffness * jnp.abs(velocity)))
     fade = relaxation(bent, level)
-    share = inverse(fade.whole)
+    share = reciprocal(fade.whole)
     return once((fade.end * share, duration * fade.mean * share * velocity))
 
 
-def resisting_midway(
-    friction: Loaded, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
+def midpoint_friction(
+    friction: LoadedFriction, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
 ) -> tuple[Scalar, Scalar]:
     """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
     stiffness = friction.stiffness.towards(bristle)
-    stays, drawn = relaxing(stiffness, friction.level(velocity), velocity, 0.5 * step)
+    stays, drawn = relaxation_map(stiffness, friction.level(velocity), velocity, 0.5 * step)
     half = stays * bristle + drawn
     end = stays * half + drawn
     bending = friction.damping.towards(velocity) * ((end - bristle) * (1.0 / step))

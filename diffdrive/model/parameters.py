@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError, PrecisionError
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 from diffdrive.support.units import in_unit
 
 LONGEST_SUBSTEP, ITS_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
@@ -212,16 +212,18 @@ class Sampling(eqx.Module):
 
     def __check_init__(self) -> None:
         if not (isinstance(self.rate, int | float | np.number) and 10.0 <= self.rate <= 1e6):
-            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {shown(self.rate)}")
+            raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {short_repr(self.rate)}")
         whole = isinstance(self.substeps, int) and not isinstance(self.substeps, bool)
         if self.substeps is None:
             return
         if not (whole and self.substeps >= 1):
-            raise ParameterError(f"sampling.substeps must be a whole number of at least 1, got {shown(self.substeps)}")
+            raise ParameterError(
+                f"sampling.substeps must be a whole number of at least 1, got {short_repr(self.substeps)}"
+            )
         most = math.ceil(self.period / FINEST_SUBSTEP)
         if self.substeps > most:
             raise ParameterError(
-                f"sampling.substeps must be at most {most} at {self.rate:g} Hz, got {shown(self.substeps)}: finer "
+                f"sampling.substeps must be at most {most} at {self.rate:g} Hz, got {short_repr(self.substeps)}: finer "
                 "substeps gain nothing, since their error is below the last digit of a position"
             )
 
@@ -277,12 +279,12 @@ def check(module: Any, path: str = "") -> None:
             if isinstance(number, jax.core.Tracer):
                 continue
             if isinstance(number, bool) or not isinstance(number, int | float | np.number | np.ndarray | jax.Array):
-                problems.append(f"{name}{where} must be a number{in_unit(declared.unit)}, got {shown(number)}")
+                problems.append(f"{name}{where} must be a number{in_unit(declared.unit)}, got {short_repr(number)}")
                 continue
             try:
                 numbers = np.asarray(number, dtype=float)
             except OverflowError:  # a whole number that no float holds
-                problems.append(f"{name}{where} must be finite, got {shown(number)}")
+                problems.append(f"{name}{where} must be finite, got {short_repr(number)}")
                 continue
             if not np.all(np.isfinite(numbers)):
                 problems.append(f"{name}{where} must be finite, got {_told(numbers)}")
@@ -299,7 +301,9 @@ def check_drive(drive: Drive) -> None:
     check(drive)
     delay = drive.actuator.delay_samples
     if not isinstance(delay, int) or delay < 0:
-        raise ParameterError(f"actuator.delay_samples must be a whole number of samples, 0 or more, got {shown(delay)}")
+        raise ParameterError(
+            f"actuator.delay_samples must be a whole number of samples, 0 or more, got {short_repr(delay)}"
+        )
     fraction = drive.actuator.delay_fraction
     if fraction is not None and not isinstance(fraction, jax.core.Tracer) and not np.all(np.asarray(fraction) <= 1):
         raise ParameterError(

@@ -19,10 +19,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.model.friction import Loaded, sound, under
+from diffdrive.model.friction import LoadedFriction, friction_under_load, nan_unless_positive
 from diffdrive.model.parameters import Directional, Drive, Scalar
 from diffdrive.numerics.once import once
-from diffdrive.numerics.polynomial import inverse
+from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation
 
 UNROLLED = 5  # substeps in one piece: a lane by itself then takes a fifth less time (docs/evidence/performance.md)
@@ -39,7 +39,7 @@ class PlantState(NamedTuple):
 class _Table(NamedTuple):
     """The plant under one load, by the momentum p = 2 M / h: what the substeps of a period share."""
 
-    friction: Loaded
+    friction: LoadedFriction
     stiffness: Directional  # s0 h / p
     damping: Directional  # s1 / p
     resistance: Directional  # 1 + (mu_v + B) / p
@@ -49,7 +49,7 @@ class _Table(NamedTuple):
 
 
 def _table(drive: Drive, load: Scalar, step: float) -> _Table:
-    friction, damping, mass = under(drive.friction, load), drive.plant.damping, drive.plant.mass
+    friction, damping, mass = friction_under_load(drive.friction, load), drive.plant.damping, drive.plant.mass
     give = 0.5 * step / mass
 
     def resisting(viscous: Scalar, damping: Scalar) -> Scalar:
@@ -87,13 +87,13 @@ def _balance(table: _Table, slip: Scalar, deflection: Scalar) -> _Balance:
     """With the friction coefficients taken at velocity `slip`."""
     stiffness, damping = table.stiffness.towards(deflection), table.damping.towards(slip)
     # stages apart: what crosses is computed once, all else anew for each of its readers
-    level, bent = once((sound(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip))))
+    level, bent = once((nan_unless_positive(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip))))
     fade = relaxation(bent, level)
     yielding = stiffness * fade.mean_of_mean + damping * fade.mean
     resisting = table.resistance.towards(slip) * fade.whole + yielding
     holding = (stiffness * fade.mean - damping * fade.gone) * (1.0 / table.step)
-    holding, per_resistance = once((holding, inverse(resisting)))
-    share = inverse(fade.whole)
+    holding, per_resistance = once((holding, reciprocal(resisting)))
+    share = reciprocal(fade.whole)
     return _Balance(fade.whole, holding, per_resistance, fade.end * share, table.step * fade.mean * share)
 
 
@@ -166,7 +166,7 @@ def _pushes(push: Scalar, rippling: Any) -> tuple[Scalar, Scalar]:
     return (push, push) if rippling is None else (push + rippling[0], push + rippling[1])
 
 
-def advance_along(
+def advance_with_tangents(
     drive: Drive,
     state: PlantState,
     force: Scalar,

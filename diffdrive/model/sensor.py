@@ -6,7 +6,7 @@ from jax import lax
 from diffdrive.model.parameters import Scalar, Sensor
 
 
-def quantised(position: Scalar, resolution: Scalar) -> Scalar:
+def quantise(position: Scalar, resolution: Scalar) -> Scalar:
     """Rounded to the resolution; its derivative is the straight-through one (that of no quantiser at all).
 
     The true derivative is zero almost everywhere, which would cut the feedback loop out of every gradient.
@@ -19,4 +19,4 @@ def measure(sensor: Sensor, position: Scalar, normal: Scalar | None) -> Scalar:
     """Measured position; `normal` is a standard normal number, or None for no noise at all."""
     if normal is not None:
         position = position + sensor.noise * normal
-    return position if sensor.resolution is None else quantised(position, sensor.resolution)
+    return position if sensor.resolution is None else quantise(position, sensor.resolution)

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive.errors import MotionError
 from diffdrive.motion.motion import Motion, require_samples
-from diffdrive.motion.size import reckoned, require_resolved, require_room
+from diffdrive.motion.size import guarded_arithmetic, require_resolved, require_room
 
 
 def _positive(motion: str, **values: float) -> None:
@@ -54,7 +54,7 @@ def _pieces(
     """
     _finite(name, start=start)
     _positive(name, rate=rate)
-    with reckoned(name):
+    with guarded_arithmetic(name):
         return _integrated(name, pieces, rate, start, duration)
 
 
@@ -99,7 +99,7 @@ def triangular(
     centred stroke / speed + rounding / 2 apart, the first at `first_reversal` (s), by default after one such time.
     """
     _positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
-    with reckoned("triangular motion"):
+    with guarded_arithmetic("triangular motion"):
         apart, acceleration = stroke / speed + rounding / 2.0, 2.0 * speed / rounding
     first = apart if first_reversal is None else first_reversal
     _positive("triangular motion", first_reversal=first)
@@ -114,7 +114,7 @@ def triangular(
             f"triangular motion: reversals {apart:g} s apart are closer than the samples at {rate:g} Hz: lengthen the "
             "stroke, or slow the motion"
         )
-    with reckoned("triangular motion"):
+    with guarded_arithmetic("triangular motion"):
         require_room("triangular motion", duration, rate, pieces=2 * int(duration / apart))
     pieces = [(rounding / 2, acceleration, 0.0), (max(first - rounding, 0.0), 0.0, 0.0)]
     direction, elapsed = 1.0, first - rounding / 2
@@ -128,7 +128,7 @@ def triangular(
 def constant_speed(*, speed: float, ramp: float, duration: float, rate: float, start: float = 0.0) -> Motion:
     """From rest to `speed` (m/s, either sign) at constant acceleration over `ramp` (s), then on at that speed."""
     _positive("constant speed", speed=abs(speed), ramp=ramp, duration=duration)
-    with reckoned("constant speed"):
+    with guarded_arithmetic("constant speed"):
         acceleration = speed / ramp
     return _pieces("constant speed", [(ramp, acceleration, 0.0)], rate, start, duration)
 
@@ -175,7 +175,7 @@ def _to_and_fro(
         raise MotionError(f"{name}: repeats = {repeats!r} must be a whole number of at least 1")
     _positive(name, rate=rate)
     rest = _dwell(name, dwell)
-    with reckoned(name):
+    with guarded_arithmetic(name):
         cycle = rest + stroke(distance) + rest + stroke(-distance)
         require_room(name, repeats * sum(length for length, _, _ in cycle), rate, pieces=int(repeats) * len(cycle))
     return _pieces(name, cycle * int(repeats) + rest, rate, start)
@@ -248,7 +248,7 @@ def _waves(
     phase = -np.pi * number * (number + 1) / len(amplitude) if phases is None else np.asarray(phases, float)
     if phase.shape != amplitude.shape or not np.all(np.isfinite(phase)):
         raise MotionError(f"{name}: give as many phases (rad, finite) as amplitudes, or none")
-    with reckoned(name):
+    with guarded_arithmetic(name):
         angle = 2 * np.pi * np.outer(time, frequency) + phase
         omega = 2 * np.pi * frequency
         place = np.sin(angle) @ amplitude
@@ -281,7 +281,7 @@ def chirp(
     wave = [
         scipy_chirp(time, from_frequency, duration, to_frequency, method="linear", phi=phi) for phi in (0.0, 90.0)
     ]  # cos(angle), cos(angle + 90 deg) = -sin(angle)
-    with reckoned("chirp"):
+    with guarded_arithmetic("chirp"):
         slope = (to_frequency - from_frequency) / duration
         omega = 2 * np.pi * (from_frequency + slope * time)
         position = start + amplitude * (1.0 - wave[0])
@@ -302,7 +302,7 @@ def staircase(
     )
     rest = _dwell("staircase", dwell)
     pieces = list(rest)
-    with reckoned("staircase"):
+    with guarded_arithmetic("staircase"):
         for speed in speeds:
             pieces += _stroke(travel, speed, acceleration) + rest + _stroke(-travel, speed, acceleration) + rest
     return _pieces("staircase", pieces, rate, start)

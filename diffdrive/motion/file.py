@@ -10,8 +10,8 @@ from diffdrive.errors import MotionError
 from diffdrive.logs.column_unit import Conversion, conversion, split_unit
 from diffdrive.motion.builders import from_array
 from diffdrive.motion.motion import Motion
-from diffdrive.support.messages import listed, shortened
-from diffdrive.support.text_file import decoded
+from diffdrive.support.messages import quoted_names, shortened
+from diffdrive.support.text_file import decode_text
 
 # a log holds both: where the table should be is asked for again, not where the scale saw it
 _PREFERRED = ("reference", "position")
@@ -20,7 +20,7 @@ _PREFERRED = ("reference", "position")
 def read_motion(path: Path) -> str:
     """The text of a motion's file."""
     try:
-        return decoded(path.read_bytes())
+        return decode_text(path.read_bytes())
     except OSError as error:
         raise MotionError(f"{path}: cannot be read: {error.strerror or error}") from None
 
@@ -46,7 +46,8 @@ def parse_motion_table(text: str, path: str) -> Motion:
     if not found["time"] or taken is None or table.shape[1] != len(header):
         raise MotionError(
             f"{path}: needs a header line with the columns time and position (or reference), each with its unit unless "
-            f"it is s and m, such as 'time [s],position [mm]'; has {listed(header, taken or 'position', 'columns')}"
+            "it is s and m, such as 'time [s],position [mm]'; has "
+            f"{quoted_names(header, taken or 'position', 'columns')}"
         )
     time, place = (_in_si(table, header, channel, found[channel], path) for channel in ("time", taken))
     name = Path(path).name

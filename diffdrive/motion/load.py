@@ -104,7 +104,7 @@ def require_resolved(drive: Drive, highest: Scalar, fastest: float, sampling: Sa
             )
 
 
-def require_possible(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:
+def validated_load(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:
     """The load unchanged, or a `MotionError`: it must be finite, as long as the motion, and above minus the preload."""
     load = np.asarray(load, float)
     if load.shape != np.shape(time):

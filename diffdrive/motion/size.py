@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.errors import MotionError
-from diffdrive.support.resources import counted, require_memory
+from diffdrive.support.resources import format_count, require_memory
 
 # Bytes at the worst moment of making a motion (tests/test_motion_size.py measures them): arrays of doubles for each
 # sample, beside these some for each wave of a multisine, and what a piece of constant jerk takes in a list.
@@ -22,14 +22,14 @@ def require_room(name: str, duration: float, rate: float, *, pieces: int = 0, wa
     needed = samples * DOUBLE * (ARRAYS + ARRAYS_A_WAVE * waves) + PIECE * pieces
     require_memory(
         MotionError,
-        f"{name}: {duration:.6g} s at {rate:g} Hz are {counted(round(samples))} samples, which",
+        f"{name}: {duration:.6g} s at {rate:g} Hz are {format_count(round(samples))} samples, which",
         needed,
         "shorten or speed up the motion, or lower sampling.rate",
     )
 
 
 @contextlib.contextmanager
-def reckoned(name: str) -> Iterator[None]:
+def guarded_arithmetic(name: str) -> Iterator[None]:
     """Raise `MotionError` where the settings of a motion lead to numbers that no float can hold."""
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):

@@ -71,7 +71,7 @@ def number(text: str, unit: str, where: str) -> float:
         raise MotionError(f"{where}: {problem}") from None
 
 
-def require_rate(where: str, other: Axis, believed: Axis) -> None:
+def require_same_rate(where: str, other: Axis, believed: Axis) -> None:
     """Raises `ParameterError` for a machine or controller of another control rate: its delays are told in samples."""
     mine, theirs = other.sampling.rate, believed.sampling.rate
     if abs(mine / theirs - 1.0) > SAME_RATE:
@@ -81,7 +81,7 @@ def require_rate(where: str, other: Axis, believed: Axis) -> None:
         )
 
 
-def at_least_zero(text: str, unit: str, where: str) -> float:
+def nonnegative_number(text: str, unit: str, where: str) -> float:
     """Such a number that is not negative."""
     found = number(text, unit, where)
     if found < 0.0:
@@ -189,7 +189,7 @@ def require_choice(option: str, what: str, given: str, known: Iterable[str]) -> 
         raise ParameterError(f"{option}: no {what} '{given}'; known: {', '.join(known)}")
 
 
-def require_left(settle: float, name: str, motion: Motion) -> None:
+def require_longer_than(settle: float, name: str, motion: Motion) -> None:
     """Raise `ParameterError` unless something of the motion is left after the first `settle` seconds."""
     if not 0.0 <= settle < motion.duration:
         raise ParameterError(

@@ -36,7 +36,7 @@ _ARTANH = tuple(2.0 / (LN2 * (2 * k + 1)) for k in range(11))  # the first term 
 _P = tuple(1.0 / math.factorial(k + 2) for k in range(12))
 
 
-class Faded(NamedTuple):
+class ExpNegParts(NamedTuple):
     """exp(-x), and what it is made of where x is small."""
 
     end: Scalar  # exp(-x)
@@ -45,19 +45,19 @@ class Faded(NamedTuple):
 
 
 @jax.custom_jvp
-def fading(x: Scalar) -> Scalar:
+def exp_neg(x: Scalar) -> Scalar:
     """exp(-x) in the precision of x >= 0, or not far below; NaN stays NaN. Any order of derivative."""
-    return faded(x).end
+    return exp_neg_parts(x).end
 
 
-@fading.defjvp
+@exp_neg.defjvp
 def _fading_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     (x,), (along,) = primals, tangents
-    end = fading(x)
+    end = exp_neg(x)
     return end, -end * along
 
 
-def faded(x: Scalar) -> Faded:
+def exp_neg_parts(x: Scalar) -> ExpNegParts:
     """exp(-x) with its parts; its derivatives are the caller's."""
     single = _single(x)
     high, low = (_LN2_HIGH_SINGLE, _LN2_LOW_SINGLE) if single else (_LN2_HIGH, _LN2_LOW)
@@ -66,11 +66,11 @@ def faded(x: Scalar) -> Faded:
     r = (n * high - x) + n * low
     r2, near, far = _series(r)
     series = near + r2 * (r2 * far)
-    return Faded((1.0 + (r + r2 * series)) * _power(shifted), n == 0.0, series)
+    return ExpNegParts((1.0 + (r + r2 * series)) * _power(shifted), n == 0.0, series)
 
 
 @jax.custom_jvp
-def halving(y: Scalar) -> Scalar:
+def exp2_neg(y: Scalar) -> Scalar:
     """2^-y in the precision of y, from -`MOST_RAISED` on; NaN stays NaN. Any order of derivative.
 
     A lane by itself waits for each result. So y is told from n by a subtraction, its bound is kept last, and 2^-n
@@ -84,27 +84,27 @@ def halving(y: Scalar) -> Scalar:
     return jnp.where(y > most, 2.0**-most, end)
 
 
-@halving.defjvp
+@exp2_neg.defjvp
 def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     (y,), (along,) = primals, tangents
-    end = once(halving(y))  # once, however many tangents there are
+    end = once(exp2_neg(y))  # once, however many tangents there are
     return end, end * (-LN2 * along)
 
 
 @jax.custom_jvp
-def raised(y: Scalar, power: Scalar) -> Scalar:
+def bounded_power(y: Scalar, power: Scalar) -> Scalar:
     """y^power of y >= 0, at most 2^40, with slopes that are finite at y = 0 also where the power is below one."""
     told = y >= LEAST_BASE  # and no NaN, which stays one
     above = jnp.minimum(power * _log2(jnp.where(told, y, 1.0)), MOST_RAISED)
-    return jnp.where(told, halving(-above), 0.0 * y)
+    return jnp.where(told, exp2_neg(-above), 0.0 * y)
 
 
-@raised.defjvp
+@bounded_power.defjvp
 def _raised_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
     (y, power), (along_y, along_power) = primals, tangents
     small = y < LEAST_BASE
     safe = jnp.where(small, 1.0, y)  # keeps the branch not taken, and its derivative, finite
-    end = raised(y, power)
+    end = bounded_power(y, power)
     told = jnp.where(small | (end >= 2.0**MOST_RAISED), 0.0, end)
     # XLA's logarithm, since a second derivative needs the slope of it
     end, by_y, by_power = once((end, told * power / safe, told * jnp.log(safe)))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Scalar
-from diffdrive.support.resources import counted
+from diffdrive.support.resources import format_count
 
 LONGEST_TUPLE = 32  # up to here compiling takes no longer than without
 
@@ -36,6 +36,6 @@ def require_shorter(samples: int, names: Iterable[tuple[str, int]]) -> None:
     for name, length in names:
         if length >= samples:
             raise ParameterError(
-                f"{name} of {counted(length)} samples is as long as the motion of "
+                f"{name} of {format_count(length)} samples is as long as the motion of "
                 f"{samples} samples: nothing comes out of it before the end; shorten it"
             )

@@ -43,13 +43,13 @@ def _homogeneous_slope(
 
 
 @jax.custom_jvp
-def inverse(bottom: Scalar) -> Scalar:
+def reciprocal(bottom: Scalar) -> Scalar:
     """1 / bottom."""
     return 1.0 / bottom
 
 
-@inverse.defjvp
+@reciprocal.defjvp
 def _inverse_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     """Without a further division."""
-    found = once(inverse(*primals))
+    found = once(reciprocal(*primals))
     return found, -found * (found * tangents[0])  # the square of a small number is none in single precision

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.model.parameters import Scalar
-from diffdrive.numerics.exponential import faded
+from diffdrive.numerics.exponential import exp_neg_parts
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import homogeneous, polynomial
 
@@ -43,7 +43,8 @@ class Relaxation(NamedTuple):
 def relaxation(top: Scalar, bottom: Scalar) -> Relaxation:
     """`Relaxation` at x = top / bottom, where top >= 0 and bottom > 0; any order of derivative.
 
-    A `bottom` that is not above zero gives numbers that look like others: ask for it first (`friction.sound`).
+    A `bottom` that is not above zero gives numbers that look like others: guard it first
+    (`friction.nan_unless_positive`).
     """
     mean = once(homogeneous(_MEAN, top, bottom))
     square = bottom * bottom
@@ -61,7 +62,7 @@ class Decay(NamedTuple):
 @jax.custom_jvp
 def decay(x: Scalar) -> Decay:
     """`Decay` at x >= 0, exact to rounding from x = 0 (stick) to any x (traverse); any order of derivative."""
-    end, small, series = faded(x)
+    end, small, series = exp_neg_parts(x)
     return Decay(end, jnp.where(small, 1.0 - x * series, (1.0 - end) / jnp.where(small, 1.0, x)))
 
 

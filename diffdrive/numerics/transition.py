@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from diffdrive.model.friction import Bristle
+from diffdrive.model.friction import LuGreCoefficients
 from diffdrive.model.parameters import Plant, Scalar
-from diffdrive.numerics.exponential import fading
+from diffdrive.numerics.exponential import exp_neg
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import polynomial
 
@@ -67,8 +67,8 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     per_root = 1.0 / root
     # real and apart: the slow eigenvalue from det / (m + sqrt D), which does not cancel
     fast = mean_rate * time + jnp.where(apart, root, 0.0)
-    slow_or_mean = fading(jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
-    fast_end = fading(fast)
+    slow_or_mean = exp_neg(jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
+    fast_end = exp_neg(fast)
     # both stages apart: cosh and sinh each read them, and would compute them anew
     slow_or_mean, fast_end = once((slow_or_mean, fast_end))
     # the rest: half the angle, or q itself, into the series; then double once
@@ -82,7 +82,7 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     return once((cosh, time * sinh))
 
 
-def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -> Transition:
+def transition(plant: Plant, bristle: LuGreCoefficients, velocity: Scalar, time: Scalar) -> Transition:
     """`Transition` over `time` (s) with the friction coefficients frozen at `velocity` (m/s)."""
     rate = bristle.rate
     drag = bristle.viscous + plant.damping.towards(velocity)
@@ -106,7 +106,7 @@ def transition(plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar) -
 
 
 def state_matrices(
-    plant: Plant, bristle: Bristle, velocity: Scalar, time: Scalar
+    plant: Plant, bristle: LuGreCoefficients, velocity: Scalar, time: Scalar
 ) -> tuple[tuple[tuple[Scalar, ...], ...], tuple[Scalar, ...]]:
     """Ad (3 by 3) and Bd (3) of X = [x, v, z] under a constant force (paper, eqs. (8) and (9)), as nested tuples."""
     exponential, integral, double = transition(plant, bristle, velocity, time)

@@ -15,7 +15,7 @@ from jax import lax
 from diffdrive.model.parameters import Scalar
 from diffdrive.numerics.polynomial import polynomial
 
-MOST_TURNS = 1e9  # of an angle: there its own rounding is a millionth of a radian, and grows with it
+MAX_TURNS = 1e9  # of an angle: there its own rounding is a millionth of a radian, and grows with it
 _QUARTERS = 2.0 / math.pi
 _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8))  # in r^2; what is left out is 5e-17
 _COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(9))
@@ -62,11 +62,11 @@ def _turned(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[tuple[Scal
     return (cosine, sine), (-sine * tangents[0], cosine * tangents[0])
 
 
-def doubled(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
+def double_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
     """Of twice the angle."""
     return 2.0 * cosine * cosine - 1.0, 2.0 * cosine * sine
 
 
-def tripled(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
+def triple_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
     """Of three times the angle."""
     return cosine * (4.0 * cosine * cosine - 3.0), sine * (3.0 - 4.0 * sine * sine)

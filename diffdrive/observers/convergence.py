@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import LoadEstimatorError
-from diffdrive.model.friction import bristle_at, steady_friction, stribeck_level
+from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
 from diffdrive.model.parameters import Friction, Scalar, as_arrays, require_double_precision
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.transition import state_matrices
@@ -54,11 +54,11 @@ def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, 
     """
     plant, friction, tuning = observer.plant, observer.friction, observer.tuning
     level = stribeck_level(friction, velocity, load)
-    deflection = jnp.sign(velocity) * level / bristle_at(friction, velocity, velocity, load).stiffness
+    deflection = jnp.sign(velocity) * level / lugre_coefficients(friction, velocity, velocity, load).stiffness
     u = (
         steady_friction(friction, velocity, load) + plant.damping.towards(velocity) * velocity
     )  # the force that slides it
-    ad, _ = state_matrices(plant, bristle_at(friction, velocity, deflection, load), velocity, period)
+    ad, _ = state_matrices(plant, lugre_coefficients(friction, velocity, deflection, load), velocity, period)
     ad = jnp.stack([jnp.stack([jnp.asarray(entry, jnp.float64) for entry in row]) for row in ad])
     omega = steady_covariance(ad, jnp.stack(as_arrays(tuning.process)), tuning.measurement)
     k = omega[:, 0] / (omega[0, 0] + tuning.measurement)
@@ -67,8 +67,8 @@ def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, 
         """The observer in the frame that moves with the table; `error` (N) is what its Coulomb friction lacks."""
         wrong = _with_coulomb(friction, -error)
         x = tuple(state)
-        ad, bd = state_matrices(plant, bristle_at(wrong, x[1], x[2], load), x[1], period)
-        predicted = jnp.stack([p + b * u for p, b in zip(kalman.times(ad, x), bd, strict=True)])
+        ad, bd = state_matrices(plant, lugre_coefficients(wrong, x[1], x[2], load), x[1], period)
+        predicted = jnp.stack([p + b * u for p, b in zip(kalman.matvec(ad, x), bd, strict=True)])
         predicted = predicted.at[0].add(-velocity * period)
         updated = predicted - k * predicted[0]
         change = estimated_friction(wrong, tuple(updated), load) - estimated_friction(wrong, tuple(predicted), load)
@@ -123,16 +123,16 @@ def time_constants(
         return np.where(converges, -period / np.log(np.maximum(kept, 1e-300)), np.inf)
 
 
-def printed_observer(controller: Controller) -> KalmanObserver | None:
+def innovation_load_observer(controller: Controller) -> KalmanObserver | None:
     """The observer with an eq. (20) estimator in this controller, if there is one; its numbers may be traced."""
     observer = controller.observer if isinstance(controller, FrictionCompensation) else None
     printed = isinstance(observer, KalmanObserver) and isinstance(observer.load_estimator, InnovationLoad)
     return observer if printed else None
 
 
-def printed_estimator(controller: Controller) -> KalmanObserver | None:
+def active_innovation_load_observer(controller: Controller) -> KalmanObserver | None:
     """The observer with an eq. (20) estimator in this controller, if there is one and it is switched on."""
-    observer = printed_observer(controller)
+    observer = innovation_load_observer(controller)
     return None if observer is None or not float(observer.load_estimator.gain) > 0 else observer
 
 
@@ -172,12 +172,12 @@ def _verdict(speeds: Sequence[float]) -> str:
     )
 
 
-def advice(controller: Controller, motion: Motion, load: np.ndarray, period: float) -> list[str]:
+def convergence_warnings(controller: Controller, motion: Motion, load: np.ndarray, period: float) -> list[str]:
     """What is wrong with using this controller's eq. (20) estimator on this motion under this load (N), if anything.
 
     It must converge at the motion's working speeds under its lowest and highest load, and not cruise at its gate.
     """
-    observer = printed_estimator(controller)
+    observer = active_innovation_load_observer(controller)
     if observer is None:
         return []
     deciles = np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from diffdrive.model.friction import bristle_at, friction_force
+from diffdrive.model.friction import friction_force, lugre_coefficients
 from diffdrive.model.parameters import Friction, Plant, Scalar, quantity, quantity_table
 from diffdrive.numerics.once import once
 from diffdrive.numerics.transition import state_matrices, transition
@@ -84,7 +84,7 @@ class Tuning(eqx.Module):
 def estimated_friction(friction: Friction, x: kalman.Vector, load: Scalar) -> Scalar:
     """Fhat = [0, s1 + mu_v, s0 (1 - s1 |v| / g)] Xhat (paper, eq. (18))."""
     _, velocity, deflection = x
-    return friction_force(bristle_at(friction, velocity, deflection, load), velocity, deflection)
+    return friction_force(lugre_coefficients(friction, velocity, deflection, load), velocity, deflection)
 
 
 # paths of the filter's noise covariances: Q of each state, and R
@@ -126,14 +126,14 @@ class KalmanObserver(FrictionObserver):
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
     ) -> tuple[ObserverState, ObserverEstimate]:
         _, velocity, deflection = state.x
-        bristle = once(bristle_at(self.friction, velocity, deflection, state.load))
+        bristle = once(lugre_coefficients(self.friction, velocity, deflection, state.load))
         ad, bd = state_matrices(self.plant, bristle, velocity, period)
         u = force + self.plant.constant_force
-        predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
+        predicted = tuple(p + b * u for p, b in zip(kalman.matvec(ad, state.x), bd, strict=True))
         omega = kalman.predict_covariance(state.covariance, ad, self.tuning.process)
         predicted, omega = once((predicted, omega))
 
-        k = kalman.gain(omega, self.tuning.measurement)
+        k = kalman.kalman_gain(omega, self.tuning.measurement)
         innovation = position - predicted[0]
         updated = tuple(p + g * innovation for p, g in zip(predicted, k, strict=True))
         omega = kalman.update_covariance(omega, k, self.tuning.measurement)
@@ -202,16 +202,16 @@ class LoadStateObserver(FrictionObserver):
     ) -> tuple[ObserverState, ObserverEstimate]:
         friction = self.friction
         _, velocity, deflection = state.x
-        bristle = bristle_at(friction, velocity, deflection, state.load)
+        bristle = lugre_coefficients(friction, velocity, deflection, state.load)
         ad, bd = state_matrices(self.plant, bristle, velocity, period)
         column = self._load_column(bristle, velocity, deflection, period)
         u = force + self.plant.constant_force
-        predicted = tuple(p + b * u for p, b in zip(kalman.times(ad, state.x), bd, strict=True))
+        predicted = tuple(p + b * u for p, b in zip(kalman.matvec(ad, state.x), bd, strict=True))
         ad4 = (*((*row, c) for row, c in zip(ad, column, strict=True)), (0.0, 0.0, 0.0, 1.0))
         omega = kalman.predict_covariance(state.covariance, ad4, self.tuning.process)
         predicted, omega = once((predicted, omega))
 
-        k = kalman.gain(omega, self.tuning.measurement)
+        k = kalman.kalman_gain(omega, self.tuning.measurement)
         innovation = position - predicted[0]
         updated = tuple(p + g * innovation for p, g in zip(predicted, k[:3], strict=True))
         load = state.load + k[3] * innovation
@@ -226,4 +226,4 @@ class LoadStateObserver(FrictionObserver):
         push = bristle.rate * deflection / bristle.level * self.friction.load_coefficient.towards(velocity)
         source = (-bristle.damping * push / self.plant.mass, push)
         _, integral, double = transition(self.plant, bristle, velocity, period)
-        return (kalman.dot(double[0], source), *kalman.times(integral, source))
+        return (kalman.dot(double[0], source), *kalman.matvec(integral, source))

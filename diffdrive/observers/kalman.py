@@ -30,7 +30,7 @@ def dot(a: Vector, b: Vector) -> Scalar:
     return total
 
 
-def times(matrix: Matrix, vector: Vector) -> Vector:
+def matvec(matrix: Matrix, vector: Vector) -> Vector:
     """Matrix times vector."""
     return tuple(dot(row, vector) for row in matrix)
 
@@ -39,7 +39,7 @@ def _triangle(size: int, entry: Any) -> Triangle:
     return tuple(tuple(entry(i, j) for j in range(i, size)) for i in range(size))
 
 
-def whole(covariance: Triangle) -> Matrix:
+def full_matrix(covariance: Triangle) -> Matrix:
     """The matrix of which this is the upper triangle."""
     size = len(covariance)
     return tuple(tuple(covariance[min(i, j)][abs(i - j)] for j in range(size)) for i in range(size))
@@ -47,13 +47,13 @@ def whole(covariance: Triangle) -> Matrix:
 
 def predict_covariance(covariance: Triangle, ad: Matrix, process_noise: Vector) -> Triangle:
     """Ad Omega Ad' + diag(Q) (paper, eq. (14))."""
-    omega = whole(covariance)
-    moved = tuple(times(omega, row) for row in ad)  # row i: Omega Ad[i]'
+    omega = full_matrix(covariance)
+    moved = tuple(matvec(omega, row) for row in ad)  # row i: Omega Ad[i]'
     size = len(ad)
     return _triangle(size, lambda i, j: dot(ad[j], moved[i]) + (process_noise[i] if i == j else 0.0))
 
 
-def gain(covariance: Triangle, measurement_noise: Scalar) -> Vector:
+def kalman_gain(covariance: Triangle, measurement_noise: Scalar) -> Vector:
     """K_s = Omega C' (C Omega C' + R)^-1 (paper, eq. (17))."""
     certainty = 1.0 / (covariance[0][0] + measurement_noise)
     return tuple(row * certainty for row in covariance[0])

@@ -31,7 +31,7 @@ def _written_out(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """`repr` of a value, shortened: a list of a thousand lists, or a number of 400 digits, is known by its ends."""
     return shortened(_REPR.repr(value), 2 * LONGEST)
 
@@ -41,12 +41,12 @@ def shortened(text: str, longest: int = LONGEST) -> str:
     return text if len(text) <= longest else f"{text[: longest - 20]}...{text[-17:]}"
 
 
-def listed(names: Collection[str], wanted: str = "", what: str = "names") -> str:
+def quoted_names(names: Collection[str], wanted: str = "", what: str = "names") -> str:
     """Names in quotes, all of them where they are few; of many how many there are, and those near `wanted`."""
     if len(names) <= MOST_LISTED:
         return ", ".join(f"'{shortened(name)}'" for name in names)
     near = difflib.get_close_matches(wanted, names, n=NEAREST)
     if near:
-        return f"{len(names)} {what}; near '{shortened(wanted)}' are {listed(near)}"
+        return f"{len(names)} {what}; near '{shortened(wanted)}' are {quoted_names(near)}"
     first = [name for name, _ in zip(names, range(2 * NEAREST), strict=False)]
-    return f"{len(names)} {what}, {listed(first)} and {len(names) - len(first)} more"
+    return f"{len(names)} {what}, {quoted_names(first)} and {len(names) - len(first)} more"

@@ -31,12 +31,12 @@ def _begin(initializer: Callable[[], None] | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the process that asked decides
     parent = multiprocessing.parent_process()
     assert parent is not None
-    ends_with(parent.join)
+    exit_after(parent.join)
     if initializer is not None:
         initializer()
 
 
-def ends_with(wait: Callable[[], object]) -> None:
+def exit_after(wait: Callable[[], object]) -> None:
     """End this process and those that it has begun, whatever they compute, once `wait` has returned."""
 
     def watch() -> None:

@@ -36,8 +36,8 @@ def require_memory(error: type[DiffdriveError], request: str, needed: float, men
     """Raise `error` where `request` takes more than the memory that is there (`needed`, bytes)."""
     there = memory_available()
     if needed > there:
-        takes = f"would take about {in_bytes(needed)} of memory"
-        raise error(f"{request} {takes}, and {in_bytes(there)} are free: {mend}")
+        takes = f"would take about {format_bytes(needed)} of memory"
+        raise error(f"{request} {takes}, and {format_bytes(there)} are free: {mend}")
 
 
 def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed: float, mend: str) -> None:
@@ -45,21 +45,22 @@ def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed
     there = shutil.disk_usage(folder).free
     if needed > there:
         raise error(
-            f"{request} would write about {in_bytes(needed)}, and {in_bytes(there)} of the disk are free: {mend}"
+            f"{request} would write about {format_bytes(needed)}, and {format_bytes(there)} of the disk are free: "
+            f"{mend}"
         )
 
 
-def in_bytes(count: float) -> str:
+def format_bytes(count: float) -> str:
     """A number of bytes as people say it."""
     return _scaled(count, _SIZES, "B")
 
 
-def in_time(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A duration as people say it."""
     return _scaled(seconds, _TIMES, "s")
 
 
-def counted(count: float) -> str:
+def format_count(count: float) -> str:
     """A count: in full where that can be read, else by its magnitude."""
     return f"{count}" if count < 1e6 else f"{_float(count):.3g}"
 

@@ -16,7 +16,7 @@ SMALLER = {
 Span = tuple[float, float | None, float | None]  # a number, and its interval where one is known
 
 
-def spelled(span: Span) -> tuple[str, str, str]:
+def format_span(span: Span) -> tuple[str, str, str]:
     """The number and the ends of its interval, all to the same place; "-" for an end that is not known."""
     value, low, high = span
     half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{SHOWN - 1}e}")
@@ -30,15 +30,15 @@ def spelled(span: Span) -> tuple[str, str, str]:
     return at, low_said, high_said
 
 
-def listed(spans: Sequence[Span], unit: str) -> str:
+def format_spans(spans: Sequence[Span], unit: str) -> str:
     """Each number with its interval and the unit, log by log where there are several; unit "1" is none."""
-    spans, unit = scaled(spans, unit)
+    spans, unit = rescaled(spans, unit)
     after = "" if unit == "1" else f" {unit}"
-    shown = ["{} ({} to {})".format(*spelled(one)) + after for one in spans]
+    shown = ["{} ({} to {})".format(*format_span(one)) + after for one in spans]
     return ", ".join(f"log {k}: {one}" for k, one in enumerate(shown, start=1)) if len(shown) > 1 else shown[0]
 
 
-def scaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:
+def rescaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:
     """The same in millimetres, micrometres or milliseconds where the largest is small for its unit."""
     largest = max((abs(one) for span in spans for one in span if one is not None), default=0.0)
     for below, factor, smaller in SMALLER.get(unit, ()):

@@ -17,17 +17,17 @@ _MARKS = (
 )
 
 
-def encoding_of(raw: bytes) -> str:
+def detect_encoding(raw: bytes) -> str:
     """The encoding that a byte-order mark names; UTF-8 without one."""
     return next((name for mark, name in _MARKS if raw.startswith(mark)), "utf-8")
 
 
-def decoded(raw: bytes) -> str:
+def decode_text(raw: bytes) -> str:
     """The text of a file whose letters matter little, as those of a log: Latin-1 where it is no UTF-8.
 
     What a byte-order mark says goes before; a character that was cut off there is replaced.
     """
-    encoding = encoding_of(raw)
+    encoding = detect_encoding(raw)
     if encoding != "utf-8":
         return raw.decode(encoding, errors="replace")
     try:
@@ -41,7 +41,7 @@ def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> dict[str,
 
     Raises `error`, one line that names the file (`where`), the line and the mend.
     """
-    encoding = encoding_of(raw)
+    encoding = detect_encoding(raw)
     try:
         return tomllib.loads(raw.decode(encoding))
     except UnicodeDecodeError as problem:
@@ -67,7 +67,7 @@ def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> dict[str,
 
 def _unmarked(raw: bytes, where: str) -> str | None:
     """What is wrong with a text whose first letters hold zeros, but whose encoding no mark names."""
-    unmarked = b"\x00" in raw[:4] and encoding_of(raw) == "utf-8"
+    unmarked = b"\x00" in raw[:4] and detect_encoding(raw) == "utf-8"
     return f"{where}: is UTF-16 without a byte-order mark, or binary: save it as UTF-8" if unmarked else None
 
 

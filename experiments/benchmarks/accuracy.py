@@ -10,7 +10,7 @@ import numpy as np
 
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.builders import triangular
@@ -42,7 +42,7 @@ def integrator_errors() -> list[list[Any]]:
 
 def _motion_inputs(speed: float, rounding: float, rate: float) -> Any:
     motion = triangular(speed=speed, stroke=speed * (0.5 - rounding / 2), rounding=rounding, duration=1.0, rate=rate)
-    return inputs_of(motion, np.zeros(len(motion.time)))
+    return loop_inputs(motion, np.zeros(len(motion.time)))
 
 
 def errors_of_random_drives() -> list[list[Any]]:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.loop.simulate import Inputs, start, step
+from diffdrive.loop.simulate import Inputs, initial_state, step
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
 
 DEAR = {"div": 8, "sqrt": 10, "exp": 12, "sin": 20, "cos": 20, "tanh": 20, "logistic": 16, "pow": 30}  # in vectors
@@ -44,7 +44,7 @@ def of_step(drive: Drive, controller: Controller, sampling: Sampling) -> int:
     """Operations of one control step of the closed loop."""
     machine, control = as_arrays((drive, controller))
     zero = jnp.zeros(())
-    begin = start(machine, control, zero)
+    begin = initial_state(machine, control, zero)
     inputs = Inputs(Reference(zero, zero, zero), zero, zero)
     traced = jax.make_jaxpr(lambda state, given: step(machine, control, sampling, None, state, given))
     return operations(traced(begin, inputs).jaxpr)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from diffdrive.runtime import configure, keep_compiled
+from diffdrive.runtime import configure, enable_compilation_cache
 from diffdrive.support.atomic_write import FULL
 from diffdrive.support.messages import printable
 from experiments.cli.ending import INTERRUPTED, out_of, watched
@@ -154,7 +154,7 @@ def tune(
     """
     from diffdrive.axis_file.drive_file import read_axis
     from diffdrive.errors import ParameterError
-    from diffdrive.motion.text import at_least_zero, number, numbers, require_choice
+    from diffdrive.motion.text import nonnegative_number, number, numbers, require_choice
     from experiments.reports.report import Report
     from experiments.reports.tuning import tune_drive
     from tuning.gains.objective import AGGREGATIONS, Objective
@@ -163,7 +163,7 @@ def tune(
 
     description = read_axis(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
-    highest = at_least_zero(max_load, "N", "--max-load")
+    highest = nonnegative_number(max_load, "N", "--max-load")
     if gain_margin > MOST_GAIN_MARGIN:
         raise ParameterError(
             f"--gain-margin {gain_margin:g}: must be at most {MOST_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
@@ -175,8 +175,8 @@ def tune(
         gain_down=factor,
         phase=math.radians(phase_margin),
         sensitivity=sensitivity,
-        command_noise=None if noise is None else at_least_zero(noise, "N", "--noise"),
-        load_error=None if load_error is None else at_least_zero(load_error, "N", "--load-error"),
+        command_noise=None if noise is None else nonnegative_number(noise, "N", "--noise"),
+        load_error=None if load_error is None else nonnegative_number(load_error, "N", "--load-error"),
     )
     plan = TuningPlan(
         speed=number(speed, "m/s", "--speed"), max_load=highest, loads=loads, spread=spread, machines=machines,
@@ -370,7 +370,7 @@ app.add_typer(studies)
 def main() -> None:
     """Run the command line: expected errors in one line, without a traceback, and code 2."""
     configure()
-    keep_compiled()
+    enable_compilation_cache()
     error = Console(stderr=True, markup=False, emoji=False, highlight=False)
     warnings.showwarning = _plain_warning(error)
     with watched(out_of(sys.argv[1:])) as watch:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from diffdrive.errors import ParameterError
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 
 MOST = 2**63  # beyond: what the libraries count in
 
@@ -22,14 +22,14 @@ def finite(param: typer.CallbackParam, value: float | None) -> float | None:
 def seed_of(param: typer.CallbackParam, value: int | None) -> int | None:
     """A seed that every generator takes."""
     if value is not None and not 0 <= value < MOST:
-        raise ParameterError(f"{param.opts[0]}: must be a whole number from 0 to 2^63 - 1, got {shown(value)}")
+        raise ParameterError(f"{param.opts[0]}: must be a whole number from 0 to 2^63 - 1, got {short_repr(value)}")
     return value
 
 
 def count_of(param: typer.CallbackParam, value: int | None) -> int | None:
     """A count that the machine can count to."""
     if value is not None and value >= MOST:
-        raise ParameterError(f"{param.opts[0]}: must be less than 2^63, got {shown(value)}")
+        raise ParameterError(f"{param.opts[0]}: must be less than 2^63, got {short_repr(value)}")
     return value
 
 

@@ -75,13 +75,13 @@ def sweep(
 
     Example: `diffdrive sweep drive.toml --spread 3% --vary "load=uniform:0..12 kN" --tolerance 2um --out swept`
     """
-    from diffdrive.runtime import with_accelerator
+    from diffdrive.runtime import allow_accelerator
     from experiments.reports.sweep.sweep import sweep_drive
     from tuning.sweeps.spec import SweepSpec
     from tuning.sweeps.varying import tolerance_of, varying
 
     if workers is None or cluster is not None:  # workers of this machine are processes on its cores
-        with_accelerator()
+        allow_accelerator()
     texts, correlation = varying(machine or drive, vary or (), spread, identified)
     asked = SweepSpec.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
@@ -110,9 +110,9 @@ def replay(
     out: Out = None,
 ) -> None:
     """Run one machine of a sweep again: every signal, its figure, and the machine as a drive file."""
-    from diffdrive.runtime import with_accelerator
+    from diffdrive.runtime import allow_accelerator
     from experiments.reports.sweep.sweep import replay_machine
 
-    with_accelerator()
+    allow_accelerator()
     if not replay_machine(folder, machine, controller, motion, out):
         raise typer.Exit(3)

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from diffdrive.controllers import Controller
-from diffdrive.loop.linearise import Operating, Response, open_loop, response
+from diffdrive.loop.linearise import OperatingPoint, Response, open_loop, response
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from experiments.reports.report import new_figure, plain_logarithmic
@@ -25,7 +25,7 @@ REGION = {"color": "C3", "alpha": 0.12, "lw": 0}
 
 
 def responses(
-    drive: Drive, controller: Controller, sampling: Sampling, points: Sequence[Operating]
+    drive: Drive, controller: Controller, sampling: Sampling, points: Sequence[OperatingPoint]
 ) -> dict[str, Response]:
     """The loop's response at each operating point, labelled by its velocity and load."""
     drive, controller = as_arrays(smooth((drive, controller)))
@@ -33,15 +33,15 @@ def responses(
 
     @jax.jit
     @jax.vmap
-    def found(at: Operating) -> Response:
+    def found(at: OperatingPoint) -> Response:
         return response(open_loop(drive, controller, sampling, at), frequency)
 
-    together = found(Operating(*(np.array(values, float) for values in zip(*points, strict=True))))
+    together = found(OperatingPoint(*(np.array(values, float) for values in zip(*points, strict=True))))
     split = [jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), together) for k in range(len(points))]
     return {_label(at): one for at, one in zip(points, split, strict=True)}
 
 
-def _label(at: Operating) -> str:
+def _label(at: OperatingPoint) -> str:
     motion = "standstill" if at.velocity == 0 else f"{1e3 * at.velocity:g} mm/s"
     return f"{motion}, {1e-3 * at.load:g} kN"
 

@@ -14,7 +14,7 @@ from diffdrive.logs.write import write_csv
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
-from diffdrive.motion.text import numbers, parse_load, parse_motion, require_left, require_rate
+from diffdrive.motion.text import numbers, parse_load, parse_motion, require_longer_than, require_same_rate
 from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
@@ -47,9 +47,9 @@ def simulate_drive(
     """`diffdrive simulate`; False if the loop diverged."""
     description = read_axis(drive)
     other = description if machine is None else read_axis(machine)
-    require_rate("--machine", other, description)
+    require_same_rate("--machine", other, description)
     planned = parse_motion(motion, description.sampling.rate)
-    require_left(settle, planned.name, planned)
+    require_longer_than(settle, planned.name, planned)
     loads = parse_load(load, planned.time)
     with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
         with report.working("simulating"):

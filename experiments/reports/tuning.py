@@ -8,7 +8,7 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import Controller
-from diffdrive.loop.linearise import Operating
+from diffdrive.loop.linearise import OperatingPoint
 from experiments.cli.interruption import at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
@@ -135,7 +135,7 @@ def margins_table(report: Report, both: Sequence[MarginsOf]) -> None:
 
 def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: Required) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
-    at = [Operating(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in (plan.min_load, plan.max_load)]
+    at = [OperatingPoint(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in (plan.min_load, plan.max_load)]
     with report.working("drawing the loops"):
         panels = {
             name: responses(description.drive, controller, description.sampling, at)

@@ -12,7 +12,7 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays, quantities
 from experiments.reports.report import Report
@@ -30,7 +30,7 @@ PAPER_DRIVE = Path(__file__).parents[1] / "drives" / "paper.toml"
 def sensitivities(description: Axis) -> list[tuple[str, float]]:
     """d(RMS tracking error) / d(log parameter), um per doubling / ln 2, for every parameter of drive and controller."""
     motion = reversal(0.010, description.sampling.rate, 0.6)
-    inputs = inputs_of(motion, np.linspace(0.0, 5_000.0, len(motion.time)))
+    inputs = loop_inputs(motion, np.linspace(0.0, 5_000.0, len(motion.time)))
     models = as_arrays(smooth((description.drive, description.controller)))
 
     @eqx.filter_jit

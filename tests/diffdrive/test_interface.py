@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 import diffdrive as dd
-from diffdrive.effects.catalogue import EFFECTS, PLACES
+from diffdrive.effects.catalogue import EFFECTS, EFFECTS_BY_PART
 from diffdrive.errors import DivergenceError, LogError, ParameterError
 from diffdrive.model.parameters import quantity
 from diffdrive.paper import paper_controllers
@@ -164,7 +164,7 @@ def weakening():
 
     yield Weakening
     del EFFECTS["weakening"]
-    PLACES["plant"] = tuple(one for one in PLACES["plant"] if one is not Weakening)
+    EFFECTS_BY_PART["plant"] = tuple(one for one in EFFECTS_BY_PART["plant"] if one is not Weakening)
 
 
 def test_an_effect_of_ones_own_is_simulated_written_and_read(weakening, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Directional, Drive
 from diffdrive.results import as_json as plain
-from diffdrive.support.spans import spelled
+from diffdrive.support.spans import format_span
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
@@ -196,7 +196,7 @@ def _closed(found: Diagnosis) -> dict[str, Any]:
         )
         says = f"{on}. {hides if moved >= STRAINED else 'Recalibration alone leaves nothing there to close'}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
-    share, low, high = spelled((100.0 * gone.share, 100.0 * gone.low, 100.0 * gone.high))
+    share, low, high = format_span((100.0 * gone.share, 100.0 * gone.low, 100.0 * gone.high))
     says = f"{on}: {share} % ({low} to {high}) of what was left beyond the floor is gone"
     return {"share": gone.share, "interval": [gone.low, gone.high], "says": says + _in_closed_loop(found)}
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffdrive.effects.machine import AS_LOGARITHMS, FrictionShape
-from diffdrive.support.spans import Span, listed
+from diffdrive.support.spans import Span, format_spans
 
 HEAD = 2  # numbers in a headline
 PLAIN = 10.0  # half-widths of its interval off zero: a number that tells as much as any
@@ -44,8 +44,8 @@ def parameter(name: str, cause: dict[str, Any]) -> str:
     """A parameter of a cause with its interval and unit; log by log where the logs differ in it."""
     spans = _spans(name, cause)
     if cause["effect"] == FrictionShape.name and name in AS_LOGARITHMS:
-        return f"{name} {listed([_factors(one) for one in spans], '1')} times the recalibrated"
-    return f"{name} {listed(spans, cause['units'][name])}"
+        return f"{name} {format_spans([_factors(one) for one in spans], '1')} times the recalibrated"
+    return f"{name} {format_spans(spans, cause['units'][name])}"
 
 
 def _told(cause: dict[str, Any]) -> list[Told]:
@@ -97,5 +97,5 @@ def _wave(cause: dict[str, Any], harmonic: str) -> Told:
             continue
         half = float(np.hypot(c * half_c, s * half_s) / amplitude if amplitude else np.hypot(half_c, half_s))
         amplitudes.append((amplitude, max(0.0, amplitude - half), amplitude + half))
-    size = listed(amplitudes, cause["units"][f"cosine{harmonic}"])
+    size = format_spans(amplitudes, cause["units"][f"cosine{harmonic}"])
     return Told(f"{WAVES[harmonic]}amplitude {size}, phase {', '.join(phases)} deg", _telling(amplitudes))

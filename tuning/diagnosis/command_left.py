@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
-from diffdrive.model.actuator import limited
+from diffdrive.model.actuator import saturate
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.exposure import Exposure
@@ -89,7 +89,7 @@ def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     logged = fitted.model.logged
     delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
     late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
-    command = limited(logged.drive.actuator, logged.lanes.command)
+    command = saturate(logged.drive.actuator, logged.lanes.command)
     held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
     count = command.shape[1]
     return jnp.stack([jnp.pad(command, ((0, 0), (k, 0)), mode="edge")[:, :count] for k in held_back], axis=-1)

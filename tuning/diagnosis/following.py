@@ -25,7 +25,7 @@ from diffdrive.model import plant
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.numerics.once import once
-from diffdrive.observers.kalman import diagonal, gain, predict_covariance, update_covariance
+from diffdrive.observers.kalman import diagonal, kalman_gain, predict_covariance, update_covariance
 from tuning.diagnosis import hidden
 from tuning.diagnosis.exposure import Course, Exposure
 from tuning.diagnosis.segments import segments
@@ -100,17 +100,17 @@ def _begun(
 
     What forgets within a segment's lead begins at rest; the others are where following `course` brings them.
     """
-    rest = acting.at_rest(coupled, under.force[0])
+    rest = acting.initial_states(coupled, under.force[0])
 
     def step(states: Any, at: Any) -> tuple[Any, Any]:
         count, acts, load, table, travel = at
-        seen, machine = acts.seen(count * period, table, load), acting.bent(drive, acts)
+        seen, machine = acts.seen(count * period, table, load), acting.with_friction_offset(drive, acts)
         ahead = (one.along(state, seen, travel, machine, period) for one, state in zip(lasting, states, strict=True))
         return tuple(ahead), states
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.remembers)
     count, travel = jnp.arange(len(load), dtype=load.dtype), jnp.diff(course.position, append=course.position[-1:])
-    along = lax.scan(step, acting.at_rest(lasting, under.force[0]), (count, under, load, course, travel))[1]
+    along = lax.scan(step, acting.initial_states(lasting, under.force[0]), (count, under, load, course, travel))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
     return tuple(
         next(found) if effect in lasting else jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, state)
@@ -156,13 +156,13 @@ def follow(
             tuple(jnp.where(lost, new, old) for new, old in zip(*rows, strict=True))
             for rows in zip(again, covariance, strict=True)
         )
-        pull = gain(covariance, measured_variance)
+        pull = kalman_gain(covariance, measured_variance)
         state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
         covariance = update_covariance(covariance, pull, measured_variance)
         state, covariance = once((state, covariance))
         position, velocity, deflection, lacking, *motor = state
         effects = hidden.written(coupled, effects, tuple(motor))
-        machine = acting.bent(drive, acts)
+        machine = acting.with_friction_offset(drive, acts)
         resisting = acting.resistance(machine, velocity, deflection, load)
         now, answers = Course(position, velocity, deflection, resisting, lacking), ()
         if coupled:
@@ -170,13 +170,13 @@ def follow(
             effects, more, answers = hidden.stepped(coupled, effects, seen, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
             acts = Exposure(*both, acts.scale, acts.beside, None if shielded else acts.ripple)
-            machine = acting.bent(drive, acts)
+            machine = acting.with_friction_offset(drive, acts)
 
         nil = jnp.zeros_like(velocity)
         ways = hidden.ways(nil, answers)
         table, force = plant.PlantState(nil, velocity, deflection), acts.force + lacking
         step = (sampling.period, sampling.plant_steps)
-        moved, columns = plant.advance_along(machine, table, force, load, *step, ways, acts.ripple)
+        moved, columns = plant.advance_with_tangents(machine, table, force, load, *step, ways, acts.ripple)
         rows = hidden.transition(columns, answers, fade)
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
         covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh, *hidden.jolted(coupled, jolt)))
@@ -201,7 +201,7 @@ def follow(
     def begun(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
         begins = pieces.samples[:, 0]
         if course is None:
-            rest = acting.at_rest(coupled, acts.force[0])
+            rest = acting.initial_states(coupled, acts.force[0])
             return jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
         return _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
 
@@ -242,7 +242,7 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
         v, z, machine, force, coulomb, gap, viscous = args
         acts = Exposure(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
-        bent = acting.bent(with_numbers(drive, machine), acts)
+        bent = acting.with_friction_offset(with_numbers(drive, machine), acts)
         return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))
 
     def at(sample: Any) -> Any:

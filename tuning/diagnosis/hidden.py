@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from diffdrive.effects import acting
 from diffdrive.effects.acting import Effects
 from diffdrive.effects.base import Acts, Seen
-from diffdrive.effects.transmission import Answer, Transmission
+from diffdrive.effects.transmission import Sensitivity, Transmission
 from diffdrive.model import plant
 from diffdrive.model.parameters import Drive, Scalar
 from diffdrive.observers.kalman import Matrix
@@ -72,19 +72,19 @@ def written(effects: Effects, states: States, found: tuple[Scalar, ...]) -> Stat
 
 def stepped(
     effects: Effects, states: States, seen: Seen, drive: Drive, period: float
-) -> tuple[States, Acts, tuple[Answer, ...]]:
+) -> tuple[States, Acts, tuple[Sensitivity, ...]]:
     """What acts on the table, and how that answers its velocity and bristle and, where one is hidden, the motor."""
     which = screw_of(effects)
     if which is None:
-        states, acts = acting.upon(effects, states, seen, drive, period)
+        states, acts = acting.table_action(effects, states, seen, drive, period)
         return states, acts, ()
     others, theirs = ((*some[:which], *some[which + 1 :]) for some in (effects, states))
-    theirs, acts, before = acting.upon_in_turn(others, theirs, seen, drive, period)
+    theirs, acts, before = acting.table_action_in_order(others, theirs, seen, drive, period)
     motor, own, answers = effects[which].step_along(states[which], *before, period)
     return (*theirs[:which], motor, *theirs[which:]), acts.plus(own), answers
 
 
-def ways(nil: Scalar, answers: tuple[Answer, ...]) -> list[tuple[plant.PlantState, Scalar]]:
+def ways(nil: Scalar, answers: tuple[Sensitivity, ...]) -> list[tuple[plant.PlantState, Scalar]]:
     """Along what the table's period is differentiated: velocity, bristle, force and, where one is hidden, the motor."""
     one = jnp.ones_like(nil)
     still = plant.PlantState(nil, nil, nil)
@@ -93,7 +93,7 @@ def ways(nil: Scalar, answers: tuple[Answer, ...]) -> list[tuple[plant.PlantStat
     return table + [(still, force) for force in by_motor]
 
 
-def transition(columns: list[plant.PlantState], answers: tuple[Answer, ...], fade: float) -> Matrix:
+def transition(columns: list[plant.PlantState], answers: tuple[Sensitivity, ...], fade: float) -> Matrix:
     """The transition of position, velocity, bristle, lacking force and, where one is hidden, the motor."""
     if not answers:
         return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))

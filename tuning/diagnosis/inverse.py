@@ -52,7 +52,7 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     position, load = jnp.asarray(source.position), jnp.asarray(source.load)
     signals = (position, jnp.asarray(command), jnp.asarray(source.force - command), load, jnp.ones_like(load))
     lanes = Lanes(*(one[None] for one in signals), velocity=velocity[:1])
-    machine = acting.altered(own, effects)
+    machine = acting.with_machine_effects(own, effects)
     period = 1.0 / source.rate
     rigid = friction_along(machine, velocity, load, period)
     seen = Course(position, velocity, rigid.bristle, rigid.friction, jnp.zeros_like(velocity))

@@ -19,7 +19,7 @@ from diffdrive import motion as motions
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import MotionError
-from diffdrive.loop.simulate import Inputs, inputs_of, rollout
+from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
 from diffdrive.model.parameters import Sensor, as_arrays
 from diffdrive.motion.motion import Motion, require_within
 from tuning.diagnosis.diagnose import Diagnosis
@@ -81,7 +81,7 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     tried = candidates(description.drive, limits, description.sampling.rate, about)
 
     def tells_of(name: str, steps: int) -> float:
-        inputs = inputs_of(tried[name], np.zeros(len(tried[name].time)))
+        inputs = loop_inputs(tried[name], np.zeros(len(tried[name].time)))
         return _told(first.fitted, fitted, description, inputs, steps)
 
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))

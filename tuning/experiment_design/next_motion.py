@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from diffdrive import motion
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import MotionError
-from diffdrive.loop.simulate import Frame, Inputs, inputs_of, rollout
+from diffdrive.loop.simulate import Frame, Inputs, loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from diffdrive.motion.motion import Limits, Motion, require_within
@@ -175,7 +175,7 @@ def _offered(
     """Information of each motion about every unknown, as far as the model has proved itself on the logs at hand."""
     wide = identified.wide
     load = np.zeros(len(motions[0].time))
-    stack = [inputs_of(one, load) for one in motions]
+    stack = [loop_inputs(one, load) for one in motions]
     inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stack)
     frames = _simulated(*as_arrays((smooth(identified.drive), smooth(controller))), inputs, sampling)
     shape = frames.position.shape

@@ -18,7 +18,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Drive, Sampling, as_arrays, quantities
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
-from diffdrive.motion.load import require_possible
+from diffdrive.motion.load import validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.pipeline import require_shorter
 from tuning.gains.scenarios import Scenario
@@ -160,7 +160,7 @@ def _require_possible(description: Axis, scenarios: list[Scenario]) -> None:
         require_within(one.motion, description.limits)
         require_shorter(len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines))
         weights = np.broadcast_to(np.asarray(one.load, float), one.motion.time.shape)
-        require_possible(description.drive, weights, one.motion.time)
+        validated_load(description.drive, weights, one.motion.time)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
 from diffdrive.errors import ParameterError
-from diffdrive.loop.linearise import Operating, open_loop
+from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL, Margins, margins
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
-from diffdrive.observers.convergence import convergence_gain, printed_observer
+from diffdrive.observers.convergence import convergence_gain, innovation_load_observer
 from diffdrive.observers.friction_observer import KalmanObserver
 from tuning.gains.objective import rms
 from tuning.gains.scenarios import Signals
@@ -82,7 +82,7 @@ class Constraints(eqx.Module):
         """The margins at every operating point, [p] each; `controller` is the smooth variant."""
 
         def one(drive: Drive, velocity: Array, load: Array) -> Margins:
-            return margins(open_loop(drive, controller, self.sampling, Operating(velocity, load)))
+            return margins(open_loop(drive, controller, self.sampling, OperatingPoint(velocity, load)))
 
         return jax.vmap(one)(self.points.drives, jnp.asarray(self.points.velocity), jnp.asarray(self.points.load))
 
@@ -104,7 +104,7 @@ class Constraints(eqx.Module):
         }
         if limits.sensitivity is not None:
             kept["peak sensitivity"] = asked(1.0 - limits.sensitivity / found.sensitivity, 1.0)
-        observer = printed_observer(controller)
+        observer = innovation_load_observer(controller)
         if observer is not None and limits.settling is not None:
             kept["load estimator"] = self._settling(observer)
         return kept

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller
 from diffdrive.effects.acting import force_limit
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.loop.simulate import Inputs, inputs_of, rollout
+from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, Sensor, as_arrays
 from diffdrive.motion.motion import Motion
@@ -92,7 +92,7 @@ def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float
             "tune on machines that differ in numbers alone"
         )
     loads = [np.broadcast_to(np.asarray(one.load, float), first.time.shape) for one in scenarios]
-    inputs = [inputs_of(one.motion, load) for one, load in zip(scenarios, loads, strict=True)]
+    inputs = [loop_inputs(one.motion, load) for one, load in zip(scenarios, loads, strict=True)]
     return Ensemble(
         drives=_stacked(drives),
         inputs=_stacked(inputs),

@@ -16,7 +16,7 @@ from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays, check, require_double_precision
-from diffdrive.support.resources import counted, require_memory
+from diffdrive.support.resources import format_count, require_memory
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.constrained import ConstrainedGains, DesignPoint, problem_of, worth
 from tuning.gains.objective import Objective
@@ -156,7 +156,7 @@ START = 1e4  # bytes: what is known of a start before any is searched from
 
 def require_starts(starts: int) -> None:
     """Raise `ParameterError` for more starts than fit into memory; looking at one takes a tenth of a second or more."""
-    require_memory(ParameterError, f"{counted(starts)} starts", START * starts, "give fewer")
+    require_memory(ParameterError, f"{format_count(starts)} starts", START * starts, "give fewer")
 
 
 def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:

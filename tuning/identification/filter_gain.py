@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from diffdrive.model import plant
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.numerics.once import once
-from diffdrive.observers.kalman import Matrix, Triangle, diagonal, gain, predict_covariance, update_covariance
+from diffdrive.observers.kalman import Matrix, Triangle, diagonal, kalman_gain, predict_covariance, update_covariance
 from tuning.identification.prediction import FilterGains, Lanes, acting_force, moving
 
 PROCESSES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
@@ -66,7 +66,7 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
         measured, force, load = at
         innovation = measured - state.position
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
-        pull = gain(covariance, measured_variance)
+        pull = kalman_gain(covariance, measured_variance)
         state = plant.PlantState(*(value + k * innovation for value, k in zip(state, pull, strict=True)))
         covariance = update_covariance(covariance, pull, measured_variance)
         state, covariance = once((state, covariance))
@@ -108,7 +108,9 @@ class Likeliest(NamedTuple):
 
     process: float  # N, standard deviation of a white force, one value per control period
     deviance: float
-    gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
+    kalman_gain: (
+        float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
+    )
     track: Filtered
 
 

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.effects.acting import bent
+from diffdrive.effects.acting import with_friction_offset
 from diffdrive.effects.base import Acts
-from diffdrive.model.friction import bristle_at, friction_force, slide
+from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Scalar
 
 
@@ -34,12 +34,12 @@ def friction_along(
 
     def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, Along]:
         now, ahead, applied, acts = at
-        friction = bent(drive, acts).friction
-        force = friction_force(bristle_at(friction, now, deflection, applied), now, deflection)
+        friction = with_friction_offset(drive, acts).friction
+        force = friction_force(lugre_coefficients(friction, now, deflection, applied), now, deflection)
         mean = 0.5 * (now + ahead)
-        rate = bristle_at(friction, mean, deflection, applied).rate
+        rate = lugre_coefficients(friction, mean, deflection, applied).rate
         resisting = force + drive.plant.damping.towards(now) * now
-        return slide(deflection, mean, rate, period), Along(resisting, deflection)
+        return deflection_after(deflection, mean, rate, period), Along(resisting, deflection)
 
     ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
     nothing = Acts(*(jnp.zeros_like(velocity) for _ in Acts._fields))

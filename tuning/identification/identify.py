@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
-from diffdrive.support.resources import counted, require_memory
+from diffdrive.support.resources import format_count, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
 from tuning.identification.estimates import Estimate, estimates
 from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, IdentificationProblem, Innovations, sampling_of
@@ -124,7 +124,7 @@ def identify(
 
 def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
-    require_memory(ParameterError, f"{counted(starts)} starts", 8.0 * starts * len(free), "give fewer")
+    require_memory(ParameterError, f"{format_count(starts)} starts", 8.0 * starts * len(free), "give fewer")
     loose = np.array([one.path.split(".")[0] in SCATTERED for one in free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
     return np.vstack([np.zeros(len(loose)), noise])

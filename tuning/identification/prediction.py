@@ -19,7 +19,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.model import plant
-from diffdrive.model.actuator import limited
+from diffdrive.model.actuator import saturate
 from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive, Sampling, Scalar, require_double_precision
 from diffdrive.numerics.once import once
@@ -80,7 +80,7 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
 
 def acting_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]:
     """The force (N) on the table of one lane: the command limited and delayed, and the known disturbance."""
-    return delayed(limited(drive.actuator, lane.command), delay) + lane.disturbance
+    return delayed(saturate(drive.actuator, lane.command), delay) + lane.disturbance
 
 
 def begin_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:

@@ -20,8 +20,8 @@ from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.run import Status
 from diffdrive.loop.simulate import Inputs, LoopState, rollout
-from diffdrive.model.actuator import limited, under_way
-from diffdrive.model.friction import steepest_fall
+from diffdrive.model.actuator import saturate, steady_state
+from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
 from diffdrive.motion.builders import from_array
 from diffdrive.numerics.pipeline import require_shorter
@@ -89,15 +89,15 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
     samples of table and reference extrapolated backwards, under the first command: that fills difference quotients and
     short filters. What a controller remembers for longer, an integral or a slow observer, begins as at rest.
     """
-    force = limited(drive.actuator, at.lanes.command[0])
+    force = saturate(drive.actuator, at.lanes.command[0])
 
     def before(state: Any, sample: tuple[Reference, Scalar]) -> tuple[Any, None]:
         return controller.step(state, *sample, force, period)[0], None
 
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
-    effects = acting.at_rest(drive.effects, force)
+    effects = acting.initial_states(drive.effects, force)
     return LoopState(
-        moving(drive, at.lanes), under_way(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
+        moving(drive, at.lanes), steady_state(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
     )
 
 
@@ -198,7 +198,7 @@ def drift_note(drive: Drive) -> str:
     fall, held = [], []
     for side in ("positive", "negative"):
         resistance = float(getattr(friction.viscous, side)) + float(getattr(damping, side))
-        fall.append(steepest_fall(friction, side) - resistance)
+        fall.append(steepest_stribeck_slope(friction, side) - resistance)
         held.append(resistance)
     drifts = f"a force that is off by 1 N moves the table by {1e3 / np.mean(held):.2g} mm/s, and nothing brings it back"
     if max(fall) > 0:

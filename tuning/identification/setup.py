@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive.errors import DiffdriveError, LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.friction import steepest_fall
+from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, check_drive
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, SLOWEST
@@ -113,7 +113,7 @@ def _held(fixed: Sequence[str]) -> set[str]:
 def _rough_bandwidth(drive: Drive, rate: float) -> float:
     """Bandwidth (rad/s) of the first searches: well above the rate at which motion on the Stribeck slope runs away."""
     friction, mass = drive.friction, float(drive.plant.mass)
-    slopes = (steepest_fall(friction, side) for side in ("positive", "negative"))
+    slopes = (steepest_stribeck_slope(friction, side) for side in ("positive", "negative"))
     return float(np.clip(FASTER * max(slopes) / mass, ROUGH_BANDWIDTH, 0.3 * rate))
 
 

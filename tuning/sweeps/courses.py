@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.controllers import Reference
-from diffdrive.loop.run import sane_error
+from diffdrive.loop.run import divergence_bound
 from diffdrive.motion.motion import Limits, Motion
 from diffdrive.motion.text import Recipe, load_recipe, parse_load
 from tuning.sweeps import engine
@@ -96,7 +96,7 @@ def for_all(course: MachineCourse, settle: float, limits: Limits) -> engine.Lane
     motion, load = course
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
     counts = (motion.time >= settle).astype(float)
-    told = engine.LaneCourse(reference, load, counts, np.asarray(sane_error(motion.position, limits)))
+    told = engine.LaneCourse(reference, load, counts, np.asarray(divergence_bound(motion.position, limits)))
     return jax.tree.map(lambda one: jnp.asarray(one, float), told)
 
 
@@ -110,7 +110,7 @@ def for_each(courses: Sequence[MachineCourse], settle: float, limits: Limits) ->
         velocity[k, :end], acceleration[k, :end] = motion.velocity, motion.acceleration
         loads[k, :end], loads[k, end:] = load, load[-1]
         counts[k, :end] = motion.time >= settle
-    reach = np.array([sane_error(motion.position, limits) for motion, _ in courses])
+    reach = np.array([divergence_bound(motion.position, limits) for motion, _ in courses])
     return engine.LaneCourse(Reference(position, velocity, acceleration), loads, counts, reach)
 
 

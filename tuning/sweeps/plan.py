@@ -15,13 +15,13 @@ import pyarrow as pa
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Envelope
-from diffdrive.effects.possible import envelope_of, envelope_within, require_possible
+from diffdrive.effects.possible import limits_envelope, motion_envelope, require_feasible
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.simulate import Costs
 from diffdrive.model.parameters import Drive, require_double_precision
 from diffdrive.motion.load import Ramp, require_resolved
 from diffdrive.motion.motion import Motion, require_within
-from diffdrive.motion.text import SAME_RATE, Recipe, load_recipe, parse_load, require_left
+from diffdrive.motion.text import SAME_RATE, Recipe, load_recipe, parse_load, require_longer_than
 from diffdrive.runtime import arithmetic
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import edition
@@ -88,7 +88,7 @@ class SweepPlan:
         for name, motion in motions.items():
             if not plan._varies("motion"):  # else none of the machines may run that one
                 require_within(motion, axis.limits)
-                require_left(plan.settle, name, motion)
+                require_longer_than(plan.settle, name, motion)
             if abs(motion.rate / axis.sampling.rate - 1.0) > SAME_RATE:
                 raise ParameterError(
                     f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
@@ -122,7 +122,7 @@ class SweepPlan:
             try:
                 course = self.courses.of(motion, {name: value[k] for name, value in values.items()})
                 require_within(course.motion, self.axis.limits)
-                require_left(self.settle, motion, course.motion)
+                require_longer_than(self.settle, motion, course.motion)
             except (MotionError, ParameterError) as problem:
                 raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
             found.append(course)
@@ -150,7 +150,7 @@ class SweepPlan:
     def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
         require_ordered(ramp)
-        require_possible(machine, self._envelope)
+        require_feasible(machine, self._envelope)
         highest = self._highest + ramp.load + np.maximum(ramp.change, 0.0)
         try:
             require_resolved(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
@@ -167,11 +167,11 @@ class SweepPlan:
     def _envelope(self) -> Envelope:
         """Within what the machines move: a motion that varies may go wherever the limits let it."""
         if self._varies("motion"):
-            return envelope_within(self.axis.limits, self.axis.sampling)
+            return limits_envelope(self.axis.limits, self.axis.sampling)
         position, velocity = (
             np.concatenate([getattr(one, name) for one in self.motions.values()]) for name in ("position", "velocity")
         )
-        every = envelope_of(position, velocity, np.zeros(1), self.axis.sampling.period)
+        every = motion_envelope(position, velocity, np.zeros(1), self.axis.sampling.period)
         return every._replace(duration=max(one.duration for one in self.motions.values()))
 
     @property

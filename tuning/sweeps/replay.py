@@ -9,8 +9,8 @@ import numpy as np
 
 from diffdrive.effects.acting import force_limit
 from diffdrive.errors import ParameterError
-from diffdrive.loop.run import Run, judged
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.run import Run, with_status
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Drive, as_arrays
 from tuning.sweeps.machines import lane
 from tuning.sweeps.plan import Outcome, SweepPlan
@@ -74,10 +74,10 @@ def run_of(plan: SweepPlan, machine: Machine, controller: str, motion: str, ever
     """Every signal of a machine under a controller, with a status as any simulation has."""
     control, [(planned, over_time)] = plan.controllers[controller], plan.courses_of(np.array([machine.number]), motion)
     loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
-    inputs = inputs_of(planned, loads)
+    inputs = loop_inputs(planned, loads)
     frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
     limit = force_limit(machine.drive)
-    return judged(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
+    return with_status(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
 
 
 def errors_of(plan: SweepPlan, run: Run) -> tuple[float, float]:

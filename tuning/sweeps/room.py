@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from diffdrive.errors import ParameterError
-from diffdrive.support.resources import counted, require_disk, require_memory
+from diffdrive.support.resources import format_count, require_disk, require_memory
 from tuning.sweeps.plan import SweepPlan
 
 # the noise of a machine is drawn from its number, of which the generator takes 32 bits; Sobol's sequence has 30
@@ -23,19 +23,21 @@ def require_room(plan: SweepPlan, folder: Path) -> None:
     most = MOST.get(plan.method, MOST_OF_ANY)
     if plan.samples > most:
         raise ParameterError(
-            f"--samples {counted(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or "
+            f"--samples {format_count(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or "
             "another --method"
         )
     runs = plan.samples * len(plan.controllers) * len(plan.motions)
     row = NUMBER * (COLUMNS + len(plan.varied))
-    request = f"--samples {counted(plan.samples)}: {counted(runs)} runs, whose results are summed up together,"
+    request = (
+        f"--samples {format_count(plan.samples)}: {format_count(runs)} runs, whose results are summed up together,"
+    )
     # the rows, and those of one group once more while they are put into their order
     require_memory(ParameterError, request, float(row) * (runs + plan.samples), "give fewer")
     require_disk(ParameterError, request, _there(folder), 0.5 * row * runs, "give fewer, or --out on another disk")
     samples = sum(len(one.time) for one in plan.motions.values())
     require_memory(
         ParameterError,
-        f"motions of {counted(samples)} samples in all",
+        f"motions of {format_count(samples)} samples in all",
         float(NUMBER * ARRAYS) * samples,
         "shorten them, or lower sampling.rate",
     )

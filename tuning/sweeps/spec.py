@@ -11,7 +11,7 @@ from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.file import parse_motion_table, read_motion
 from diffdrive.motion.motion import Motion
-from diffdrive.motion.text import MOTIONS, Recipe, motion_recipe, parse_motion, require_rate
+from diffdrive.motion.text import MOTIONS, Recipe, motion_recipe, parse_motion, require_same_rate
 from diffdrive.support.atomic_write import write_text
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from tuning.sweeps.plan import SweepPlan
@@ -65,12 +65,12 @@ class SweepSpec:
         believed = parse_axis(self.drive, self.name)
         axis = believed if self.machine is None else parse_axis(self.machine, "the machine")
         sampling = believed.sampling
-        require_rate("--machine", axis, believed)
+        require_same_rate("--machine", axis, believed)
         axis = dataclasses.replace(axis, sampling=sampling, limits=believed.limits)
         controllers = {self.name: believed.controller}
         for name, tables in self.against.items():
             other = parse_axis(tables, name)
-            require_rate(f"--against {name}", other, believed)
+            require_same_rate(f"--against {name}", other, believed)
             controllers[name] = other.controller
         origins = self.origins(sampling.rate)
         motions = {name: self._motion(origin, sampling.rate) for name, origin in origins.items()}

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
-from diffdrive.runtime import configure, cores, keep_compiled, with_accelerator
+from diffdrive.runtime import allow_accelerator, configure, cores, enable_compilation_cache
 from diffdrive.support.processes import processes
 from diffdrive.support.resources import require_memory
 from tuning.sweeps.parts import Computed, Engine, Say
@@ -27,8 +27,8 @@ def _plan(text: str, devices: int | None) -> SweepPlan:
     """The plan from its text, once in a process and not once in each of its parts."""
     configure(devices)
     if devices is None:  # a machine of a cluster, not some cores of this one
-        with_accelerator()
-    keep_compiled()
+        allow_accelerator()
+    enable_compilation_cache()
     return from_text(text).plan()
 
 

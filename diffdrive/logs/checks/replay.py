@@ -11,7 +11,7 @@ from jax import lax
 from diffdrive.axis import Axis
 from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
 from diffdrive.model import actuator
-from diffdrive.model.friction import bristle_at
+from diffdrive.model.friction import lugre_coefficients
 from diffdrive.model.parameters import Drive, as_arrays, require_double_precision
 
 WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
@@ -42,7 +42,7 @@ def _begun(controller: Controller, position: Any, speed: Any) -> Any:
     if not isinstance(controller, FrictionCompensation):
         return state
     observed = state.observer
-    bristle = bristle_at(controller.observer.friction, speed, speed, observed.load)
+    bristle = lugre_coefficients(controller.observer.friction, speed, speed, observed.load)
     sliding = jnp.sign(speed) * bristle.level / bristle.stiffness
     return state._replace(observer=observed._replace(x=(position, speed, sliding)))
 

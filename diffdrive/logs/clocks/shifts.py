@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.support.messages import shown
+from diffdrive.support.messages import short_repr
 
 
 def shifted(
@@ -29,7 +29,9 @@ def shifted(
     spans = [(start + latest, stop + earliest) for start, stop in itertools.pairwise(edges)]
     stretches = [np.arange(start, stop) for start, stop in spans if start < stop]
     if not stretches:
-        raise LogError(f"{source}: shifts by {shown(latest - earliest)} samples leave nothing of the log; correct them")
+        raise LogError(
+            f"{source}: shifts by {short_repr(latest - earliest)} samples leave nothing of the log; correct them"
+        )
     rows = np.concatenate(stretches)
     brought = {channel: values[rows - moves.get(channel, 0)] for channel, values in signals.items()}
     between = tuple(int(k) for k in np.cumsum([len(one) for one in stretches[:-1]]))

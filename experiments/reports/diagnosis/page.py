@@ -9,7 +9,7 @@ from html import escape
 from typing import Any
 
 from diffdrive.support.atomic_write import write_text
-from diffdrive.support.spans import spelled
+from diffdrive.support.spans import format_span
 from experiments.reports.diagnosis import payoff
 from experiments.reports.diagnosis.figures import BLANK
 from experiments.reports.report import Report
@@ -192,7 +192,7 @@ def _cause(one: dict[str, Any]) -> Row:
 def _recalibrated(one: dict[str, Any]) -> Row:
     row = [one["parameter"], "" if one["unit"] == "1" else one["unit"], one["drive_file"]]
     for key in ("recalibrated", "with_effects"):
-        row += spelled((one[key], *one[f"{key}_interval"])) if key in one else ("-", "-", "-")
+        row += format_span((one[key], *one[f"{key}_interval"])) if key in one else ("-", "-", "-")
     return row
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.text import require_choice
-from diffdrive.observers.convergence import advice
+from diffdrive.observers.convergence import convergence_warnings
 from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import run_figure, write_run
@@ -75,7 +75,7 @@ def _warnings(plan: SweepPlan, motion: str) -> list[str]:
     for name, controller in plan.controllers.items():
         first: dict[str, str] = {}
         for course in extremes:
-            for text in advice(controller, *course, plan.axis.sampling.period):
+            for text in convergence_warnings(controller, *course, plan.axis.sampling.period):
                 first.setdefault(text.partition(" at ")[0], text)
         found += [f"{motion}, {name}: {text}" for text in first.values()]
     return found

@@ -14,8 +14,8 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects import acting
 from diffdrive.logs.log import Log
-from diffdrive.loop.run import Run, judged
-from diffdrive.loop.simulate import Inputs, inputs_of, rollout, start, step
+from diffdrive.loop.run import Run, with_status
+from diffdrive.loop.simulate import Inputs, initial_state, loop_inputs, rollout, step
 from diffdrive.model.parameters import Directional, Drive, Sampling, as_arrays
 from diffdrive.motion.motion import Motion
 from experiments.studies.log_study.drives import StudyDrive
@@ -125,9 +125,9 @@ def simulate_log(
     before = round(drive.settling_time * drive.rate)
     made = _after_rest(made, before)
     loads = np.full(len(made.time), drive.load)
-    machine, controller, inputs = *as_arrays((machine, controller)), inputs_of(made, loads)
+    machine, controller, inputs = *as_arrays((machine, controller)), loop_inputs(made, loads)
     sampling, limits, key = drive.axis.sampling, drive.axis.limits, jax.random.key(seed)
-    run = judged(
+    run = with_status(
         Run.of(made, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
     ).require_ok()
     signals = {name: np.asarray(getattr(run, name)) for name in ("time", "position", "command", "reference")}
@@ -145,12 +145,12 @@ def simulate_log(
 @eqx.filter_jit
 def _motor_deflection(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
     """The motor against the table (m), of a drive whose first effect is its transmission."""
-    drive = acting.altered(drive, drive.effects)
+    drive = acting.with_machine_effects(drive, drive.effects)
 
     def body(state: Any, at: Inputs) -> tuple[Any, Any]:
         return step(drive, controller, sampling, key, state, at)[0], state.effects[0].against.deflection
 
-    return lax.scan(body, start(drive, controller, inputs.reference.position[0]), inputs)[1]
+    return lax.scan(body, initial_state(drive, controller, inputs.reference.position[0]), inputs)[1]
 
 
 def _after_rest(made: Motion, samples: int) -> Motion:

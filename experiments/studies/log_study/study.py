@@ -10,7 +10,7 @@ from diffdrive.axis import Axis
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
-from diffdrive.support.resources import counted, require_memory
+from diffdrive.support.resources import format_count, require_memory
 from experiments.reports.report import Report
 from experiments.studies.log_study.drives import StudyDrive, study_drives
 from experiments.studies.log_study.fault import FaultKind, LogFault
@@ -76,7 +76,9 @@ def log_study(
 ) -> None:  # fmt: skip
     """All three parts into a report: so many faulty logs, sound ones, and pairs of two logs; of all axes by default."""
     for option, count, each in (("--cases", cases, LOG), ("--sound", healthy, ROW), ("--pairs", pairs, ROW)):
-        require_memory(ParameterError, f"{option} {counted(count)}: what is kept of them", each * count, "give fewer")
+        require_memory(
+            ParameterError, f"{option} {format_count(count)}: what is kept of them", each * count, "give fewer"
+        )
     axes = study_drives() if axes is None else axes
     with report.working("logs with a fault"):
         report_faulty_logs(report, score_faulty_logs(report, cases, seed, axes, examine))

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Drive, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
@@ -54,7 +54,7 @@ def load_errors() -> list[list[Any]]:
             for speed in SPEEDS:
                 motion = motion_at(factor * speed)
                 weight = load.step(motion.time, at=STEP_AT, to=LOAD)
-                found = np.asarray(_estimate(*as_arrays((drive, controller)), inputs_of(motion, weight)))
+                found = np.asarray(_estimate(*as_arrays((drive, controller)), loop_inputs(motion, weight)))
                 late = motion.time >= STEP_AT + WAIT
                 row.append(float(jnp.max(jnp.abs(found[late] - LOAD))))
             rows.append(row)

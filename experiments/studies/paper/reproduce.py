@@ -14,7 +14,7 @@ from diffdrive.controllers import Controller, Feedforward, FrictionCompensation,
 from diffdrive.controllers.base import PDGains
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.friction import bristle_at, coulomb, friction_force, slide, steady_friction
+from diffdrive.model.friction import coulomb, deflection_after, friction_force, lugre_coefficients, steady_friction
 from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.observers.convergence import convergence_gains, time_constants
@@ -113,8 +113,8 @@ def hysteresis(friction: Friction, weight: float, amplitude: float = 20e-6, peri
     velocity = np.gradient(position, step)
 
     def one(deflection: Any, v: Any) -> Any:
-        bristle = bristle_at(friction, v, deflection, weight)
-        deflection = slide(deflection, v, bristle.rate, step)
+        bristle = lugre_coefficients(friction, v, deflection, weight)
+        deflection = deflection_after(deflection, v, bristle.rate, step)
         return deflection, friction_force(bristle, v, deflection)
 
     _, force = jax.lax.scan(one, jnp.zeros(()), jnp.asarray(velocity))

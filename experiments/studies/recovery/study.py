@@ -22,7 +22,7 @@ from diffdrive.motion.load import ramp
 from diffdrive.runtime import configure, cores
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.processes import processes
-from diffdrive.support.resources import counted, require_memory
+from diffdrive.support.resources import format_count, require_memory
 from experiments.reports.report import Report, new_figure
 
 RATE = 4_000.0  # Hz
@@ -109,8 +109,8 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
     """`diffdrive recovery`: errors and coverage over `count` random drives."""
     workers = cores() if workers is None else workers
     mend = "give fewer"
-    require_memory(ParameterError, f"--draws {counted(count)}: their results", RESULT * count, mend)
-    require_memory(ParameterError, f"--workers {counted(workers)}: as many processes", PROCESS * workers, mend)
+    require_memory(ParameterError, f"--draws {format_count(count)}: their results", RESULT * count, mend)
+    require_memory(ParameterError, f"--workers {format_count(workers)}: as many processes", PROCESS * workers, mend)
     with Report(f"identification of {count} random drives", out) as report:
         done = []
         with report.progress("draws", count) as advance:

@@ -33,7 +33,7 @@ from diffdrive.controllers import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Scalar, Sensor, as_arrays, check, check_drive, require_double_precision
-from diffdrive.motion.load import require_possible
+from diffdrive.motion.load import validated_load
 from diffdrive.motion.motion import Motion
 
 LONGEST_STEP = 2e-6  # s
@@ -184,7 +184,7 @@ def truth_logs(
     if len({jax.tree.structure(drive) for drive in as_arrays(list(drives))}) > 1:
         raise ParameterError("drives with different delay_samples or optional parameters: run each kind on its own")
     load = np.stack(
-        [require_possible(drive, one * np.ones(samples), motion.time) for drive, one in zip(drives, each, strict=True)]
+        [validated_load(drive, one * np.ones(samples), motion.time) for drive, one in zip(drives, each, strict=True)]
     )
     draws = [np.random.default_rng(seed) for seed in seeds]
     deflection = [

@@ -24,9 +24,9 @@ from pyarrow import parquet
 
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.logs import read_logs
-from diffdrive.runtime import configure, keep_compiled
+from diffdrive.runtime import configure, enable_compilation_cache
 from diffdrive.support.atomic_write import write_text
-from diffdrive.support.processes import ends_with, processes
+from diffdrive.support.processes import exit_after, processes
 from tuning.checked_logs import check_logs
 from tuning.diagnosis.diagnose import rounded
 from tuning.diagnosis.next_experiment import Experiment
@@ -91,7 +91,7 @@ def _write_answer(place: Path, path: Path, without: tuple[str, ...], told: dict[
 def _start_process() -> None:
     _edition()  # the code as it is imported, whatever becomes of it meanwhile
     configure()
-    keep_compiled()
+    enable_compilation_cache()
 
 
 def case_folders(folder: Path) -> list[Path]:
@@ -168,6 +168,6 @@ if __name__ == "__main__":
         signal.signal(one, lambda number, _: sys.exit(128 + number))
     folder, out, workers, *more = sys.argv[1:]
     if more[1:] == [ATTENDED]:
-        ends_with(lambda: os.read(0, 1))  # of what the process that asks holds open
+        exit_after(lambda: os.read(0, 1))  # of what the process that asks holds open
     named = json.loads(Path(more[0]).read_text(encoding="utf-8")) if more else None
     main(Path(folder), Path(out), int(workers), named)

@@ -12,7 +12,7 @@ from typing import Any
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import atomic_write
-from diffdrive.support.resources import counted, require_disk, require_memory
+from diffdrive.support.resources import format_count, require_disk, require_memory
 from experiments.reports.report import Report
 from experiments.studies.withheld import reruns
 from experiments.studies.withheld.answer import ATTENDED, case_folders, unanswered
@@ -36,7 +36,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 
 def require_workers(workers: int) -> None:
     """Raise `ParameterError` for more processes than fit into memory."""
-    request = f"--workers {counted(workers)}: as many processes"
+    request = f"--workers {format_count(workers)}: as many processes"
     require_memory(ParameterError, request, PROCESS * (workers - 1), "give fewer")
 
 
@@ -51,7 +51,7 @@ def check_drawn_machines(
     on = axes_named(axes)
     require_workers(workers)
     above = next(one for one in (out, *out.resolve().parents) if one.is_dir())
-    require_disk(ParameterError, f"--cases {counted(count)}: their logs", above, CASE * float(count), "give fewer")
+    require_disk(ParameterError, f"--cases {format_count(count)}: their logs", above, CASE * float(count), "give fewer")
     with Report(f"withheld-effect check: {count} machines of {', '.join(axes)}, seed {seed}", out) as report:
         cases, parts = out / "cases", out / "key_parts"
         with report.stages() as progress:

@@ -24,7 +24,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import inputs_of, rollout, simulate
+from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Actuator, Directional, Sampling, Sensor, as_arrays
@@ -242,7 +242,7 @@ def test_lanes_over_load_mass_and_seed_equal_single_runs():
 
     def lane(load, mass, seed):
         drive = eqx.tree_at(lambda d: d.plant.mass, as_arrays(noisy), mass)
-        inputs = inputs_of(MOVE, np.zeros(N))
+        inputs = loop_inputs(MOVE, np.zeros(N))
         inputs = inputs._replace(load=jnp.full(N, load))
         frame = rollout(drive, controller, inputs, Sampling(), jax.random.key(seed))
         return frame.position, frame.command

@@ -20,13 +20,13 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration, PositionSpring, ProcessForce, window
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFriction, PreslidingHysteresis, ViscousDrift
 from diffdrive.effects.machine import FrictionAsymmetry, FrictionShape, PayloadMass
-from diffdrive.effects.oscillator import Oscillator, swinging
+from diffdrive.effects.oscillator import Oscillator, discretise
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.loop.linearise import Operating, open_loop, response
-from diffdrive.loop.simulate import inputs_of, rollout, simulate
+from diffdrive.loop.linearise import OperatingPoint, open_loop, response
+from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, Sensor, as_arrays
 from diffdrive.model.plant import advance, at_rest
@@ -38,7 +38,7 @@ RATE = 2_000.0
 SAMPLING = Sampling(rate=RATE)
 CONTROLLER = PD(Tracking(PDGains(1.0e6, 6_000.0)))
 MOTION = triangular(speed=0.010, stroke=0.0014, rounding=0.02, duration=0.4, rate=RATE, first_reversal=0.15)
-INPUTS = inputs_of(MOTION, 2_000.0 * np.ones(len(MOTION.time)))
+INPUTS = loop_inputs(MOTION, 2_000.0 * np.ones(len(MOTION.time)))
 DRIVE = dataclasses.replace(paper_drive(), sensor=Sensor(None, 0.0))
 
 # values that are plainly there, for derivatives and for drive files
@@ -120,7 +120,7 @@ def test_an_oscillator_is_stepped_exactly():
         return [q[1], push - 2 * damping * angular * q[1] - angular**2 * q[0]]
 
     found = scipy.integrate.solve_ivp(rates, (0, 0.13), [1e-3, -0.2], method="DOP853", rtol=1e-12, atol=1e-15)
-    ours = swinging(angular, damping, 0.13).step(Oscillator(1e-3, -0.2), push)
+    ours = discretise(angular, damping, 0.13).step(Oscillator(1e-3, -0.2), push)
     np.testing.assert_allclose([float(ours.deflection), float(ours.rate)], found.y[:, -1], rtol=1e-9)
 
 
@@ -152,17 +152,17 @@ def test_a_delay_moves_a_ramp(delay):
 
 def test_the_force_is_scaled_before_it_is_limited_whatever_the_order():
     for effects in ((ForceGain(-0.2), ForceLimit(100.0)), (ForceLimit(100.0), ForceGain(-0.2))):
-        states = acting.at_rest(effects, jnp.zeros(()))
-        assert acting.through(effects, states, jnp.asarray(110.0), 1e-3)[1].mean == pytest.approx(88.0)
-        assert acting.through(effects, states, jnp.asarray(200.0), 1e-3)[1].mean == pytest.approx(100.0)
+        states = acting.initial_states(effects, jnp.zeros(()))
+        assert acting.actuator_output(effects, states, jnp.asarray(110.0), 1e-3)[1].mean == pytest.approx(88.0)
+        assert acting.actuator_output(effects, states, jnp.asarray(200.0), 1e-3)[1].mean == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize("behind", [LoopDelay(0.5), ActuatorLag(2e-3)])
 def test_a_command_is_limited_before_it_is_late_or_lags(behind):
     """Behind them only the mean of a period would be."""
     effects = (behind, ForceLimit(100.0))
-    states, (alone,) = acting.at_rest(effects, jnp.zeros(())), acting.at_rest((behind,), jnp.zeros(()))
-    found = acting.through(effects, states, jnp.asarray(1000.0), 1e-3)[1]
+    states, (alone,) = acting.initial_states(effects, jnp.zeros(())), acting.initial_states((behind,), jnp.zeros(()))
+    found = acting.actuator_output(effects, states, jnp.asarray(1000.0), 1e-3)[1]
     expected = behind.step(alone, jnp.asarray(100.0), 1e-3)[1]
     assert found.mean == pytest.approx(expected.mean)
     assert found.tilt == pytest.approx(expected.tilt)
@@ -180,7 +180,7 @@ def test_the_friction_recorded_is_that_which_acts():
     """A force balance: what accelerates the table is the force less damping and the friction recorded."""
     drive = with_effects(PositionFriction(0.0, 0.0, 0.02, 0.3, 0.0))
     fast = triangular(speed=0.1, stroke=0.0375, rounding=0.05, duration=0.4, rate=RATE)
-    frame = rollout(*as_arrays((drive, CONTROLLER)), inputs_of(fast, np.zeros(len(fast.time))), SAMPLING)
+    frame = rollout(*as_arrays((drive, CONTROLLER)), loop_inputs(fast, np.zeros(len(fast.time))), SAMPLING)
     speed, friction = np.asarray(frame.velocity), np.asarray(frame.friction)
     resisting = friction + float(drive.plant.damping.positive) * speed
     halfway = 0.5 * (resisting[1:] + resisting[:-1])
@@ -195,7 +195,7 @@ def test_a_lag_turns_the_loop_as_its_transfer_function_does():
     lag = ActuatorLag(8e-4)
     frequency = np.array([5.0, 30.0, 120.0])
     plain, turned = (
-        response(open_loop(*as_arrays((smooth(one), CONTROLLER)), SAMPLING, Operating(0.01, 0.0)), frequency).loop
+        response(open_loop(*as_arrays((smooth(one), CONTROLLER)), SAMPLING, OperatingPoint(0.01, 0.0)), frequency).loop
         for one in (drive, with_effects(lag, drive=drive))
     )
     z = np.exp(2j * np.pi * frequency / RATE)
@@ -290,10 +290,10 @@ def test_a_vibrating_frame_is_two_bodies():
     def body(carry, k):
         table, states = carry
         seen = acting.seen_by(machine, k * period, *table, force, 0.0, 0.0)
-        states, acts = acting.upon(machine.effects, states, seen, machine, period)
+        states, acts = acting.table_action(machine.effects, states, seen, machine, period)
         return (advance(machine, table, force + acts.force, 0.0, period, 40), states), None
 
-    begin = (at_rest(0.0), acting.at_rest(machine.effects, 0.0))
+    begin = (at_rest(0.0), acting.initial_states(machine.effects, 0.0))
     (table, _), _ = jax.lax.scan(body, begin, jnp.arange(round(0.3 * RATE), dtype=float))
     assert float(table.position) == pytest.approx(found.y[0, -1] - found.y[2, -1], rel=2e-3)
 

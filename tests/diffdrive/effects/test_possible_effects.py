@@ -13,7 +13,7 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.base import Envelope
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.effects.possible import require_possible
+from diffdrive.effects.possible import require_feasible
 from diffdrive.errors import DriveFileError, MotionError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling, quantities
@@ -59,7 +59,7 @@ def having(name, values):
 @pytest.mark.parametrize(("name", "values", "says"), IMPOSSIBLE.values(), ids=IMPOSSIBLE.keys())
 def test_an_impossible_effect_is_named(name, values, says):
     with pytest.raises(ParameterError, match=rf"^effects\.{name}: .*{says.removeprefix(f'effects.{name}: ')}"):
-        require_possible(having(name, values), WITHIN)
+        require_feasible(having(name, values), WITHIN)
 
 
 @pytest.mark.parametrize(("name", "values", "says"), IMPOSSIBLE.values(), ids=IMPOSSIBLE.keys())
@@ -67,19 +67,19 @@ def test_one_impossible_machine_among_many_is_found(name, values, says):
     """As a sweep draws them: a parameter is an array over machines."""
     last = {key: np.array([getattr(EFFECTS[name](), key), value]) for key, value in values.items()}
     with pytest.raises(ParameterError, match=rf"^effects\.{name}: "):
-        require_possible(having(name, last), WITHIN)
+        require_feasible(having(name, last), WITHIN)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_neutral_effect_is_possible_wherever_the_drive_goes(name):
     for within in (WITHIN, Envelope(), Envelope((-100.0, 100.0), 10.0, -15_000.0, 1e6, 0.1)):
-        require_possible(having(name, {}), within)
+        require_feasible(having(name, {}), within)
 
 
 def test_what_is_traced_is_passed_over():
     def mass(more):
         drive = having("payload_mass", {"mass": more})
-        require_possible(drive, WITHIN)
+        require_feasible(drive, WITHIN)
         return more
 
     assert float(jax.grad(mass)(-200.0)) == 1.0
@@ -116,7 +116,7 @@ def test_every_parameter_of_every_effect_at_strange_values_is_judged_in_numbers(
                 amplitudes = {key: 1e-6 for key in ("cosine", "sine") if hasattr(effect(), key)}
                 said = f"effects.{name}: "
                 try:
-                    require_possible(having(name, amplitudes | {path: value}), WITHIN)
+                    require_feasible(having(name, amplitudes | {path: value}), WITHIN)
                     judged[True] += 1
                 except ParameterError as problem:
                     said = str(problem)

@@ -123,11 +123,13 @@ def driven(drive, rate, forces):
     def body(carry, force):
         table, states = carry
         seen = acting.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
-        states, acts = acting.upon(drive.effects, states, seen, drive, period)
-        moved = advance(acting.bent(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5))
+        states, acts = acting.table_action(drive.effects, states, seen, drive, period)
+        moved = advance(
+            acting.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
+        )
         return (moved._replace(position=moved.position + acts.shift), states), table.position
 
-    begin = (at_rest(0.0), acting.at_rest(drive.effects, 0.0))
+    begin = (at_rest(0.0), acting.initial_states(drive.effects, 0.0))
     return np.asarray(jax.lax.scan(body, jax.tree.map(jnp.asarray, begin), jnp.asarray(forces))[1])
 
 
@@ -159,7 +161,9 @@ def test_elements_stretch_alike_by_forces_and_by_a_known_travel(rate, allowed):
         table, state, other = carry
         seen = acting.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
         ahead, acts = effect.step(state, seen, drive, period)
-        moved = advance(acting.bent(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5))
+        moved = advance(
+            acting.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
+        )
         moved = moved._replace(position=moved.position + acts.shift)
         other = effect.along(other, seen, moved.position - table.position, drive, period)
         return (moved, ahead, other), (jnp.stack(ahead), jnp.stack(other))

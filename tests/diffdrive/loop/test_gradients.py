@@ -21,7 +21,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop import metrics
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -62,7 +62,7 @@ DURATION = (SAMPLES - 1) * 1e-4
 def reversing(speed=0.01):
     """Up to 10 mm/s, a reversal and back, the load growing to 8 kN."""
     there = motion.triangular(speed=speed, stroke=0.07 * speed, rounding=0.04, duration=DURATION, rate=1e4)
-    return inputs_of(there, load.ramp(there.time, start=0.03, end=0.12, to=8e3))
+    return loop_inputs(there, load.ramp(there.time, start=0.03, end=0.12, to=8e3))
 
 
 def resting():

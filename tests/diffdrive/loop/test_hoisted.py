@@ -19,7 +19,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.loop.simulate import inputs_of, rollout, running_costs, start, step
+from diffdrive.loop.simulate import initial_state, loop_inputs, rollout, running_costs, step
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays, in_precision_of
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -53,7 +53,7 @@ DRIVES = {"exact": PAPER, "imperfect": IMPERFECT, "smooth": smooth(IMPERFECT)}
 
 def inputs():
     there = motion.sine(amplitude=1e-3, frequency=5.0, duration=(SAMPLES - 1) * 1e-4, rate=1e4)
-    return inputs_of(there, np.zeros(SAMPLES))
+    return loop_inputs(there, np.zeros(SAMPLES))
 
 
 def key_for(drive):
@@ -105,7 +105,7 @@ def test_the_guard_sees_a_loop_that_is_no_kernel():
             state, frame = step(drive, controller, Sampling(), None, state, at)
             return state, jnp.linalg.inv(jnp.eye(3) * (2.0 + frame.position))
 
-        return lax.scan(body, start(drive, controller, inputs.load[0]), inputs)[1]
+        return lax.scan(body, initial_state(drive, controller, inputs.load[0]), inputs)[1]
 
     assert not is_hoisted(solving, drive, controller, inputs())
 

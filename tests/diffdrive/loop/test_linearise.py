@@ -15,8 +15,8 @@ from scipy.signal import cont2discrete
 
 from diffdrive.controllers import Cascade, Feedforward, Reference
 from diffdrive.loop import linearise
-from diffdrive.loop.linearise import OpenLoop, Operating, open_loop
-from diffdrive.loop.simulate import Inputs, LoopState, start, step
+from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
+from diffdrive.loop.simulate import Inputs, LoopState, initial_state, step
 from diffdrive.loop.smooth import smooth
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import steady_friction, stribeck_level
@@ -32,7 +32,7 @@ CONTROLLERS = paper.controllers(PAPER) | {"cascade": CASCADE}
 VELOCITIES = np.array([0.0, 3e-4, 3e-3, -3e-3, 1e-2, 0.1])
 LOADS = np.array([0.0, 1e4, 0.0, 0.0, 1e4, 0.0])
 FREQUENCY = np.geomspace(1.0, 4900.0, 300)
-response, growth = jax.jit(linearise.response), jax.jit(linearise.growth)
+response, growth = jax.jit(linearise.response), jax.jit(linearise.growth_rate)
 
 
 def drive_with(delay):
@@ -46,7 +46,7 @@ def smooth_controller(name):
 @cache
 def loops_of(name, delay=ONE_SAMPLE, substeps=None):
     """The open loops at every operating point, [p] each; compiled once for all tests."""
-    loop = jax.vmap(lambda v, w: open_loop(drive_with(delay), smooth_controller(name), sampling, Operating(v, w)))
+    loop = jax.vmap(lambda v, w: open_loop(drive_with(delay), smooth_controller(name), sampling, OperatingPoint(v, w)))
     sampling = Sampling(substeps=substeps)
     return jax.jit(loop)(VELOCITIES, LOADS)
 
@@ -83,7 +83,7 @@ class Simulated:
 
     def _settled(self, velocity, load):
         """The state after `settling` steps of the motion, and the force asked for then (N)."""
-        state = start(self.drive, self.controller, jnp.asarray(self.position))
+        state = initial_state(self.drive, self.controller, jnp.asarray(self.position))
         deflection = jnp.sign(velocity) * stribeck_level(self.drive.friction, velocity, load) / 3.35e7
         state = state._replace(plant=plant.PlantState(state.plant.position, velocity, deflection))
         held = steady_friction(self.drive.friction, velocity, load)
@@ -260,7 +260,7 @@ def test_directions_agree_where_the_drive_is_the_same_in_both():
     even = jax.tree.map(both_ways, PAPER, is_leaf=lambda part: isinstance(part, Directional))
     drive = as_arrays(smooth(dataclasses.replace(even, actuator=ONE_SAMPLE)))
     controller = as_arrays(smooth(paper.controllers(even)["PD+FC+LS"]))
-    there_and_back = jax.jit(jax.vmap(lambda v: open_loop(drive, controller, Sampling(), Operating(v, 5e3))))
+    there_and_back = jax.jit(jax.vmap(lambda v: open_loop(drive, controller, Sampling(), OperatingPoint(v, 5e3))))
     loops = there_and_back(np.array([3e-3, -3e-3]))
     there, back = (response(jax.tree.map(lambda leaf, k=k: leaf[k], loops), FREQUENCY).loop for k in (0, 1))
     np.testing.assert_allclose(there, back, rtol=1e-9)

@@ -11,9 +11,9 @@ import pytest
 
 from diffdrive.controllers import PD, Reference
 from diffdrive.controllers.base import PDGains, Tracking
-from diffdrive.loop.linearise import OpenLoop, Operating, open_loop
+from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL, Margins, margins
-from diffdrive.loop.simulate import Inputs, rollout, start
+from diffdrive.loop.simulate import Inputs, initial_state, rollout
 from diffdrive.model.friction import steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Plant, Sampling, as_arrays
 from diffdrive.model.plant import PlantState
@@ -97,7 +97,7 @@ def test_margins_are_those_of_python_control(name, delay):
 def test_phase_margins_are_those_of_the_notes():
     """32.8, 30.0 and 16.6 degrees: the falling Stribeck curve takes damping from a slow table."""
     drive, controller = drive_with(ONE_SAMPLE), smooth_controller("PD")
-    loops = jax.jit(jax.vmap(lambda v: open_loop(drive, controller, Sampling(), Operating(v, 0.0))))
+    loops = jax.jit(jax.vmap(lambda v: open_loop(drive, controller, Sampling(), OperatingPoint(v, 0.0))))
     phase = np.degrees(all_margins(padded(loops(1e-3 * np.array([10, 3, 1, 10, 3, 1])))).phase)
     np.testing.assert_allclose(phase[:3], [32.8, 30.0, 16.6], atol=0.06)
 
@@ -159,7 +159,7 @@ def pushed_pd(velocity, load, seconds):
         controller = PD(Tracking(PDGains(factor * PAPER_KP, factor * PAPER_KD)))
         force = steady_friction(drive.friction, velocity, load) + drive.plant.damping.towards(velocity) * velocity
         deflection = jnp.sign(velocity) * stribeck_level(drive.friction, velocity, load) / 3.35e7
-        begin = start(drive, controller, jnp.zeros(()))
+        begin = initial_state(drive, controller, jnp.zeros(()))
         begin = begin._replace(
             plant=PlantState(jnp.zeros(()), jnp.asarray(velocity), deflection),
             actuator=jax.tree.map(lambda _: force, begin.actuator),
@@ -229,7 +229,7 @@ def by_gains(name):
     def found(logarithms, velocity, load):
         gains = tuple(gain * jnp.exp(by) for gain, by in zip(where(controller), logarithms, strict=True))
         there = eqx.tree_at(where, controller, gains)
-        return jnp.stack(margins(open_loop(drive, there, Sampling(), Operating(velocity, load))))
+        return jnp.stack(margins(open_loop(drive, there, Sampling(), OperatingPoint(velocity, load))))
 
     return found, jnp.zeros(len(where(controller)))
 
@@ -303,7 +303,7 @@ def test_a_gain_margin_at_half_the_control_rate():
     """A light, damped table sampled slowly: its loop ends on the real axis, and is lost by flipping each sample."""
     drive = as_arrays(Drive(Plant(0.5, (380.0, 260.0)), PAPER.friction))
     controller = as_arrays(PD(Tracking(PDGains(2e5, 2e3))))
-    found = jax.jit(lambda v: open_loop(drive, controller, Sampling(1000.0, 32), Operating(v, 0.0)))(0.01)
+    found = jax.jit(lambda v: open_loop(drive, controller, Sampling(1000.0, 32), OperatingPoint(v, 0.0)))(0.01)
     loop = jax.tree.map(np.asarray, found)
     up, _ = gains_that_hold(loop)
     assert up < 2.0

@@ -73,14 +73,14 @@ def test_a_run_s_force_is_its_command_clipped_and_delayed(delay):
 def test_the_smooth_limit_is_within_a_width_of_the_hard_one_and_rises(limit, share):
     width = share * limit
     commands = jnp.linspace(-3 * limit, 3 * limit, 1001)
-    rounded = np.asarray(actuator.limited(Actuator(limit, width), commands))
-    hard = np.asarray(actuator.limited(Actuator(limit), commands))
+    rounded = np.asarray(actuator.saturate(Actuator(limit, width), commands))
+    hard = np.asarray(actuator.saturate(Actuator(limit), commands))
     np.testing.assert_array_equal(hard, np.clip(commands, -limit, limit))
     assert np.max(np.abs(rounded - hard)) <= width * np.log(2) * (1 + 1e-9)  # softplus(0) = log 2, at the corners
     assert np.max(np.abs(rounded)) <= limit * (1 + 1e-12)
     assert np.all(np.diff(rounded) >= -1e-9 * limit)
     np.testing.assert_allclose(rounded, -rounded[::-1], atol=1e-9 * limit)
-    slope = jax.grad(lambda u: actuator.limited(Actuator(limit, width), u))(limit)
+    slope = jax.grad(lambda u: actuator.saturate(Actuator(limit, width), u))(limit)
     assert float(slope) == pytest.approx(0.5, abs=1e-2)
 
 
@@ -90,14 +90,14 @@ def test_the_smooth_limit_is_within_a_width_of_the_hard_one_and_rises(limit, sha
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-1.0, 1.0), st.floats(1e-9, 1e-3))
 def test_a_quantised_position_is_the_nearest_step(position, resolution):
-    steps = float(sensor.quantised(position, resolution)) / resolution
+    steps = float(sensor.quantise(position, resolution)) / resolution
     assert steps == pytest.approx(round(steps), abs=1e-6)
     assert abs(steps - position / resolution) <= 0.5 + 1e-6
 
 
 def test_the_derivative_of_the_quantiser_is_straight_through():
     for position in (0.0, 3.3e-7, -1.25e-3):
-        assert float(jax.grad(lambda x: sensor.quantised(x, 1e-7))(position)) == 1.0
+        assert float(jax.grad(lambda x: sensor.quantise(x, 1e-7))(position)) == 1.0
 
 
 def test_a_run_reports_positions_on_the_grid_of_the_scale():

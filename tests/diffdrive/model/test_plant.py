@@ -17,7 +17,7 @@ from diffdrive import motion
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.friction import PositionFriction
 from diffdrive.errors import ParameterError
-from diffdrive.loop.simulate import inputs_of, rollout, simulate
+from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.model.plant import PlantState, advance
@@ -262,7 +262,7 @@ def test_a_motion_into_such_a_friction_is_refused_or_no_number(drive):
     reference = motion.triangular(speed=0.2, stroke=0.09, rounding=0.1, duration=1.0, rate=10_000.0)
     with pytest.raises(ParameterError, match="it takes 180 % of the Coulomb friction off at some place"):
         simulate(along, pd, reference)
-    inputs = inputs_of(reference, np.zeros(len(reference.time)))
+    inputs = loop_inputs(reference, np.zeros(len(reference.time)))
     position = np.asarray(rollout(*as_arrays((along, pd)), inputs, Sampling()).position)
     reached = np.isfinite(position)
     assert reached[0]

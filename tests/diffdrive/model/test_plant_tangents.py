@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive.model.parameters import as_arrays
-from diffdrive.model.plant import PlantState, advance, advance_along
+from diffdrive.model.plant import PlantState, advance, advance_with_tangents
 from tests.support.sound_log import DRIVE
 
 
@@ -24,7 +24,7 @@ def test_tangents_side_by_side_are_the_derivatives(velocity, force):
     def one_period(state, force):
         return advance(drive, state, force, 0.0, 5e-4, 10)
 
-    ahead, tangents = advance_along(drive, state, jnp.asarray(force), jnp.asarray(0.0), 5e-4, 10, directions)
+    ahead, tangents = advance_with_tangents(drive, state, jnp.asarray(force), jnp.asarray(0.0), 5e-4, 10, directions)
     np.testing.assert_allclose(np.array(ahead), np.array(one_period(state, force)), rtol=1e-14)
     for direction, tangent in zip(directions, tangents, strict=True):
         expected = jax.jvp(one_period, (state, jnp.asarray(force)), direction)[1]
@@ -67,7 +67,9 @@ def test_tangents_under_a_ripple_are_the_derivatives(velocity):
     def one_period(state, force):
         return advance(drive, state, force, 0.0, 5e-4, 10, ripple)
 
-    ahead, (tangent,) = advance_along(drive, state, jnp.asarray(20.0), jnp.asarray(0.0), 5e-4, 10, [way], ripple)
+    ahead, (tangent,) = advance_with_tangents(
+        drive, state, jnp.asarray(20.0), jnp.asarray(0.0), 5e-4, 10, [way], ripple
+    )
     value, expected = jax.jvp(one_period, (state, jnp.asarray(20.0)), way)
     np.testing.assert_allclose(np.array(ahead), np.array(value), rtol=1e-14)
     np.testing.assert_allclose(np.array(tangent), np.array(expected), rtol=1e-10, atol=1e-18)

@@ -13,9 +13,9 @@ from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.machine import FrictionShape
 from diffdrive.errors import DriveFileError
 from diffdrive.loop import metrics
-from diffdrive.loop.simulate import inputs_of, rollout, simulate
+from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.friction import steady_friction, steepest_fall
+from diffdrive.model.friction import steady_friction, steepest_stribeck_slope
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.plant import PlantState, advance
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
@@ -115,7 +115,7 @@ def test_slopes_of_the_curve_are_those_of_differences(exponent):
 @pytest.mark.parametrize("exponent", [0.7, 2.0])
 def test_the_error_of_a_whole_motion_by_the_exponent(exponent):
     """Through rest, a reversal and stick, forwards and backwards, against differences."""
-    inputs = inputs_of(there_and_back(), jnp.zeros(1801))
+    inputs = loop_inputs(there_and_back(), jnp.zeros(1801))
 
     @jax.jit
     def error(exponent):
@@ -180,7 +180,7 @@ def test_the_steepest_fall_is_that_of_the_curve(exponent):
     slopes = d * speeds ** (d - 1.0) * np.exp(-(speeds**d))
     steepest = slopes.max() if d >= 1.0 else (1.0 - np.exp(-1.0))  # below, the chord to where a factor e is gone
     scale = friction.breakaway_gap.negative / friction.stribeck_velocity.negative
-    assert steepest_fall(friction, "negative") == pytest.approx(scale * steepest, rel=1e-4)
+    assert steepest_stribeck_slope(friction, "negative") == pytest.approx(scale * steepest, rel=1e-4)
 
 
 def test_a_drive_file_that_states_none_is_written_without_one():

@@ -61,7 +61,7 @@ def test_material_removal_without_cuts_is_the_dead_weight():
 
 def test_require_possible_passes_what_the_guides_carry(drive):
     load = loads.ramp(TIME, start=0.0, end=1.0, to=-15_200.0)  # down to lift-off exactly
-    np.testing.assert_array_equal(loads.require_possible(drive, load, TIME), load)
+    np.testing.assert_array_equal(loads.validated_load(drive, load, TIME), load)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_require_possible_passes_what_the_guides_carry(drive):
 )
 def test_require_possible_names_time_and_mend(drive, load, says):
     with pytest.raises(MotionError, match=says):
-        loads.require_possible(drive, load, TIME)
+        loads.validated_load(drive, load, TIME)
 
 
 NAN = float("nan")

@@ -11,8 +11,8 @@ from diffdrive import motion as motions
 from diffdrive.controllers import PD, Cascade
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
-from diffdrive.loop.linearise import Operating, open_loop
-from diffdrive.loop.simulate import inputs_of, rollout, simulate
+from diffdrive.loop.linearise import OperatingPoint, open_loop
+from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.model import actuator
 from diffdrive.model.parameters import Actuator, Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -27,7 +27,7 @@ LATE = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=3))
 @pytest.mark.parametrize("controller", [TRACKING, Cascade(kp=50.0, kv=1e4, ki=1e5, velocity_samples=4)])
 def test_a_long_pipeline_gives_the_numbers_of_a_short_one(controller, monkeypatch):
     def position():
-        inputs = inputs_of(MOVE, np.zeros(len(MOVE.time)))
+        inputs = loop_inputs(MOVE, np.zeros(len(MOVE.time)))
         return np.asarray(jax.jit(lambda: rollout(*as_arrays((LATE, controller)), inputs, Sampling()).position)())
 
     short = position()
@@ -59,7 +59,7 @@ def test_what_is_as_long_as_the_motion_is_refused(count):
 def test_a_loop_of_too_many_states_is_refused_before_its_matrix_is_made():
     late = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=10**6))
     with pytest.raises(ParameterError, match=r"linearised loop of 1000\d+ states would take about 64 TB of memory"):
-        open_loop(*as_arrays((late, TRACKING)), Sampling(), Operating(0.01, 0.0))
+        open_loop(*as_arrays((late, TRACKING)), Sampling(), OperatingPoint(0.01, 0.0))
 
 
 def test_a_run_that_does_not_fit_is_refused_before_it_begins(monkeypatch):

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from diffdrive.model.friction import relaxing, slide
-from diffdrive.numerics.polynomial import homogeneous, inverse, polynomial
+from diffdrive.model.friction import deflection_after, relaxation_map
+from diffdrive.numerics.polynomial import homogeneous, polynomial, reciprocal
 from diffdrive.numerics.relaxation import decay, relaxation
 
 speeds = st.floats(0.0, 1e6)
@@ -43,7 +43,7 @@ def test_a_bristle_ends_where_it_does_however_long_the_step(velocity, bent, dura
     """In its steady state v / r it stays, and it comes no further from it."""
     stiffness, level = 3e7, 80.0
     steady = level / stiffness
-    stays, drawn = relaxing(stiffness, jnp.asarray(level), jnp.asarray(velocity), duration)
+    stays, drawn = relaxation_map(stiffness, jnp.asarray(level), jnp.asarray(velocity), duration)
     assert float(stays * steady + drawn) == pytest.approx(steady, rel=1e-13)
     after = float(stays * bent * steady + drawn)
     assert abs(after - steady) <= abs(bent * steady - steady) * (1.0 + 1e-12) + 1e-13 * steady
@@ -52,8 +52,8 @@ def test_a_bristle_ends_where_it_does_however_long_the_step(velocity, bent, dura
 @pytest.mark.parametrize("velocity", [0.0, 1e-6, 1e-3, 0.01])
 def test_a_short_slide_is_the_exact_one(velocity):
     stiffness, level, duration, bristle = 3e7, 80.0, 2e-5, 1.3e-6
-    stays, drawn = relaxing(stiffness, jnp.asarray(level), jnp.asarray(velocity), duration)
-    exact = slide(jnp.asarray(bristle), jnp.asarray(velocity), stiffness * velocity / level, duration)
+    stays, drawn = relaxation_map(stiffness, jnp.asarray(level), jnp.asarray(velocity), duration)
+    exact = deflection_after(jnp.asarray(bristle), jnp.asarray(velocity), stiffness * velocity / level, duration)
     assert float(stays * bristle + drawn) == pytest.approx(float(exact), rel=1e-7)
 
 
@@ -73,7 +73,7 @@ def test_slopes_of_first_and_second_order_are_those_of_differences(at, part):
 
     def ratio(pair):
         found = relaxation(pair[0], pair[1])
-        return found[part] * inverse(found.whole)
+        return found[part] * reciprocal(found.whole)
 
     size = max(at)
     at, step = jnp.asarray(at), 1e-5 * size
@@ -93,7 +93,7 @@ def test_there_are_derivatives_of_higher_orders():
 
     def end(x):
         found = relaxation(x, jnp.asarray(1.0))
-        return found.end * inverse(found.whole)
+        return found.end * reciprocal(found.whole)
 
     slope = end
     for order in range(1, 6):
@@ -108,7 +108,7 @@ def test_single_precision_holds_for_stiff_bristles_and_small_levels(top, bottom)
 
     def mean(top, bottom):
         found = relaxation(top, bottom)
-        return found.mean * inverse(found.whole)
+        return found.mean * reciprocal(found.whole)
 
     def all_of(kind):
         at = (jnp.asarray(top, kind), jnp.asarray(bottom, kind))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, expm_frechet
 
-from diffdrive.model.friction import Bristle, bristle_at
+from diffdrive.model.friction import LuGreCoefficients, lugre_coefficients
 from diffdrive.model.parameters import Directional, Plant
 from diffdrive.numerics.transition import state_matrices
 
@@ -49,14 +49,14 @@ def assert_matches(bristle, velocity, time):
 @pytest.mark.parametrize("load", [0.0, 10_000.0])
 def test_ad_and_bd_are_the_matrix_exponential_from_stick_to_traverse(drive, time, load):
     for v in SPEEDS:
-        assert_matches(bristle_at(drive.friction, v, v, load), v, time)
+        assert_matches(lugre_coefficients(drive.friction, v, v, load), v, time)
 
 
 def with_discriminant(share, rate=200.0):
     """A bristle whose eigenvalues lie sqrt(share) of their half-difference of rates apart; 0: a double one."""
     damping, viscous = 4540.0, 1826.5
     half = 0.5 * ((damping + viscous + 380.0) / 100.0 - rate)
-    return Bristle((1 - share) * half**2 * 100.0 + damping * rate, damping, viscous, 70.0, rate)
+    return LuGreCoefficients((1 - share) * half**2 * 100.0 + damping * rate, damping, viscous, 70.0, rate)
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-16, -1e-16, 1e-12, -1e-12, 1e-8, -1e-8, 1e-4, -1e-4, 1.0, -10.0])
@@ -90,26 +90,26 @@ def test_derivative_at_nearly_equal_eigenvalues(share, time, name):
 @pytest.mark.parametrize("time", [1e-4, 2e-3])
 def test_stiff_bristle(rate_times_period, time):
     stiffness = 3.35e7
-    bristle = Bristle(stiffness, 4540.0, 1826.5, 70.0, rate_times_period / time)
+    bristle = LuGreCoefficients(stiffness, 4540.0, 1826.5, 70.0, rate_times_period / time)
     assert_matches(bristle, 0.1, time)
 
 
 @pytest.mark.parametrize("turns", [1.0, 21.0, 63.0, 200.0])
 def test_oscillating_bristle(turns):
     """omega T up to 200: many turns of the bristle's resonance within one period."""
-    assert_matches(Bristle(100.0 * (turns / 2e-3) ** 2, 100.0, 50.0, 70.0, 3.0), 1e-4, 2e-3)
+    assert_matches(LuGreCoefficients(100.0 * (turns / 2e-3) ** 2, 100.0, 50.0, 70.0, 3.0), 1e-4, 2e-3)
 
 
 @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6, 1e9])
 @pytest.mark.parametrize("time", [1e-4, 1e-3])
 def test_soft_and_hard_bristles(stiffness, time):
     for v in (0.0, 1e-3, -0.1):
-        assert_matches(Bristle(stiffness, 100.0, 50.0, 70.0, stiffness * abs(v) / 70.0), v, time)
+        assert_matches(LuGreCoefficients(stiffness, 100.0, 50.0, 70.0, stiffness * abs(v) / 70.0), v, time)
 
 
 def test_every_derivative_is_finite_from_stick_to_traverse(drive):
     def by_speed(v, time):
-        return closed_form(bristle_at(drive.friction, v, v, 0.0), v, time)
+        return closed_form(lugre_coefficients(drive.friction, v, v, 0.0), v, time)
 
     slopes = jax.jit(jax.vmap(jax.jacfwd(by_speed), in_axes=(0, None)))(jnp.asarray(SPEEDS), 1e-4)
     assert np.all(np.isfinite(slopes))

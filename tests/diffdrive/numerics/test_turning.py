@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.numerics.turning import cosine_sine, doubled, tripled
+from diffdrive.numerics.turning import cosine_sine, double_angle, triple_angle
 
 COMPILED = jax.jit(cosine_sine)
 
@@ -46,9 +46,11 @@ def test_at_rest_there_is_no_wave_and_no_number_stays_none():
 @pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, np.pi, -2.0, 1e4])
 def test_multiples_and_derivatives(angle):
     once = cosine_sine(angle)
-    twice = doubled(*once)
+    twice = double_angle(*once)
     assert [float(one) for one in twice] == pytest.approx([np.cos(2 * angle), np.sin(2 * angle)], abs=2e-15)
-    assert [float(one) for one in tripled(*twice)] == pytest.approx([np.cos(6 * angle), np.sin(6 * angle)], abs=1e-14)
+    assert [float(one) for one in triple_angle(*twice)] == pytest.approx(
+        [np.cos(6 * angle), np.sin(6 * angle)], abs=1e-14
+    )
     slopes = jax.jacfwd(cosine_sine)(angle), jax.jacrev(cosine_sine)(angle)
     for cosine, sine in slopes:
         assert (float(cosine), float(sine)) == (-float(once[1]), float(once[0]))

@@ -13,7 +13,7 @@ from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.friction import bristle_at, steady_friction
+from diffdrive.model.friction import lugre_coefficients, steady_friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.numerics.transition import state_matrices
 from diffdrive.observers.convergence import (
@@ -101,7 +101,7 @@ def test_load_error_decays_with_the_time_constant(drive, speed):
 @pytest.mark.parametrize("tuning", TUNINGS)
 @pytest.mark.parametrize("speed", [1e-4, 0.01, -0.1])
 def test_steady_covariance_is_where_the_filter_settles(drive, tuning, speed):
-    bristle = bristle_at(drive.friction, speed, speed, 0.0)
+    bristle = lugre_coefficients(drive.friction, speed, speed, 0.0)
     ad, _ = state_matrices(drive.plant, bristle, speed, PERIOD)
     ad, process = np.array([[float(entry) for entry in row] for row in ad]), np.array(tuning.process)
     found = np.asarray(jax.jit(steady_covariance)(jnp.asarray(ad), jnp.asarray(process), tuning.measurement))

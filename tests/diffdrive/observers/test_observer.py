@@ -12,12 +12,12 @@ from scipy.linalg import expm
 from diffdrive import motion
 from diffdrive.controllers import PD, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
-from diffdrive.observers.kalman import whole
+from diffdrive.observers.kalman import full_matrix
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 
 PERIOD = 1e-4
@@ -88,7 +88,7 @@ def log():
     there = motion.triangular(speed=0.01, stroke=0.0008, rounding=0.04, duration=0.2, rate=1e4)
     weight = load.ramp(there.time, start=0.02, end=0.15, to=5e3)
     pd = PD(paper_tracking(drive, PAPER_KP, PAPER_KD))
-    frames = rollout(*as_arrays((drive, pd)), inputs_of(there, weight), Sampling())
+    frames = rollout(*as_arrays((drive, pd)), loop_inputs(there, weight), Sampling())
     assert np.ptp(np.sign(frames.velocity)) == 2
     force = np.concatenate([[0.0], frames.force])[:2000]
     return force, np.asarray(frames.measured)[:2000]
@@ -126,7 +126,7 @@ def test_observer_is_the_textbook_filter(log, name):
         return state, (state, estimate)
 
     _, (states, estimates) = jax.jit(lambda log: lax.scan(body, observer.init(jnp.zeros(())), log))(log)
-    x, covariance = np.array(states.x).T, np.moveaxis(np.array(whole(states.covariance)), -1, 0)
+    x, covariance = np.array(states.x).T, np.moveaxis(np.array(full_matrix(states.covariance)), -1, 0)
     for k, sample in enumerate(zip(*log, strict=True)):
         friction = oracle.step(*sample)
         if k in (0, 1, 10, 100, 700, 1000, 1999):
@@ -146,7 +146,7 @@ def covariances(observer, log):
 
     # a load estimate that runs away would leave the model: only the covariance is looked at, at the recorded positions
     state, _ = lax.scan(body, observer.init(jnp.zeros(())), log)
-    return jnp.stack([jnp.stack(row) for row in whole(state.covariance)])
+    return jnp.stack([jnp.stack(row) for row in full_matrix(state.covariance)])
 
 
 DECADES = st.floats(-20, -6).map(lambda exponent: 10.0**exponent)
@@ -201,7 +201,7 @@ def test_a_matched_model_is_not_surprised_at_constant_speed(drive, observer, spe
     time = np.arange(8001) * PERIOD
     steady = motion.from_array(time, speed * np.where(time < 0.1, time**2 / 0.2, time - 0.05))
     loop = FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer(drive.plant, drive.friction))
-    frames = roll(*as_arrays((drive, loop)), inputs_of(steady, np.zeros(8001)))
+    frames = roll(*as_arrays((drive, loop)), loop_inputs(steady, np.zeros(8001)))
     assert np.abs(frames.estimate.innovation[-500:]).max() < 1e-14
     np.testing.assert_allclose(frames.estimate.friction[-500:], frames.friction[-500:], rtol=1e-6)
     np.testing.assert_allclose(frames.estimate.velocity[-500:], speed, rtol=1e-6)

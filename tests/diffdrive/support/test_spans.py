@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.support.spans import listed, spelled
+from diffdrive.support.spans import format_span, format_spans
 
 
 @pytest.mark.parametrize(
@@ -33,12 +33,13 @@ from diffdrive.support.spans import listed, spelled
     ],
 )
 def test_a_number_has_the_digits_that_its_interval_calls_for(span, unit, says):
-    assert listed([span], unit) == says
+    assert format_spans([span], unit) == says
 
 
 def test_logs_are_told_one_by_one_in_one_unit():
     assert (
-        listed([(0.5, 0.4, 0.6), (2e-3, 1e-3, 3e-3)], "m") == "log 1: 500 (400 to 600) mm, log 2: 2.0 (1.0 to 3.0) mm"
+        format_spans([(0.5, 0.4, 0.6), (2e-3, 1e-3, 3e-3)], "m")
+        == "log 1: 500 (400 to 600) mm, log 2: 2.0 (1.0 to 3.0) mm"
     )
 
 
@@ -48,14 +49,16 @@ def test_logs_are_told_one_by_one_in_one_unit():
 )
 def test_the_interval_always_shows_and_no_end_is_off_by_more_than_a_tenth_of_it(at, relative):
     half = relative * (abs(at) or 1.0)
-    said = spelled((at, at - half, at + half))
+    said = format_span((at, at - half, at + half))
     assert len(set(said)) == 3
     assert [float(one) for one in said] == pytest.approx([at, at - half, at + half], abs=0.051 * half)
 
 
 @given(st.floats(1e-9, 0.9), st.sampled_from(["m", "s"]))
 def test_a_unit_is_changed_with_its_number(at, unit):
-    number, given_in = re.fullmatch(r"(\S+) \(.* to .*\) (\w+)", listed([(at, 0.9 * at, 1.1 * at)], unit)).groups()
+    number, given_in = re.fullmatch(
+        r"(\S+) \(.* to .*\) (\w+)", format_spans([(at, 0.9 * at, 1.1 * at)], unit)
+    ).groups()
     scale = {unit: 1.0, f"m{unit}": 1e-3, f"u{unit}": 1e-6}[given_in]
     assert float(number) * scale == pytest.approx(at, rel=0.01)
     assert 0.01 <= float(number) < 1000.0 or at < 1e-7

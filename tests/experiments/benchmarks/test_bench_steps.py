@@ -9,7 +9,7 @@ import pytest
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Actuator, Directional, Drive, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from experiments.benchmarks import in_c
@@ -60,7 +60,7 @@ def test_a_hand_written_step_is_the_projects_own(hand_written, quantised):
         pytest.skip("no gcc")
     drive, machine = paper_drive(quantised=quantised), lopsided(quantised)
     controller = paper.controllers(drive)["PD+FC+LE"]
-    inputs = inputs_of(SCENARIO.motion, 0.7 * SCENARIO.load)
+    inputs = loop_inputs(SCENARIO.motion, 0.7 * SCENARIO.load)
     frame = ROLLOUT(*as_arrays((machine, controller)), inputs, paper.SAMPLING)
     costs, position, both = hand_written(row(machine, controller, 0.7), SCENARIO.load, paper.SAMPLING)
     # a quantised loop magnifies rounding: where two roll-outs fall to either side of half a quantum, they part

@@ -9,7 +9,7 @@ import pytest
 from diffdrive import motion
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import inputs_of, rollout, simulate
+from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
@@ -115,7 +115,7 @@ def load_error_at(speed, observer, quantised):
     time = np.arange(14_001) * 1e-4
     steady = motion.from_array(time, speed * np.where(time < 0.1, time**2 / 0.2, time - 0.05))
     controller = FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer)
-    estimate = roll(*as_arrays((drive, controller)), inputs_of(steady, load.step(time, at=0.3, to=1e4)))
+    estimate = roll(*as_arrays((drive, controller)), loop_inputs(steady, load.step(time, at=0.3, to=1e4)))
     return np.asarray(estimate)[13_000:] - 1e4
 
 

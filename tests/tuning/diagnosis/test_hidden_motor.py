@@ -7,7 +7,7 @@ import pytest
 
 from diffdrive.effects.base import Seen
 from diffdrive.effects.oscillator import Oscillator
-from diffdrive.effects.transmission import Backlash, Compliance, Motor
+from diffdrive.effects.transmission import Backlash, Compliance, MotorState
 from diffdrive.model.friction import coulomb
 from tests.support.perturbed_machine import OFF, catalogue, fitter_of
 from tests.support.sound_log import DRIVE
@@ -45,13 +45,13 @@ def test_answers_of_motor_and_table_are_those_of_differences(screw, at):
 
     def after(values):
         velocity, bristle, deflection, rate = values
-        motor = Motor.at_rest()._replace(against=Oscillator(deflection, rate))
+        motor = MotorState.at_rest()._replace(against=Oscillator(deflection, rate))
         motor, acts = effect.step(motor, seen(velocity, bristle), drive, period)
         return jnp.stack([*motor.against, acts.force, acts.shift])
 
     here = np.array(at)
     velocity, bristle, deflection, rate = (jnp.asarray(value) for value in at)
-    motor = Motor.at_rest()._replace(against=Oscillator(deflection, rate))
+    motor = MotorState.at_rest()._replace(against=Oscillator(deflection, rate))
     ahead, acts, answers = effect.step_along(motor, seen(velocity, bristle), drive, period)
     np.testing.assert_allclose(after(here), jnp.stack([*ahead.against, acts.force, acts.shift]), rtol=1e-12)
     for k, h in enumerate((1e-9, 1e-12, 1e-12, 1e-9)):
@@ -68,12 +68,12 @@ def test_one_loop_answers_as_the_derivative_of_the_step_does():
 
     def after(values):
         velocity, bristle, deflection, rate = values
-        motor = Motor.at_rest()._replace(against=Oscillator(deflection, rate))
+        motor = MotorState.at_rest()._replace(against=Oscillator(deflection, rate))
         motor, acts = effect.step(motor, seen(velocity, bristle), drive, 5e-4)
         return jnp.stack([*motor.against, acts.force, acts.shift])
 
     here = jnp.array([0.02, 1.5e-6, 4.2e-6, 2e-3])
-    motor = Motor.at_rest()._replace(against=Oscillator(here[2], here[3]))
+    motor = MotorState.at_rest()._replace(against=Oscillator(here[2], here[3]))
     answers = effect.step_along(motor, seen(here[0], here[1]), drive, 5e-4)[2]
     np.testing.assert_allclose(jnp.stack([jnp.stack([*one]) for one in answers], axis=1), jax.jacfwd(after)(here))
 

@@ -9,7 +9,7 @@ import pytest
 
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.forces import ConstantForce
-from diffdrive.loop.simulate import inputs_of
+from diffdrive.loop.simulate import loop_inputs
 from diffdrive.motion.motion import Limits, require_within
 from diffdrive.motion.text import parse_motion
 from tests.support.fake_fits import hypothesis
@@ -113,7 +113,7 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
         u = np.zeros(model.size)
         fits.append(fitter.fit(model, u, base.process, base.track.course, 2))
     stroke = list(MOTIONS.values())[-1]
-    inputs = inputs_of(stroke, np.zeros(len(stroke.time)))
+    inputs = loop_inputs(stroke, np.zeros(len(stroke.time)))
     assert module._told(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.ENOUGH
     assert abs(module._told(fits[0], fits[0], DRIVE, inputs, module.STEPS)) < 1e-6
 

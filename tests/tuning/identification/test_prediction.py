@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.logs import Log
-from diffdrive.loop.simulate import inputs_of, rollout
+from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model import actuator, plant
 from diffdrive.model.parameters import Actuator, Directional, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
@@ -58,7 +58,7 @@ def logged(drive, reference, sampling=SAMPLING, disturbance=None, seed=None):
     """One lane: what a simulated machine logs, its scale clean unless there is a seed."""
     loads = growing(reference)
     key = None if seed is None else jax.random.key(seed)
-    frames = _rolled(as_arrays(drive), inputs_of(reference, loads, disturbance), sampling, key)
+    frames = _rolled(as_arrays(drive), loop_inputs(reference, loads, disturbance), sampling, key)
     zero = np.zeros((1, len(loads)))
     return Lanes(frames.measured[None], frames.command[None], zero, loads[None], zero + 1.0, np.zeros(1))
 
@@ -105,7 +105,7 @@ def clean_lane():
 
 def test_what_is_predicted_ends_at_the_velocity_of_the_simulation():
     lanes = clean_lane()
-    frames = _rolled(as_arrays(DELAYED), inputs_of(reversal(), growing(reversal())), SAMPLING, None)
+    frames = _rolled(as_arrays(DELAYED), loop_inputs(reversal(), growing(reversal())), SAMPLING, None)
     found = predicted(as_arrays(DELAYED), jnp.asarray(1.3), pulling(0.0, lanes), lanes, SAMPLING)
     np.testing.assert_allclose(found.velocity[0], frames.velocity, atol=1e-14)
 
@@ -258,7 +258,7 @@ def derivatives():
 
 
 def test_the_log_of_the_derivatives_visits_rest_stick_sliding_and_reversals():
-    frames = _rolled(as_arrays(DELAYED), inputs_of(reversal(), growing(reversal())), SAMPLING, None)
+    frames = _rolled(as_arrays(DELAYED), loop_inputs(reversal(), growing(reversal())), SAMPLING, None)
     velocity = np.asarray(frames.velocity)
     assert velocity[0] == 0.0
     assert np.mean(np.abs(velocity) < 1e-5) > 0.1

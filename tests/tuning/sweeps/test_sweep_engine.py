@@ -14,8 +14,8 @@ import pytest
 from diffdrive import motion
 from diffdrive.effects import actuator, forces, friction, scale, transmission
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.loop.run import sane_error
-from diffdrive.loop.simulate import inputs_of, running_costs, simulate
+from diffdrive.loop.run import divergence_bound
+from diffdrive.loop.simulate import loop_inputs, running_costs, simulate
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
@@ -50,7 +50,7 @@ def swept(name="PD+FC+LE", count=128, first=0, to=None, precision="double", driv
 @pytest.mark.parametrize("name", ["PD", "PD+FC+LE"])
 def test_a_machine_in_a_sweep_costs_what_it_costs_alone(name):
     found, (machine, ramp, keys, controller) = swept(name)
-    inputs, counts = inputs_of(THERE, np.zeros(len(THERE.time))), jnp.asarray(THERE.time > 0.02, float)
+    inputs, counts = loop_inputs(THERE, np.zeros(len(THERE.time))), jnp.asarray(THERE.time > 0.02, float)
     alone = jax.jit(
         lambda drive, controller, ramp, key: running_costs(drive, controller, inputs, counts, SAMPLING, key, ramp)
     )
@@ -76,7 +76,7 @@ def test_a_machine_diverges_in_a_sweep_where_it_does_alone():
     machine, ramp, _ = machines(drive, [parse_varied("plant.mass=uniform:4.7..4.9 kg", drive)], drawn)
     course, reach = for_all(MachineCourse(there, np.zeros(len(there.time))), 0.0, Limits()), 0.1
     control = paper.controllers(drive)["PD"]
-    assert sane_error(there.position, Limits()) == reach
+    assert divergence_bound(there.position, Limits()) == reach
     found = costs_of(machine, ramp, None, control, course, SAMPLING)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -12,7 +12,7 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash
 from diffdrive.errors import ParameterError
-from diffdrive.loop.simulate import inputs_of, running_costs
+from diffdrive.loop.simulate import loop_inputs, running_costs
 from diffdrive.model.parameters import Directional, Sampling, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
@@ -74,7 +74,7 @@ def test_costs_under_a_ramp_are_those_under_its_load():
     models = as_arrays((DRIVE, PD(paper_tracking(DRIVE, PAPER_KP, PAPER_KD))))
     course, counts = Ramp(*map(jnp.asarray, (1e3, 5e3, 0.01, 0.03))), jnp.ones(len(there.time))
     none, applied = (
-        inputs_of(there, one)
+        loop_inputs(there, one)
         for one in (np.zeros(len(there.time)), load.ramp(there.time, start=0.01, end=0.03, before=1e3, to=6e3))
     )
     by_ramp = running_costs(*models, none, counts, Sampling(), ramp=course)
