@@ -3,10 +3,12 @@
 import functools
 import math
 import re
-
-import pint
+from typing import TYPE_CHECKING
 
 from diffdrive.support.messages import shortened
+
+if TYPE_CHECKING:
+    import pint
 
 _NUMBER_AND_UNIT = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)")
 # an M for an m; whoever means a million of them has other words for it
@@ -14,7 +16,9 @@ _SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 
 
 
 @functools.cache
-def _registry() -> pint.UnitRegistry:
+def _registry() -> "pint.UnitRegistry":
+    import pint  # half a second, and most programs read no unit
+
     return pint.UnitRegistry()
 
 
@@ -30,6 +34,8 @@ def to_si(text: str, unit: str) -> float:
     the pen (Mm for mm): no axis has them. Angles count as units of their own: to the library a radian is a plain
     number, so that 1500 rad/s would pass for 1500 Hz and 10 deg for 0.17 m.
     """
+    import pint
+
     example = "0.5, without a unit" if unit == "1" else f"'1.5 {unit}'"
     said, units = shortened(text), []
     if not _NUMBER_AND_UNIT.fullmatch(text):

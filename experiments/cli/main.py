@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from diffdrive.runtime import configure, enable_compilation_cache
 from diffdrive.support.atomic_write import FULL
 from diffdrive.support.messages import printable
+from experiments.cli.command import Computing
 from experiments.cli.ending import INTERRUPTED, out_of, watched
 from experiments.cli.options import (
     DEFAULT_MOTION,
@@ -32,6 +32,7 @@ from experiments.cli.options import (
 )  # fmt: skip
 from experiments.cli.studies import studies
 from experiments.cli.sweeps import sweeps
+from experiments.cli.texts import kept, text
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -62,7 +63,7 @@ def everywhere(
     """
 
 
-@app.command()
+@app.command(cls=Computing)
 def demo(
     out: Out = None,
     emps: Annotated[Path | None, typer.Option(help="Folder of the EMPS benchmark's .mat files.")] = None,
@@ -77,7 +78,7 @@ def demo(
     run(out, emps_folder=emps, quick=quick)
 
 
-@app.command()
+@app.command(cls=Computing)
 def simulate(
     drive: DriveFile,
     motion: MotionText = DEFAULT_MOTION,
@@ -105,7 +106,7 @@ def simulate(
         raise typer.Exit(3)
 
 
-@app.command()
+@app.command(cls=Computing)
 def tune(
     drive: DriveFile,
     out: Out = None,
@@ -195,7 +196,7 @@ def tune(
         raise typer.Exit(3)
 
 
-@app.command()
+@app.command(cls=Computing)
 def check(
     logs: Logs,
     drive: Believed,
@@ -218,7 +219,7 @@ def check(
         raise typer.Exit(3)
 
 
-@app.command()
+@app.command(cls=Computing)
 def identify(
     logs: Logs,
     drive: Believed,
@@ -264,7 +265,7 @@ def identify(
         raise typer.Exit(3)
 
 
-@app.command()
+@app.command(cls=Computing)
 def diagnose(
     logs: Logs,
     drive: Believed,
@@ -324,36 +325,31 @@ def template(
     """
     from experiments.cli.template import template as text_of
 
-    _text(text_of(controller), out, "drive.toml")
+    text(lambda: text_of(controller), out, "drive.toml")
 
 
 @app.command()
 def keys(out: Out = None) -> None:
     """Print every key that a drive file may hold, with unit, range, default and meaning (a Markdown table)."""
+    text(lambda: kept(_keys, "keys.md"), out, "keys.md")
+
+
+def _keys() -> str:
     from diffdrive.axis_file.reference import markdown
 
-    _text(markdown(), out, "keys.md")
+    return markdown()
 
 
 @app.command()
 def motions(out: Out = None) -> None:
     """Print every motion and every shape of load, with settings, units and defaults (two Markdown tables)."""
+    text(lambda: kept(_motions, "motions.md"), out, "motions.md")
+
+
+def _motions() -> str:
     from diffdrive.motion.reference import markdown
 
-    _text(markdown(), out, "motions.md")
-
-
-def _text(text: str, out: Path | None, name: str) -> None:
-    """Print a text; with a folder, write it there instead, beside a result.json that says so."""
-    if out is None:
-        sys.stdout.write(text)
-        return
-    from diffdrive.support.atomic_write import write_text
-    from experiments.reports.report import Report
-
-    with Report(name, out) as report:
-        write_text(out / name, text)
-        report.values("written", file=name)
+    return markdown()
 
 
 def _plain_warning(error: Console) -> Callable[..., None]:
@@ -369,8 +365,6 @@ app.add_typer(studies)
 
 def main() -> None:
     """Run the command line: expected errors in one line, without a traceback, and code 2."""
-    configure()
-    enable_compilation_cache()
     error = Console(stderr=True, markup=False, emoji=False, highlight=False)
     warnings.showwarning = _plain_warning(error)
     with watched(out_of(sys.argv[1:])) as watch:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from experiments.cli.command import Computing
 from experiments.cli.options import DriveFile, Out, count_of, finite, folder_of, seed_of
 
 PANEL = "Studies of the tool itself"
@@ -12,7 +13,7 @@ PANEL = "Studies of the tool itself"
 studies = typer.Typer()
 
 
-@studies.command("tuning-study", rich_help_panel=PANEL)
+@studies.command("tuning-study", rich_help_panel=PANEL, cls=Computing)
 def tuning_study(
     out: Out = None,
     evaluations: Annotated[int, typer.Option(callback=count_of, min=50, help="Of each derivative-free search.")] = 2550,
@@ -30,7 +31,7 @@ def tuning_study(
         study.tuning_study(report, evaluations=evaluations, runs=runs, starts=starts)
 
 
-@studies.command(rich_help_panel=PANEL)
+@studies.command(rich_help_panel=PANEL, cls=Computing)
 def withheld(
     out: Annotated[
         Path,
@@ -79,7 +80,7 @@ def withheld(
         check_given_machines(out, bench, bench / "key.json", workers, twice)
 
 
-@studies.command("real-axes", rich_help_panel=PANEL)
+@studies.command("real-axes", rich_help_panel=PANEL, cls=Computing)
 def real_axes(
     axis: Annotated[str, typer.Option(help="all, emps or laas.")] = "all",
     term: Annotated[
@@ -103,7 +104,7 @@ def real_axes(
         study(report, axis, term or ())
 
 
-@studies.command()
+@studies.command(cls=Computing)
 def convergence(
     drive: DriveFile,
     speeds: Annotated[
@@ -122,7 +123,7 @@ def convergence(
         raise typer.Exit(3)
 
 
-@studies.command(rich_help_panel=PANEL)
+@studies.command(rich_help_panel=PANEL, cls=Computing)
 def reproduce(out: Out = None) -> None:
     """The paper's Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, ours beside theirs, with every assumption."""
     from experiments.studies.paper.reproduce import reproduce as run
@@ -130,7 +131,7 @@ def reproduce(out: Out = None) -> None:
     run(out)
 
 
-@studies.command(rich_help_panel=PANEL)
+@studies.command(rich_help_panel=PANEL, cls=Computing)
 def bench(
     part: Annotated[
         list[str] | None,
@@ -152,7 +153,7 @@ def bench(
         run(report, tuple(part or ()))
 
 
-@studies.command(rich_help_panel=PANEL)
+@studies.command(rich_help_panel=PANEL, cls=Computing)
 def emps(
     data: Annotated[
         Path | None, typer.Option(help="Folder of the benchmark's .mat files; by default that beside the checkout.")
@@ -170,7 +171,7 @@ def emps(
         emps_study(report, data)
 
 
-@studies.command(rich_help_panel=PANEL)
+@studies.command(rich_help_panel=PANEL, cls=Computing)
 def evolution(
     data: Annotated[
         Path | None, typer.Option(help="Folder of the EMPS files; by default that beside the checkout.")
@@ -195,7 +196,7 @@ def evolution(
         evolution_study(report, synthetic_case() if synthetic else emps_case(data), seconds=seconds, runs=runs)
 
 
-@studies.command(rich_help_panel=PANEL)
+@studies.command(rich_help_panel=PANEL, cls=Computing)
 def recovery(
     out: Annotated[
         Path,
@@ -217,7 +218,7 @@ def recovery(
     study(out, draws, workers)
 
 
-@studies.command("log-study", rich_help_panel=PANEL)
+@studies.command("log-study", rich_help_panel=PANEL, cls=Computing)
 def log_study(
     out: Out = None,
     cases: Annotated[int, typer.Option(min=1, callback=count_of, help="How many logs with a fault.")] = 60,

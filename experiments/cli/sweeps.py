@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
+from experiments.cli.command import Computing
 from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Out, count_of, finite, seed_of
 
 sweeps = typer.Typer()
 
 
-@sweeps.command()
+@sweeps.command(cls=Computing)
 def sweep(
     drive: DriveFile,
     vary: Annotated[
@@ -101,7 +102,7 @@ def sweep(
         raise typer.Exit(3)
 
 
-@sweeps.command()
+@sweeps.command(cls=Computing)
 def replay(
     folder: Annotated[Path, typer.Argument(help="Folder of a sweep (its --out).")],
     machine: Annotated[int, typer.Option(callback=count_of, min=0, help="Number of the machine.")],

@@ -1,10 +1,6 @@
 """A complete drive file to start from: the paper's testbed under a controller of one's choice."""
 
-import tomli_w
-
-from diffdrive.axis_file.controller_file import controller_table
-from diffdrive.paper import paper_axis
-from experiments.studies.demo import PAPER_DRIVE
+from experiments.drives import PAPER_DRIVE
 
 THE_PAPERS = "pd+fc+le"
 SECTION, AFTER = "[controller]", "[units]"
@@ -36,10 +32,18 @@ velocity_feedforward = 1.0      # share of the reference velocity that is fed fo
 
 def template(kind: str) -> str:
     """The file's text; raises `ParameterError` for a kind of controller that is not known."""
-    axis = paper_axis(controller=kind)
     text = PAPER_DRIVE.read_text(encoding="utf-8")
     if kind == THE_PAPERS:
         return text
     before, _, rest = text.partition(SECTION)
-    own = COMMENTED.get(kind) or tomli_w.dumps({"controller": controller_table(axis.controller)}) + "\n"
-    return before + own + AFTER + rest.partition(AFTER)[2]
+    return before + (COMMENTED.get(kind) or _table(kind)) + AFTER + rest.partition(AFTER)[2]
+
+
+def _table(kind: str) -> str:
+    """The controller's table without comments."""
+    import tomli_w  # what follows imports JAX, for which the usual templates need not wait
+
+    from diffdrive.axis_file.controller_file import controller_table
+    from diffdrive.paper import paper_axis
+
+    return tomli_w.dumps({"controller": controller_table(paper_axis(controller=kind).controller)}) + "\n"

@@ -15,6 +15,7 @@ from diffdrive.loop import metrics
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays, quantities
+from experiments.drives import PAPER_DRIVE
 from experiments.reports.report import Report
 from experiments.reports.tuning import tune_drive
 from experiments.studies.emps import axis as emps
@@ -23,8 +24,6 @@ from experiments.studies.paper import scenario as paper
 from experiments.studies.paper.reproduce import table_1
 from tuning.gains.plan import reversal
 from tuning.gains.tune import STARTS
-
-PAPER_DRIVE = Path(__file__).parents[1] / "drives" / "paper.toml"
 
 
 def sensitivities(description: Axis) -> list[tuple[str, float]]:

@@ -14,6 +14,7 @@ from importlib import metadata
 from typing import get_args, get_type_hints
 
 import numpy as np
+import platformdirs
 import pytest
 from typer.testing import CliRunner
 
@@ -24,6 +25,7 @@ from diffdrive.logs import ColumnMapping, read_log
 from diffdrive.motion.text import numbers as numbers_of
 from diffdrive.paper import paper_axis
 from experiments.cli import main as cli
+from experiments.cli import texts
 from experiments.cli.main import app
 from experiments.reports.report import Report
 
@@ -103,6 +105,32 @@ def test_the_keys_are_all_that_a_drive_file_may_hold(drive_file):
     assert {("[sampling]", "substeps"), ("[controller]", "velocity_samples"), ("[actuator]", "delay_samples")} <= known
 
 
+def test_texts_that_are_kept_follow_their_sources(tmp_path, monkeypatch):
+    monkeypatch.setattr(platformdirs, "user_cache_dir", lambda *_, **__: str(tmp_path / "cache"))
+    package, made = tmp_path / "package", []
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    monkeypatch.setattr(texts.diffdrive, "__file__", str(package / "__init__.py"))
+
+    def make():
+        made.append(1)
+        return f"made {len(made)} times"
+
+    assert [texts.kept(make, "a.md") for _ in range(2)] == ["made 1 times"] * 2
+    (package / "effects.py").write_text("one more")
+    assert texts.kept(make, "a.md") == "made 2 times"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["tune", "--help"], ["template"]])
+def test_what_computes_nothing_does_not_wait_for_jax(arguments):
+    program = (
+        f"import sys; from experiments.cli.main import app; "
+        f"app({arguments}, standalone_mode=False); sys.exit('jax' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_template_is_a_drive_file(drive_file):
     assert float(read_axis(drive_file).drive.plant.mass) == 100.0
 
@@ -163,13 +191,14 @@ def test_an_expected_error_is_one_line_and_code_2(drive_file):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a POSIX signal")
-def test_whoever_is_ended_loses_no_more_than_by_an_interrupt():
+def test_whoever_is_ended_loses_no_more_than_by_an_interrupt(tmp_path):
     ended = (
         "import os, signal, sys; from diffdrive.axis_file import reference as keys; "
         "from experiments.cli import main as cli; "
         "sys.argv = ['diffdrive', 'keys']; keys.markdown = lambda: os.kill(os.getpid(), signal.SIGTERM); cli.main()"
     )
-    run = subprocess.run([sys.executable, "-c", ended], capture_output=True, text=True, check=False)
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}  # in which no table of keys is kept
+    run = subprocess.run([sys.executable, "-c", ended], env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 130
     assert "what was written so far stays" in run.stderr
 

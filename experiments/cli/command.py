@@ -1,0 +1,17 @@
+"""A command that computes."""
+
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+
+class Computing(TyperCommand):
+    """JAX is imported and set up when the command runs: a help text need not wait for it."""
+
+    def invoke(self, ctx: typer.Context) -> Any:
+        from diffdrive.runtime import configure, enable_compilation_cache
+
+        configure()
+        enable_compilation_cache()
+        return super().invoke(ctx)
