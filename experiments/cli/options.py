@@ -50,6 +50,15 @@ Out = Annotated[
         help="Folder for figures, tables and result.json; made if it does not exist.",
     ),
 ]
+StudyFolder = Annotated[
+    Path,
+    typer.Option(
+        "--out",
+        parser=folder_of,
+        metavar="PATH",
+        help="Folder; a study that was interrupted goes on from what is in it.",
+    ),
+]
 Logs = Annotated[
     list[Path],
     typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
@@ -78,6 +87,14 @@ Loads = Annotated[
         help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable.",
     ),
 ]
+Machine = Annotated[
+    Path | None,
+    typer.Option("--machine", help="Drive file of the machine, where it is not what the controller believes."),
+]
+Settle = Annotated[
+    float, typer.Option("--settle", callback=finite, min=0.0, help="Seconds at the start that do not count.")
+]
+Seed = Annotated[int, typer.Option("--seed", callback=seed_of, help="Seed of whatever is drawn at random.")]
 MotionText = Annotated[
     str,
     typer.Option(

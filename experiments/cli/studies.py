@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import DriveFile, Out, count_of, finite, folder_of, seed_of
+from experiments.cli.options import DriveFile, Out, Seed, StudyFolder, count_of, finite, seed_of
 
 PANEL = "Studies of the tool itself"
 
@@ -33,15 +33,7 @@ def tuning_study(
 
 @studies.command(rich_help_panel=PANEL, cls=Computing)
 def withheld(
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            parser=folder_of,
-            metavar="PATH",
-            help="Folder for machines, answers, key and scorecard; resumable.",
-        ),
-    ],
+    out: StudyFolder,
     cases: Annotated[
         int | None, typer.Option(callback=count_of, min=1, help="How many machines; by default 120.")
     ] = None,
@@ -198,12 +190,7 @@ def evolution(
 
 @studies.command(rich_help_panel=PANEL, cls=Computing)
 def recovery(
-    out: Annotated[
-        Path,
-        typer.Option(
-            parser=folder_of, metavar="PATH", help="Folder; a study that was interrupted goes on from what is in it."
-        ),
-    ],
+    out: StudyFolder,
     draws: Annotated[int, typer.Option(callback=count_of, min=1, help="How many random drives.")] = 200,
     workers: Annotated[
         int | None, typer.Option(callback=count_of, min=1, help="Processes; by default one per core.")
@@ -226,7 +213,7 @@ def log_study(
     pairs: Annotated[
         int, typer.Option(min=0, callback=count_of, help="How many pairs of logs, two thirds of them of two machines.")
     ] = 30,
-    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of axes, motions and faults.")] = 1,
+    seed: Seed = 1,
 ) -> None:
     """The log checks on logs whose fault is known (docs/evidence/log-study.md): is it named, is a mend right?
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Out, count_of, finite, seed_of
+from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Machine, Out, Seed, Settle, count_of
 
 sweeps = typer.Typer()
 
@@ -35,10 +35,7 @@ def sweep(
         typer.Option(help="As of `diffdrive simulate`; repeatable.", show_default=DEFAULT_MOTION),
     ] = None,
     load: LoadText = "0",
-    machine: Annotated[
-        Path | None,
-        typer.Option(help="Drive file of what the machines vary about, where it is not what the controller believes."),
-    ] = None,
+    machine: Machine = None,
     against: Annotated[
         list[Path] | None,
         typer.Option(help="Drive file whose controller gets the same machines, loads and noise; repeatable."),
@@ -49,10 +46,8 @@ def sweep(
     method: Annotated[str, typer.Option(help="sobol, latin-hypercube or random.")] = "sobol",
     tolerance: Annotated[str | None, typer.Option(help="Error that must not be exceeded: `2um`.")] = None,
     by: Annotated[str, typer.Option(help="The error that counts: peak or rms.")] = "peak",
-    settle: Annotated[
-        float, typer.Option(callback=finite, min=0.0, help="Seconds at the start that do not count.")
-    ] = 0.5,
-    seed: Annotated[int, typer.Option(callback=seed_of, help="Seed of the machines and of their noise.")] = 0,
+    settle: Settle = 0.5,
+    seed: Seed = 0,
     record: Annotated[
         str, typer.Option(help="Signals of the worst machines to write as netCDF: `error,command,load_estimate`.")
     ] = "",

@@ -1,0 +1,151 @@
+"""The commands about one drive file: demo, simulate, tune."""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.command import Computing
+from experiments.cli.options import (
+    DEFAULT_MOTION,
+    DriveFile,
+    LoadText,
+    Machine,
+    MotionText,
+    Out,
+    Seed,
+    Settle,
+    count_of,
+    finite,
+)  # fmt: skip
+
+drives = typer.Typer()
+
+
+@drives.command(cls=Computing)
+def demo(
+    out: Out = None,
+    emps: Annotated[Path | None, typer.Option(help="Folder of the EMPS benchmark's .mat files.")] = None,
+    quick: Annotated[bool, typer.Option(help="Searches from fewer starts: half the time.")] = False,
+) -> None:
+    """The main job: simulate the paper's drive, differentiate it, tune it over loads, and identify a real axis.
+
+    Takes a minute or two. The real axis is the EMPS benchmark; without its files that part is left out, and said so.
+    """
+    from experiments.studies.demo import demo as run
+
+    run(out, emps_folder=emps, quick=quick)
+
+
+@drives.command(cls=Computing)
+def simulate(
+    drive: DriveFile,
+    motion: MotionText = DEFAULT_MOTION,
+    load: LoadText = "0",
+    machine: Machine = None,
+    settle: Settle = 0.0,
+    seed: Seed = 0,
+    out: Out = None,
+) -> None:
+    """Simulate one motion of a drive under its controller, and say how well it follows.
+
+    Writes the run as run.csv and a figure of its signals. A loop that diverges is reported with the signal and the
+    time, and the command then ends with code 3.
+
+    Example: `diffdrive simulate drive.toml --motion "sine:amplitude=5mm,frequency=2Hz,duration=2s" --load 8kN`
+    """
+    from experiments.reports.simulation import simulate_drive
+
+    if not simulate_drive(drive, motion, load, machine, settle, seed, out):
+        raise typer.Exit(3)
+
+
+@drives.command(cls=Computing)
+def tune(
+    drive: DriveFile,
+    out: Out = None,
+    speed: Annotated[str, typer.Option(help="Speed of the reversal that it is tuned on.")] = "10 mm/s",
+    max_load: Annotated[str, typer.Option(help="Highest load; the lowest is none.")] = "12.6 kN",
+    loads: Annotated[int, typer.Option(min=2, max=64, help="How many loads, evenly spaced.")] = 4,
+    machines: Annotated[int, typer.Option(min=1, max=32, help="How many machines; the first is the file's own.")] = 2,
+    spread: Annotated[
+        float, typer.Option(callback=finite, min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")
+    ] = 0.03,
+    gain_margin: Annotated[float, typer.Option(callback=finite, min=0.0, help="dB, up and down.")] = 6.0,
+    phase_margin: Annotated[float, typer.Option(callback=finite, min=0.0, max=90.0, help="Degrees.")] = 30.0,
+    sensitivity: Annotated[
+        float | None,
+        typer.Option(callback=finite, min=1.0, help="Largest peak of the sensitivity, Ms; none by default."),
+    ] = None,
+    noise: Annotated[
+        str | None, typer.Option(help="Largest command noise, RMS; by default twice that of the gains as given.")
+    ] = None,
+    load_error: Annotated[
+        str | None, typer.Option(help="Largest RMS load error; by default 1.1 times that of the gains as given.")
+    ] = None,
+    peak: Annotated[
+        float, typer.Option(callback=finite, min=0.0, help="Weight of the peak error beside the RMS error.")
+    ] = 0.0,
+    aggregation: Annotated[str, typer.Option(help="Over the scenarios: mean, worst or cvar.")] = "mean",
+    friction: Annotated[
+        bool, typer.Option("--friction", help="Tune the observer's friction parameters along.")
+    ] = False,
+    starts: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="How many starts; the first is the file's gains.")
+    ] = 4,
+    seed: Seed = 0,
+    steps: Annotated[int, typer.Option(callback=count_of, min=1, help="Most search steps from each start.")] = 40,
+    pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
+) -> None:
+    """Tune the controller's gains by gradient over loads and machines, within margins, and verify them held out.
+
+    The gains minimise the tracking error within stability margins (of the linearised loop, delay and observer included,
+    from standstill to twice the speed, both directions, no load and the highest), command noise, force limit and load
+    error. Writes tuned.toml and handover.toml, unless a requirement cannot be kept or a verification run is not ok:
+    then it says which and by how much, and ends with code 3. Interrupted or killed, the same command with the same
+    --out goes on where it stopped.
+
+    Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --out tuned`
+    """
+    from diffdrive.axis_file.drive_file import read_axis
+    from diffdrive.errors import ParameterError
+    from diffdrive.motion.text import nonnegative_number, number, numbers, require_choice
+    from experiments.reports.report import Report
+    from experiments.reports.tuning import tune_drive
+    from tuning.gains.objective import AGGREGATIONS, Objective
+    from tuning.gains.plan import TuningPlan
+    from tuning.gains.requirements import MOST_GAIN_MARGIN, Required
+
+    description = read_axis(drive)
+    require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
+    highest = nonnegative_number(max_load, "N", "--max-load")
+    if gain_margin > MOST_GAIN_MARGIN:
+        raise ParameterError(
+            f"--gain-margin {gain_margin:g}: must be at most {MOST_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
+            "is lost in rounding; 6 to 12 dB are usual"
+        )
+    factor = 10.0 ** (gain_margin / 20.0)
+    limits = Required(
+        gain_up=factor,
+        gain_down=factor,
+        phase=math.radians(phase_margin),
+        sensitivity=sensitivity,
+        command_noise=None if noise is None else nonnegative_number(noise, "N", "--noise"),
+        load_error=None if load_error is None else nonnegative_number(load_error, "N", "--load-error"),
+    )
+    plan = TuningPlan(
+        speed=number(speed, "m/s", "--speed"), max_load=highest, loads=loads, spread=spread, machines=machines,
+        seed=seed,
+    )  # fmt: skip
+    objective = Objective(peak=1e6 * peak, aggregation=aggregation)
+    front = numbers(pareto, "N", "--pareto") if pareto else []
+    if any(limit <= 0.0 for limit in front):
+        raise ParameterError(f"--pareto {pareto}: each limit must be above 0")
+    with Report(f"{drive.name}: gradient tuning over loads and machines", out) as report:
+        _, accepted = tune_drive(
+            description, report, plan=plan, limits=limits, objective=objective, friction=friction, starts=starts,
+            max_steps=steps, pareto=front,
+        )  # fmt: skip
+    if not accepted:
+        raise typer.Exit(3)

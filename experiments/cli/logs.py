@@ -1,0 +1,126 @@
+"""The commands that take logs: check, identify, diagnose."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from experiments.cli.command import Computing
+from experiments.cli.options import Believed, Columns, Loads, Logs, Out, Seed, Shifts, Units, count_of, finite
+
+logs = typer.Typer()
+
+
+@logs.command(cls=Computing)
+def check(
+    log: Logs,
+    drive: Believed,
+    out: Out = None,
+    column: Columns = None,
+    unit: Units = None,
+    shift: Shifts = None,
+    load: Loads = None,
+) -> None:
+    """Look over logs before anything is made of them: how they read, what was repaired, what they would mislead about.
+
+    Each finding (volts for newtons, a shifted command, a filtered position, lost rows) comes with its numbers and what
+    to do. Ends with code 3 where one is fatal.
+
+    Example: `diffdrive check lap1.csv lap2.csv --drive drive.toml --column "position=Istposition [mm]"`
+    """
+    from experiments.reports.log_checks import check_logs
+
+    if not check_logs(log, drive, out, columns=column or (), units=unit or (), shifts=shift or (), loads=load or ()):
+        raise typer.Exit(3)
+
+
+@logs.command(cls=Computing)
+def identify(
+    log: Logs,
+    drive: Believed,
+    out: Out = None,
+    column: Columns = None,
+    unit: Units = None,
+    shift: Shifts = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(help="A parameter, as the drive file calls it, that stays as believed; repeatable."),
+    ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
+    ] = None,
+    load: Loads = None,
+    starts: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="How many starts; the first is the inverse dynamics' answer.")
+    ] = 6,
+    seed: Seed = 0,
+    held_out: Annotated[
+        list[Path] | None, typer.Option(help="A log that is only looked at afterwards; repeatable.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Go on over fatal findings in a log.")] = False,
+) -> None:
+    """Identify friction, mass and delay of a drive from its logs, with intervals, and say whether the model suffices.
+
+    The logs are looked over first, and one with a fatal finding (volts for newtons, a shifted command) is refused.
+    Writes identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter
+    that the logs do not determine is named and stays as believed. Structure that the model leaves is said, and is no
+    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far. Stopped
+    or killed, the same command with the same --out continues where it was.
+
+    Example: `diffdrive identify lap1.csv lap2.csv --drive drive.toml --unit command=V --held-out lap3.csv --out found`
+    """
+    from experiments.reports.identification.identification import identify_drive
+
+    converged = identify_drive(
+        log, drive, out, columns=column or (), units=unit or (), shifts=shift or (),
+        fixed=fix or (), bounds=bound or (), loads=load or (),
+        starts=starts, seed=seed, held_out=held_out or (), force=force,
+    )  # fmt: skip
+    if not converged:
+        raise typer.Exit(3)
+
+
+@logs.command(cls=Computing)
+def diagnose(
+    log: Logs,
+    drive: Believed,
+    out: Out = None,
+    column: Columns = None,
+    unit: Units = None,
+    shift: Shifts = None,
+    load: Loads = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="An effect of the catalogue that is not to be considered; repeatable.")
+    ] = None,
+    most_effects: Annotated[int, typer.Option(min=1, max=4, help="How many effects at once, at most.")] = 2,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            callback=finite,
+            min=1e-4,
+            max=1.0,
+            help="How well the drive file is known: 0.02 is right to 2 %, give or take (a standard deviation).",
+        ),
+    ] = 0.02,
+    tune: Annotated[
+        bool, typer.Option("--tune", help="Tune the controller on both drives, and show what closing the gap pays.")
+    ] = False,
+) -> None:
+    """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
+
+    The nominal parameters are recalibrated first; only what that cannot explain speaks for an effect. How far it closes
+    the gap is judged on held-out data: with several logs the last that the others can spare. Writes diagnosis.json,
+    report.html (one page, self-contained), figures, and augmented.toml: the drive with what was found, for `simulate`,
+    `tune` and `sweep`. No log is refused for what it shows, but a fatal finding in one (volts for newtons, a shifted
+    command) leaves no confidence above 0.5, and in a command with a reversed sign no cause is looked for. Stopped or
+    killed, the same command with the same --out continues where it was and ends with the same numbers.
+
+    Example: `diffdrive diagnose lap1.csv lap2.csv --drive drive.toml --out diagnosis`
+    """
+    from experiments.reports.diagnosis.diagnosis import diagnose_logs
+
+    diagnose_logs(
+        log, drive, out, columns=column or (), units=unit or (), shifts=shift or (), loads=load or (),
+        without=without or (),
+        most_effects=most_effects, tolerance=tolerance, tuned=tune,
+    )  # fmt: skip

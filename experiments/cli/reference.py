@@ -1,0 +1,51 @@
+"""The commands that print a reference text: template, keys, motions."""
+
+from typing import Annotated
+
+import typer
+
+from experiments.cli.options import Out
+from experiments.cli.texts import kept, text
+
+reference = typer.Typer()
+
+
+@reference.command()
+def template(
+    out: Out = None,
+    controller: Annotated[
+        str, typer.Option(help="Its controller: pd+fc+ls, cascade (as most CNCs), pd, or another of the paper's.")
+    ] = "pd+fc+ls",
+) -> None:
+    """Print a complete drive file, the paper's testbed, to start from; with --out, write it as drive.toml.
+
+    Its friction observer estimates the load at every speed. `--controller cascade` is the loop of most CNCs,
+    `--controller pd+fc+le` the paper's own.
+    """
+    from experiments.cli.template import template as text_of
+
+    text(lambda: text_of(controller), out, "drive.toml")
+
+
+@reference.command()
+def keys(out: Out = None) -> None:
+    """Print every key that a drive file may hold, with unit, range, default and meaning (a Markdown table)."""
+    text(lambda: kept(_keys, "keys.md"), out, "keys.md")
+
+
+def _keys() -> str:
+    from diffdrive.axis_file.reference import markdown
+
+    return markdown()
+
+
+@reference.command()
+def motions(out: Out = None) -> None:
+    """Print every motion and every shape of load, with settings, units and defaults (two Markdown tables)."""
+    text(lambda: kept(_motions, "motions.md"), out, "motions.md")
+
+
+def _motions() -> str:
+    from diffdrive.motion.reference import markdown
+
+    return markdown()
