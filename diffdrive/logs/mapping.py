@@ -36,7 +36,7 @@ class ColumnMapping:
             for channel, text in getattr(self, table).items():
                 known = [*READABLE, *(FORCE_PER if table == "units" else ())]
                 if channel not in READABLE:
-                    raise LogError(f"[{table}] {channel}: no such channel; {_near(channel, known)}")
+                    raise LogError(f"[{table}] {channel}: no such channel; {_suggestion(channel, known)}")
                 if not isinstance(text, str) or not text.strip():
                     raise LogError(
                         f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {short_repr(text)}"
@@ -51,7 +51,7 @@ class ColumnMapping:
                 raise LogError(f"[shifts] {key}: names no log: write 'lap2:{channel}', or '{channel}' for all of them")
             if channel not in READABLE or channel == "time":
                 known = [one for one in READABLE if one != "time"]
-                raise LogError(f"[shifts] {key}: no channel that can be moved; {_near(channel, known)}")
+                raise LogError(f"[shifts] {key}: no channel that can be moved; {_suggestion(channel, known)}")
             if isinstance(by, bool) or not isinstance(by, int):
                 raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {short_repr(by)}")
         for channel in self.units:
@@ -102,9 +102,9 @@ class ColumnMapping:
     ) -> "ColumnMapping":
         """With a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1` put over it."""
         more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
-        gains = {key: _gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
+        gains = {key: _parse_gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
         changed = {table: getattr(self, table) | more[table] for table in more}
-        moved = {key: _samples(key, by) for key, by in _assignments(shifts, "--shift").items()}
+        moved = {key: _parse_samples(key, by) for key, by in _assignments(shifts, "--shift").items()}
         # what the command line says of all logs is in the place of what the file says of one
         kept = {key: by for key, by in self.shifts.items() if log_and_channel(key)[1] not in moved}
         return dataclasses.replace(self, **changed, **gains, shifts=kept | moved)
@@ -130,7 +130,7 @@ def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[s
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {short_repr(table)}")
-    gains = {key: _gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
+    gains = {key: _parse_gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
     plain = {key: unit for key, unit in units.items() if key not in FORCE_PER}
     return ColumnMapping(dict(columns), plain, **gains, shifts=dict(shifts))
 
@@ -142,12 +142,12 @@ def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, Any]]:
     return {name: table for name, table in tables.items() if table}
 
 
-def _near(name: str, known: list[str]) -> str:
+def _suggestion(name: str, known: list[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
 
 
-def _gain(key: str, value: Any, where: str) -> float:
+def _parse_gain(key: str, value: Any, where: str) -> float:
     unit = f"N/{FORCE_PER[key]}"
     if isinstance(value, str):
         try:
@@ -172,7 +172,7 @@ def _gain(key: str, value: Any, where: str) -> float:
 def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
     given: dict[str, str] = {}
     for text in texts:
-        channel, equals, value = (part.strip() for part in _parted(text, option))
+        channel, equals, value = (part.strip() for part in _split_assignment(text, option))
         if not (channel and equals and value):
             raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
         if channel in given:
@@ -181,12 +181,12 @@ def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
     return given
 
 
-def _parted(text: str, option: str) -> tuple[str, str, str]:
+def _split_assignment(text: str, option: str) -> tuple[str, str, str]:
     """At the sign that is no part of a log's name, or of a unit or a column."""
     return text.rpartition("=") if option == "--shift" else text.partition("=")
 
 
-def _samples(channel: str, text: str) -> int:
+def _parse_samples(channel: str, text: str) -> int:
     try:
         return int(text)
     except ValueError:

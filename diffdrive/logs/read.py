@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.missing import without_missing
-from diffdrive.logs.clocks.shifts import shifted
-from diffdrive.logs.clocks.timing import in_order, on_uniform_clock
+from diffdrive.logs.clocks.missing import repair_missing
+from diffdrive.logs.clocks.shifts import shift_channels
+from diffdrive.logs.clocks.timing import on_uniform_clock, ordered_times
 from diffdrive.logs.formats.registry import READERS
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS, Log
 from diffdrive.logs.mapping import ColumnMapping
-from diffdrive.logs.select import missing, select
+from diffdrive.logs.select import missing_channel_error, select
 
 if TYPE_CHECKING:
     from diffdrive.axis import Axis
@@ -74,11 +74,11 @@ def read_log(
     name = name or (Path(source).stem if is_file else "log")
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise LogError(f"{source if is_file else name}: the rate must be positive and finite, in Hz, got {rate!r}")
-    table = read_table(source) if is_file else _frame(source, name)
-    return _log(table, Path(source) if is_file else Path(name), name, mapping, rate)
+    table = read_table(source) if is_file else _table_from_memory(source, name)
+    return _log_from_table(table, Path(source) if is_file else Path(name), name, mapping, rate)
 
 
-def _frame(source: Any, name: str) -> Table:
+def _table_from_memory(source: Any, name: str) -> Table:
     from diffdrive.logs.formats.frame import read_frame
 
     table = read_frame(source, name)
@@ -87,25 +87,25 @@ def _frame(source: Any, name: str) -> Table:
     return table
 
 
-def _log(table: Table, path: Path, name: str, mapping: ColumnMapping, rate: float | None) -> Log:
+def _log_from_table(table: Table, path: Path, name: str, mapping: ColumnMapping, rate: float | None) -> Log:
     """The log that a table holds."""
     signals, clock, notes = select(table, mapping)
     if "time" not in signals:
         if rate is None:
-            raise missing(table, "time")
+            raise missing_channel_error(table, "time")
         signals["time"] = np.arange(len(signals["position"])) / rate
         notes.append(f"no column holds the time: counted at the drive file's {rate:g} Hz")
-    times, rows, said = in_order(table, signals["time"], clock)
+    times, rows, said = ordered_times(table, signals["time"], clock)
     notes += said
     signals = {name: values[rows] for name, values in signals.items()} | {"time": times}
-    signals, said = without_missing(table.source, signals)
+    signals, said = repair_missing(table.source, signals)
     notes += said
     signals, gaps, said = on_uniform_clock(table.source, signals, rate, clock.factor)
     notes += said
     shifts = mapping.shifts_of(path)
     if "injected" in signals and "command" in shifts:  # of which it is a part
         shifts.setdefault("injected", shifts["command"])
-    signals, gaps, said = shifted(table.source, signals, gaps, shifts)
+    signals, gaps, said = shift_channels(table.source, signals, gaps, shifts)
     if "injected" in signals:
         signals["disturbance"] = signals.get("disturbance", 0.0) + signals["injected"]
         signals["command"] = signals["command"] - signals["injected"]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.channel_clocks import onto_time
-from diffdrive.logs.clocks.stamps import integer_seconds, text_seconds
+from diffdrive.logs.clocks.channel_clocks import align_channel_clocks
+from diffdrive.logs.clocks.stamps import counts_from_first, seconds_from_text
 from diffdrive.logs.column_unit import FORCES, Conversion, is_unit_of, split_unit
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
@@ -23,9 +23,9 @@ def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray],
 
     The time may be absent: whether that is an error depends on whether the rate is known.
     """
-    chosen = _chosen(table, mapping)
+    chosen = _assign_columns(table, mapping)
     if "time" not in chosen:
-        _require_no_clock(table, list(chosen.values()))
+        _require_no_unmapped_time(table, list(chosen.values()))
     lengths = {channel: len(table.columns[column]) for channel, column in chosen.items()}
     reference = "time" if "time" in chosen else "position"
     for channel, length in lengths.items():
@@ -43,17 +43,17 @@ def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray],
             notes += said
         else:
             signals[channel] = to_si(table.numbers(column))
-    signals, said = onto_time(table, chosen, signals, clock)
+    signals, said = align_channel_clocks(table, chosen, signals, clock)
     return signals, clock, notes + said
 
 
-def _chosen(table: Table, mapping: ColumnMapping) -> dict[str, str]:
-    chosen = {channel: _mapped(table, channel, column) for channel, column in mapping.columns.items()}
+def _assign_columns(table: Table, mapping: ColumnMapping) -> dict[str, str]:
+    chosen = {channel: _mapped_column(table, channel, column) for channel, column in mapping.columns.items()}
     for channel, meant in READABLE.items():
         if channel in chosen:
             continue
         free = [column for column in table.columns if column not in chosen.values()]
-        found = _find(free, channel, channel, exact=False)
+        found = _matching_columns(free, channel, channel, exact=False)
         if len(found) > 1:
             raise LogError(
                 f"{table.source}: the columns {quoted_names(found)} may each be the {channel}; say which: [columns] "
@@ -62,11 +62,11 @@ def _chosen(table: Table, mapping: ColumnMapping) -> dict[str, str]:
         if found:
             chosen[channel] = found[0]
         elif meant.required and channel != "time":
-            raise missing(table, channel)
+            raise missing_channel_error(table, channel)
     return {channel: chosen[channel] for channel in READABLE if channel in chosen}
 
 
-def missing(table: Table, channel: str) -> LogError:
+def missing_channel_error(table: Table, channel: str) -> LogError:
     """The error for a required channel that no column is called after."""
     names = list(table.columns)
     near = difflib.get_close_matches(channel, names, n=1)
@@ -74,11 +74,11 @@ def missing(table: Table, channel: str) -> LogError:
     return LogError(
         f'{table.source}: no column is called "{channel}"; say which is the {READABLE[channel].meaning}, such as '
         f'[columns] {channel} = "{guess}" or {_option(channel, guess)}; the file has '
-        f"{quoted_names(names, channel, 'columns')}{_unusable(table, channel)}"
+        f"{quoted_names(names, channel, 'columns')}{_skipped_hint(table, channel)}"
     )
 
 
-def _unusable(table: Table, wanted: str) -> str:
+def _skipped_hint(table: Table, wanted: str) -> str:
     """What the file holds of that name, or near it, that is no column, and why."""
     near = difflib.get_close_matches(wanted, list(table.passed_over), n=1)
     return f"; '{near[0]}' {table.passed_over[near[0]]}, which is no signal" if near else ""
@@ -90,7 +90,7 @@ def _option(channel: str, column: str) -> str:
     return f"--column {told}" if re.fullmatch(r"[\w.=/-]+", told) else f'--column "{told}"'
 
 
-def _require_no_clock(table: Table, taken: list[str]) -> None:
+def _require_no_unmapped_time(table: Table, taken: list[str]) -> None:
     """Where no column is the time, none may look like it: counted at another rate, every speed would be another."""
     for column in table.columns:
         said = table.units.get(column) or split_unit(column, "time")[1]
@@ -107,8 +107,8 @@ def _require_no_clock(table: Table, taken: list[str]) -> None:
             )
 
 
-def _mapped(table: Table, channel: str, column: str) -> str:
-    found = _find(list(table.columns), column, channel, exact=True)
+def _mapped_column(table: Table, channel: str, column: str) -> str:
+    found = _matching_columns(list(table.columns), column, channel, exact=True)
     if len(found) == 1:
         return found[0]
     if found:
@@ -120,11 +120,11 @@ def _mapped(table: Table, channel: str, column: str) -> str:
     without = "" if READABLE[channel].required else f"; a log needs no {channel}: leave that line out"
     raise LogError(
         f"{table.source}: [columns] {channel} = '{column}': no such column; {hint}the file has "
-        f"{quoted_names(list(table.columns), column, 'columns')}{_unusable(table, column)}{without}"
+        f"{quoted_names(list(table.columns), column, 'columns')}{_skipped_hint(table, column)}{without}"
     )
 
 
-def _find(columns: list[str], name: str, channel: str, *, exact: bool) -> list[str]:
+def _matching_columns(columns: list[str], name: str, channel: str, *, exact: bool) -> list[str]:
     """The columns that the name fits best: as written, then but for case and unit, then as the end of a path."""
     wanted = name.strip().casefold()
 
@@ -173,8 +173,8 @@ def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str)
 
 def _seconds(table: Table, column: str, to_si: Conversion) -> tuple[np.ndarray, Conversion, list[str]]:
     values = table.columns[column]
-    if (parsed := text_seconds(table, column)) is not None:
+    if (parsed := seconds_from_text(table, column)) is not None:
         return parsed[0], Conversion(1.0), [parsed[1]]
-    if values.dtype.kind in "iu" and (counted := integer_seconds(values)) is not None:
+    if values.dtype.kind in "iu" and (counted := counts_from_first(values)) is not None:
         return to_si(counted[0]), to_si, [counted[1]]
     return to_si(table.numbers(column)), to_si, []

@@ -11,7 +11,7 @@ from diffdrive.logs.log import CHANNELS, Log
 from diffdrive.support.atomic_write import atomic_write
 
 BLOCK = 65_536  # rows that are held as Python's numbers, of four times the size, at a time
-Write = Callable[[Path, dict[str, np.ndarray], dict[str, str]], None]
+Writer = Callable[[Path, dict[str, np.ndarray], dict[str, str]], None]
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray], units: dict[str, str] | None = None) -> None:
@@ -46,7 +46,7 @@ def _mat73(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) ->
 
 
 # by the end of the name, the longer first
-WRITERS: dict[str, Write] = {".csv": write_csv, ".parquet": _parquet, ".73.mat": _mat73, ".mat": _mat}
+WRITERS: dict[str, Writer] = {".csv": write_csv, ".parquet": _parquet, ".73.mat": _mat73, ".mat": _mat}
 
 
 def write_log(path: str | Path, log: Log) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.stamps import instants
+from diffdrive.logs.clocks.stamps import parse_dates
 from diffdrive.logs.column_unit import Conversion, conversion
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import Signal
@@ -11,7 +11,7 @@ from diffdrive.logs.log import Signal
 TOLERANCE = 0.05  # periods by which two clocks that are the same may differ: what rounding does to a stamp
 
 
-def onto_time(
+def align_channel_clocks(
     table: Table, chosen: dict[str, str], signals: dict[str, Signal], to_si: Conversion
 ) -> tuple[dict[str, Signal], list[str]]:
     """The signals with each sample in the row that has its time, and notes; `to_si` makes the time's column seconds.
@@ -28,25 +28,25 @@ def onto_time(
         own = table.clocks.get(column)
         if channel == "time" or common is None or own in (None, common):
             continue
-        stamps, times = _stamps(table, own, common, to_si)
+        stamps, times = _clock_seconds(table, own, common, to_si)
         period, lead = _period(times), stamps - times
         if period is None or not np.isfinite(lead).any():  # no clock at all: the order of the time is checked later
             continue
         apart = np.abs(np.nan_to_num(lead)) > TOLERANCE * period
         if not apart.any():
             continue
-        found = _placed(signals[channel], stamps, times, period)
+        found = _align(signals[channel], stamps, times, period)
         if found is None:
             row = int(np.argmax(apart))
             raise LogError(
-                f"{table.source}: {table.where(row)}: the {channel}'s own clock, '{own}', is {_ahead(lead[row])} "
-                f"'{common}'{_other_period(stamps, period)}; export channels of one task and one sample time, or this "
+                f"{table.source}: {table.where(row)}: the {channel}'s own clock, '{own}', is {_lead_text(lead[row])} "
+                f"'{common}'{_period_text(stamps, period)}; export channels of one task and one sample time, or this "
                 "one resampled"
             )
         placed[channel] = found
         constant = float(np.nanmedian(lead))
         notes.append(
-            f"{channel}: its own clock, '{own}', is {_ahead(constant)} '{common}': moved by "
+            f"{channel}: its own clock, '{own}', is {_lead_text(constant)} '{common}': moved by "
             f"{abs(constant) / period:.0f} samples to where its stamps are"
         )
     return placed, notes
@@ -57,9 +57,9 @@ def _period(times: Signal) -> float | None:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else None
 
 
-def _stamps(table: Table, own: str, common: str, to_si: Conversion) -> tuple[Signal, Signal]:
+def _clock_seconds(table: Table, own: str, common: str, to_si: Conversion) -> tuple[Signal, Signal]:
     """Both clocks in seconds since one instant, as a float64 would round counters of many digits."""
-    clocks = instants(table, own), instants(table, common)
+    clocks = parse_dates(table, own), parse_dates(table, common)
     if all(clock is not None for clock in clocks):
         origin = clocks[1][int(np.argmin(np.isnat(clocks[1])))]
         since = [clock - origin for clock in clocks]
@@ -71,7 +71,7 @@ def _stamps(table: Table, own: str, common: str, to_si: Conversion) -> tuple[Sig
     return to_si(table.numbers(own)), to_si(table.numbers(common))
 
 
-def _placed(values: Signal, stamps: Signal, times: Signal, period: float) -> Signal | None:
+def _align(values: Signal, stamps: Signal, times: Signal, period: float) -> Signal | None:
     """Each value in the row whose time is its stamp, NaN where there is none.
 
     None where the clocks are not a constant number of whole samples apart, or stamps fall between the rows.
@@ -92,11 +92,11 @@ def _placed(values: Signal, stamps: Signal, times: Signal, period: float) -> Sig
     return placed
 
 
-def _ahead(seconds: float) -> str:
+def _lead_text(seconds: float) -> str:
     return f"{1e3 * abs(seconds):.6g} ms {'ahead of' if seconds > 0 else 'behind'}"
 
 
-def _other_period(stamps: Signal, period: float) -> str:
+def _period_text(stamps: Signal, period: float) -> str:
     own = _period(stamps)
     if own is None or abs(own / period - 1) <= TOLERANCE:
         return ""

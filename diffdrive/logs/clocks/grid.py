@@ -16,7 +16,7 @@ _WINDOW = 10  # samples on either side that tell a late stamp from a missing sam
 
 
 @dataclass(frozen=True)
-class Grid:
+class UniformClock:
     """Stamps are `times` but for `deviation` (periods, largest and RMS); samples are missing before each of `gaps`."""
 
     period: float  # s
@@ -26,22 +26,22 @@ class Grid:
     rms: float
 
 
-def fit_grid(stamps: Signal, nominal: float | None) -> Grid:
+def fit_clock(stamps: Signal, nominal: float | None) -> UniformClock:
     """The grid of strictly increasing stamps (s). The `nominal` period (s) is taken where the stamps allow it."""
     steps = np.diff(stamps)
     period = float(steps[steps <= _LONG * np.median(steps)].mean())
-    missing = _missing(stamps, period)
+    missing = _count_missing(stamps, period)
     index = np.arange(len(stamps)) + np.concatenate(([0], np.cumsum(missing)))
     gaps = tuple((np.flatnonzero(missing) + 1).tolist())
-    one_clock = _fitted(stamps, index, np.zeros(len(stamps), dtype=int), gaps, nominal)
+    one_clock = _fit_segments(stamps, index, np.zeros(len(stamps), dtype=int), gaps, nominal)
     if one_clock.deviation <= ROUNDED or not gaps:
         return one_clock
     # recordings that were stopped and started again: each piece has its own phase
     piece = np.concatenate(([0], np.cumsum(missing > 0)))
-    return _fitted(stamps, index, piece, gaps, nominal)
+    return _fit_segments(stamps, index, piece, gaps, nominal)
 
 
-def _missing(stamps: Signal, period: float) -> np.ndarray:
+def _count_missing(stamps: Signal, period: float) -> np.ndarray:
     """How many samples are missing between each stamp and the next."""
     steps = np.diff(stamps) / period
     whole = np.rint(steps)
@@ -60,7 +60,9 @@ def _missing(stamps: Signal, period: float) -> np.ndarray:
     return missing
 
 
-def _fitted(stamps: Signal, index: np.ndarray, piece: np.ndarray, gaps: tuple[int, ...], nominal: float | None) -> Grid:
+def _fit_segments(
+    stamps: Signal, index: np.ndarray, piece: np.ndarray, gaps: tuple[int, ...], nominal: float | None
+) -> UniformClock:
     """Least squares of one period and a phase per piece; a round period is preferred where it explains them as well."""
     size = np.bincount(piece)
 
@@ -85,4 +87,4 @@ def _fitted(stamps: Signal, index: np.ndarray, piece: np.ndarray, gaps: tuple[in
         ends = [*start, len(stamps)]
         times = times + np.array([np.median((stamps - times)[a:b]) for a, b in itertools.pairwise(ends)])[piece]
     off = (stamps - times) / period
-    return Grid(period, times, gaps, float(np.max(np.abs(off))), float(np.sqrt(np.mean(off**2))))
+    return UniformClock(period, times, gaps, float(np.max(np.abs(off))), float(np.sqrt(np.mean(off**2))))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.interpolate import between
+from diffdrive.logs.clocks.interpolate import interpolate
 from diffdrive.logs.log import READABLE, Signal
 
 LONGEST_REPAIR = 5  # samples in a row
@@ -11,7 +11,7 @@ MOST_REPAIRED = 1e-3  # of all samples of a channel
 MOST_ABSENT = 0.1  # of the samples of an optional channel; beyond, the channel is left out instead of the samples
 
 
-def without_missing(source: str, signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:
+def repair_missing(source: str, signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:
     """The signals with every sample finite; the times of samples left out are missing, which makes them gaps.
 
     `signals` holds strictly increasing times beside the channels. Raises `LogError` where a required channel is empty.
@@ -30,44 +30,44 @@ def without_missing(source: str, signals: dict[str, Signal]) -> tuple[dict[str, 
             signals[channel] = np.interp(signals["time"], signals["time"][~bad], signals[channel][~bad])
             notes.append(f"temperature: {bad.sum()} samples without a value were interpolated")
         else:
-            signals[channel], repaired = _repaired(channel, signals["time"], signals[channel])
+            signals[channel], repaired = _interpolate_short(channel, signals["time"], signals[channel])
             if repaired:
                 notes.append(f"{channel}: {repaired} samples without a value were interpolated")
     absent = np.any([np.isnan(values) for values in signals.values()], axis=0)
     if absent.all():
         raise LogError(f"{source}: no sample has a value in all of {', '.join(signals)}; leave out the emptiest column")
     if absent.any():
-        notes += _told(absent)
+        notes += _removal_notes(absent)
         signals = {name: values[~absent] for name, values in signals.items()}
     return signals, notes
 
 
-def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+def true_stretches(mask: np.ndarray) -> list[tuple[int, int]]:
     """The stretches [begin, end) in which the mask is true."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _repaired(channel: str, time: Signal, values: Signal) -> tuple[Signal, int]:
+def _interpolate_short(channel: str, time: Signal, values: Signal) -> tuple[Signal, int]:
     """Short interior stretches interpolated, as long as they are few; and how many samples that were."""
     bad, few = np.isnan(values), np.zeros(len(values), dtype=bool)
-    for begin, end in runs(bad):
+    for begin, end in true_stretches(bad):
         if begin > 0 and end < len(values) and end - begin <= LONGEST_REPAIR:
             few[begin:end] = True
     if not few.any() or few.sum() > MOST_REPAIRED * len(values):
         return values, 0
     mended = values.copy()
-    mended[few] = between(channel, time[~bad], values[~bad], time[few])
+    mended[few] = interpolate(channel, time[~bad], values[~bad], time[few])
     return mended, int(few.sum())
 
 
-def _told(absent: np.ndarray) -> list[str]:
+def _removal_notes(absent: np.ndarray) -> list[str]:
     begin, end = int(np.argmin(absent)), len(absent) - int(np.argmin(absent[::-1]))
     notes = []
     if begin or end < len(absent):
         notes.append(f"{begin} samples at the start and {len(absent) - end} at the end have no value and were cut off")
     inside = int(absent[begin:end].sum())
     if inside:
-        count = len(runs(absent[begin:end]))
+        count = len(true_stretches(absent[begin:end]))
         notes.append(f"{inside} samples without a value were left out, which leaves {count} gaps")
     return notes

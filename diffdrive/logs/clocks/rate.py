@@ -1,7 +1,7 @@
 """The rate of a log beside that of the drive file: the same, a clock apart, decimated, or wrong."""
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.grid import Grid
+from diffdrive.logs.clocks.grid import UniformClock
 
 # relative, for whoever compares rates: crystals agree far better, wrong settings far worse
 RATE_TOLERANCE = 1e-3
@@ -10,7 +10,7 @@ LARGEST_FACTOR = 50  # of decimation or oversampling
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}  # s
 
 
-def compared(source: str, grid: Grid, rate: float | None, unit: float = 1.0) -> list[str]:
+def rate_notes(source: str, grid: UniformClock, rate: float | None, unit: float = 1.0) -> list[str]:
     """Notes on how the log's rate compares with the drive file's `rate` (Hz), if that is known.
 
     The time stamps were read in a `unit` of so many seconds.

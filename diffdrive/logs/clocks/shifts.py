@@ -8,7 +8,7 @@ from diffdrive.errors import LogError
 from diffdrive.support.messages import short_repr
 
 
-def shifted(
+def shift_channels(
     source: str, signals: dict[str, np.ndarray], gaps: tuple[int, ...], shifts: dict[str, int]
 ) -> tuple[dict[str, np.ndarray], tuple[int, ...], list[str]]:
     """The signals with some of them moved by whole samples, positive to later times; the gaps, and what to say of it.

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.formats.table import MISSING, Table, is_of_either_style
+from diffdrive.logs.formats.table import MISSING, Table, is_number_of_any_style
 
 FORMS = "seconds or counts, 9:00:00.000, 2024-03-26 12:00:00.000 or 26.03.2024 12:00:00.000"
 _CLOCK = r"(?P<hour>\d{1,2})(?P<rest>:\d{2}(:\d{2}([.,]\d+)?)?)"
@@ -17,7 +17,7 @@ _EXACT = 2**53  # above this a float64 no longer holds every whole number
 _LOOKED_AT = 3  # rows: where none of the first is readable, the column has another form
 
 
-def instants(table: Table, column: str) -> np.ndarray | None:
+def parse_dates(table: Table, column: str) -> np.ndarray | None:
     """A column of dates or times of day as datetime64, NaT where a cell is empty; None if it holds something else.
 
     Raises `LogError` for a cell that is none among others that are, and for a column of which no cell can be read.
@@ -31,20 +31,20 @@ def instants(table: Table, column: str) -> np.ndarray | None:
     if form is None:
         _require_numbers(table, column, texts, filled[:_LOOKED_AT])
         return None
-    written = {k: _written(form, texts[k]) for k in filled}
+    written = {k: _iso_stamp(form, texts[k]) for k in filled}
     try:
         return np.array([written.get(k, "NaT") for k in range(len(texts))], dtype="datetime64[ns]")
     except ValueError:
-        bad = next(k for k in filled if not _exists(written[k]))
+        bad = next(k for k in filled if not _is_date(written[k]))
     raise LogError(
         f"{table.source}: {table.where(bad)}, column '{column}': '{texts[bad]}' is no time like "
         f"'{texts[filled[0]]}'; correct or empty this cell"
     )
 
 
-def text_seconds(table: Table, column: str) -> tuple[np.ndarray, str] | None:
+def seconds_from_text(table: Table, column: str) -> tuple[np.ndarray, str] | None:
     """Seconds since the first stamp of a column of dates or times of day, and a note; None if it holds neither."""
-    stamps = instants(table, column)
+    stamps = parse_dates(table, column)
     if stamps is None:
         return None
     first = int(np.argmin(np.isnat(stamps)))
@@ -53,7 +53,7 @@ def text_seconds(table: Table, column: str) -> tuple[np.ndarray, str] | None:
     return seconds, f"time is counted from its first stamp, {str(table.columns[column][first]).strip()}"
 
 
-def integer_seconds(counts: np.ndarray) -> tuple[np.ndarray, str] | None:
+def counts_from_first(counts: np.ndarray) -> tuple[np.ndarray, str] | None:
     """Counts since the first one, and a note, where a float64 would round them; None where it would not."""
     if len(counts) == 0 or int(counts.max()) < _EXACT:
         return None
@@ -62,7 +62,7 @@ def integer_seconds(counts: np.ndarray) -> tuple[np.ndarray, str] | None:
     return np.array([int(count) - begin for count in counts], dtype=np.float64), f"time is counted from {begin}"
 
 
-def _written(form: re.Pattern[str], text: str) -> str:
+def _iso_stamp(form: re.Pattern[str], text: str) -> str:
     """A stamp of this form as numpy reads it; one of another form becomes what numpy refuses."""
     found = form.fullmatch(text)
     if found is None:
@@ -73,7 +73,7 @@ def _written(form: re.Pattern[str], text: str) -> str:
     return f"{date}T{int(found['hour']):02}{found['rest'].replace(',', '.')}"
 
 
-def _exists(written: str) -> bool:
+def _is_date(written: str) -> bool:
     try:
         np.datetime64(written, "ns")
     except ValueError:  # no such day or hour, too
@@ -83,7 +83,7 @@ def _exists(written: str) -> bool:
 
 def _require_numbers(table: Table, column: str, texts: list[str], rows: list[int]) -> None:
     """Raise `LogError` where none of these rows is a number: not one cell is wrong, but the form of all."""
-    if rows and not any(is_of_either_style(texts[k]) for k in rows):
+    if rows and not any(is_number_of_any_style(texts[k]) for k in rows):
         raise LogError(
             f"{table.source}: {table.where(rows[0])}, column '{column}': '{texts[rows[0]]}' is no time that can be "
             f"read; export it as {FORMS}"

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.grid import EXACT, ROUNDED, Grid, fit_grid
-from diffdrive.logs.clocks.interpolate import resampled
-from diffdrive.logs.clocks.rate import compared
+from diffdrive.logs.clocks.grid import EXACT, ROUNDED, UniformClock, fit_clock
+from diffdrive.logs.clocks.interpolate import resample
+from diffdrive.logs.clocks.rate import rate_notes
 from diffdrive.logs.column_unit import Conversion
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import Signal
@@ -21,7 +21,7 @@ MOST_GAPS = 0.02  # of all samples: so many among jittered stamps are no gaps
 _WRAPS = (8, 15, 16, 24, 31, 32)  # bits
 
 
-def in_order(table: Table, stamps: Signal, clock: Conversion) -> tuple[Signal, np.ndarray, list[str]]:
+def ordered_times(table: Table, stamps: Signal, clock: Conversion) -> tuple[Signal, np.ndarray, list[str]]:
     """Times, which rows to keep, and notes: no stamp missing or repeated, none earlier than the one before it.
 
     Stamps of a clock coarser than the period become uniform. Raises `LogError` naming the row.
@@ -48,7 +48,7 @@ def in_order(table: Table, stamps: Signal, clock: Conversion) -> tuple[Signal, n
     if not steps.any():
         raise LogError(f"{table.source}: the clock stands still at {times[0]:.9g} s; name another column for the time")
     if repeated.mean() > REPEATED:
-        return _uncoarsened(table, times, rows), rows, [*notes, _told_coarse(times)]
+        return _uniform_times(table, times, rows), rows, [*notes, _coarse_clock_note(times)]
     first = table.where(rows[int(np.argmax(repeated))])
     notes.append(f"{repeated.sum()} samples with a repeated time stamp were left out, the first at {first}")
     return times[~repeated], rows[~repeated], notes
@@ -66,9 +66,9 @@ def _why_back(times: Signal, k: int, clock: Conversion) -> str:
     return "the rows are not in order; sort them, or cut the log there"
 
 
-def _told_coarse(times: Signal) -> str:
+def _coarse_clock_note(times: Signal) -> str:
     steps = np.diff(times)
-    missing = _missing_at_least(times)
+    missing = _fewest_missing(times)
     return (
         f"time stamps are coarser than the period (resolution {steps[steps > 0].min():.3g} s): replaced by uniform "
         "ones; "
@@ -80,7 +80,7 @@ def _told_coarse(times: Signal) -> str:
     )
 
 
-def _missing_at_least(times: Signal) -> int:
+def _fewest_missing(times: Signal) -> int:
     """How many samples the stamps of a coarse clock lack at least: none where a uniform clock makes these stamps.
 
     Between the last sample with one stamp and the first with the next, a uniform clock reaches that stamp. So the first
@@ -101,11 +101,11 @@ def _missing_at_least(times: Signal) -> int:
     return max(0, int(np.ceil(float(found.fun) / mean - 1.0 - SURE)))
 
 
-def _uncoarsened(table: Table, times: Signal, rows: np.ndarray) -> Signal:
+def _uniform_times(table: Table, times: Signal, rows: np.ndarray) -> Signal:
     """Uniform times where the stamps are those rounded to their resolution, else an error.
 
     A stamp lies within half its resolution of the middle of what is rounded to it: as much again is left to samples
-    that are late or missing, which `_told_coarse` notes.
+    that are late or missing, which `_coarse_clock_note` notes.
     """
     steps = np.diff(times)
     resolution = steps[steps > 0].min()
@@ -133,9 +133,9 @@ def on_uniform_clock(
     times = signals["time"]
     if len(times) < FEWEST:
         raise LogError(f"{source}: has {len(times)} usable samples; a log needs at least {FEWEST}")
-    grid = fit_grid(times, None if rate is None else 1.0 / rate)
+    grid = fit_clock(times, None if rate is None else 1.0 / rate)
     notes = [] if times[0] == 0 else [f"time starts at {times[0]:.9g} s"]
-    notes += compared(source, grid, rate, unit)
+    notes += rate_notes(source, grid, rate, unit)
     if grid.gaps:
         notes.append(
             f"samples are missing at {len(grid.gaps)} places, the first after t = {times[grid.gaps[0] - 1]:.9g} s"
@@ -157,11 +157,11 @@ def on_uniform_clock(
         f"time stamps jitter by {1e6 * grid.rms * grid.period:.3g} us RMS and {largest:.3g} us at most, "
         f"{grid.deviation:.0%} of a period: the signals were interpolated onto {1 / grid.period:.6g} Hz"
     )
-    pieces, gaps = _resampled(signals, grid)
+    pieces, gaps = _resample_segments(signals, grid)
     return pieces, gaps, notes
 
 
-def _resampled(signals: dict[str, Signal], grid: Grid) -> tuple[dict[str, Signal], tuple[int, ...]]:
+def _resample_segments(signals: dict[str, Signal], grid: UniformClock) -> tuple[dict[str, Signal], tuple[int, ...]]:
     edges = [0, *grid.gaps, len(grid.times)]
     parts: dict[str, list[Signal]] = {name: [] for name in signals}
     for begin, end in itertools.pairwise(edges):
@@ -171,6 +171,6 @@ def _resampled(signals: dict[str, Signal], grid: Grid) -> tuple[dict[str, Signal
         at = uniform[(uniform >= stamps[0] - EXACT * grid.period) & (uniform <= stamps[-1] + EXACT * grid.period)]
         at = np.clip(at, stamps[0], stamps[-1]) if len(at) else stamps[:1]
         for name, values in signals.items():
-            parts[name].append(at if name == "time" else resampled(name, stamps, values[begin:end], at))
+            parts[name].append(at if name == "time" else resample(name, stamps, values[begin:end], at))
     lengths = np.cumsum([len(part) for part in parts["time"]])
     return {name: np.concatenate(part) for name, part in parts.items()}, tuple(lengths[:-1].tolist())

@@ -3,7 +3,7 @@
 import numpy as np
 import pyarrow as pa
 
-from diffdrive.logs.formats.table import Table, left_out
+from diffdrive.logs.formats.table import Table, skipped_note
 
 
 def from_arrow(table: pa.Table, source: str) -> Table:
@@ -21,7 +21,7 @@ def from_arrow(table: pa.Table, source: str) -> Table:
         columns[field.name] = _array(column)
         if field.metadata and b"unit" in field.metadata:
             units[field.name] = field.metadata[b"unit"].decode()
-    return Table(source, columns, units, notes=left_out(passed_over), passed_over=passed_over)
+    return Table(source, columns, units, notes=skipped_note(passed_over), passed_over=passed_over)
 
 
 def _array(column: pa.ChunkedArray) -> np.ndarray:

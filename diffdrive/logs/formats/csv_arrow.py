@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 
 from diffdrive.logs.formats.csv_dialect import Dialect
-from diffdrive.logs.formats.csv_rows import column_of
+from diffdrive.logs.formats.csv_rows import parse_column
 from diffdrive.logs.formats.table import MISSING
 
 # Arrow takes 0x1F and nan(1) for numbers, and knows no comments, which `csv_rows` does not or does
@@ -18,7 +18,7 @@ _COMMENT = re.compile(r"^ *[#%]", re.MULTILINE)
 _ABSENT = sorted({form for word in MISSING if "inf" not in word for form in (word, word.upper(), word.title(), "NaN")})
 
 
-def columns_by_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
+def parse_with_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
     """The columns of rows of one width, or None where they are not, or hold what has to be read row by row."""
     spaced = dialect.delimiter == " "
     if not body.isascii() or any(sign in body for sign in _READ_OTHERWISE) or (spaced and '"' in body):
@@ -50,7 +50,7 @@ def columns_by_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
     texts = [field.name for field in table.schema if field.type not in (pa.int64(), pa.float64())]
     written = read(column_types=dict.fromkeys(texts, pa.string()), include_columns=texts) if texts else None
     return [
-        column_of(tuple(written[name].to_pylist()), dialect) if name in texts else _array(table[name])
+        parse_column(tuple(written[name].to_pylist()), dialect) if name in texts else _array(table[name])
         for name in table.column_names
     ]
 

@@ -5,7 +5,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from diffdrive.logs.formats.table import GROUPED, MISSING, is_of_either_style
+from diffdrive.logs.formats.table import GROUPED, MISSING, is_number_of_any_style
 
 _DELIMITERS = (";", "\t", ",", " ")  # white space comes last, as others have it too
 _SAMPLED = 100  # lines at the end of the file: the preamble is at its beginning
@@ -36,12 +36,12 @@ class Dialect:
         cells = self.split(line)
         if len(cells) != self.width:
             return False
-        numbers = [is_of_either_style(cells[k]) or (k > 0 and cells[k].casefold() in MISSING) for k in self.numeric]
+        numbers = [is_number_of_any_style(cells[k]) or (k > 0 and cells[k].casefold() in MISSING) for k in self.numeric]
         share = sum(numbers) / len(numbers)
         return share > 0.5 or (share == 0.5 and numbers[0])
 
 
-def dialect_of(lines: list[str]) -> Dialect | None:
+def detect_dialect(lines: list[str]) -> Dialect | None:
     """The dialect in which most cells of the last lines are numbers, in the same columns; None if none are.
 
     A decimal comma before a comma as delimiter is only possible in quotes.
@@ -54,18 +54,18 @@ def dialect_of(lines: list[str]) -> Dialect | None:
         [(width, alike)] = Counter(map(len, rows)).most_common(1)
         if width < 2:
             continue
-        counts = [sum(is_of_either_style(row[k]) for row in rows if len(row) == width) for k in range(width)]
+        counts = [sum(is_number_of_any_style(row[k]) for row in rows if len(row) == width) for k in range(width)]
         numeric = tuple(k for k, count in enumerate(counts) if count >= 0.5 * alike)
         score = sum(counts) / len(rows)
         if numeric and score > most:
             best, most = Dialect(delimiter, ".", width, numeric), score
-    return best and replace(best, decimal=_decimal(lines, best))
+    return best and replace(best, decimal=_decimal_sign(lines, best))
 
 
-def _decimal(lines: list[str], dialect: Dialect) -> str:
+def _decimal_sign(lines: list[str], dialect: Dialect) -> str:
     """The decimal sign of most numbers; those that may be thousands in groups count only where there are no others."""
     spread = (dialect.split(line) for line in lines[:: max(1, len(lines) // _SPREAD)])
-    cells = [cell for row in spread if len(row) == dialect.width for cell in row if is_of_either_style(cell)]
+    cells = [cell for row in spread if len(row) == dialect.width for cell in row if is_number_of_any_style(cell)]
     sure, doubtful = Counter(), Counter()
     for cell in cells:
         if sign := _LAST_SIGN.search(cell):

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.errors import LogError
-from diffdrive.logs.formats.csv_arrow import columns_by_arrow
-from diffdrive.logs.formats.csv_dialect import Dialect, dialect_of
-from diffdrive.logs.formats.csv_header import header_of
-from diffdrive.logs.formats.csv_lines import COMMENTS, Line, beginning, lines_of, sampled
-from diffdrive.logs.formats.csv_rows import cells_of, column_of, rows_of, width_of
-from diffdrive.logs.formats.csv_unquoted import SAMPLED, refuse_unquoted
+from diffdrive.logs.formats.csv_arrow import parse_with_arrow
+from diffdrive.logs.formats.csv_dialect import Dialect, detect_dialect
+from diffdrive.logs.formats.csv_header import parse_header
+from diffdrive.logs.formats.csv_lines import COMMENTS, TextLine, data_lines, find_table, sample_lines
+from diffdrive.logs.formats.csv_rows import cell_count, complete_rows, parse_column, split_columns
+from diffdrive.logs.formats.csv_unquoted import SAMPLED, refuse_unquoted_decimals
 from diffdrive.logs.formats.table import Table
 from diffdrive.support.resources import format_bytes, require_memory
 from diffdrive.support.text_file import decode_text, detect_encoding
@@ -51,19 +51,19 @@ def read_csv(path: Path) -> Table:
 
 
 def _table(path: Path, text: str) -> Table:
-    lines = sampled(text)
-    dialect = dialect_of(lines) if lines else None
-    head, start = ([], None) if dialect is None else beginning(text, dialect, SAMPLED)
+    lines = sample_lines(text)
+    dialect = detect_dialect(lines) if lines else None
+    head, start = ([], None) if dialect is None else find_table(text, dialect, SAMPLED)
     if dialect is None or start is None:
         raise LogError(
             f"{path}: has no rows of numbers, only text such as '{_first_words(text)}'; a log needs columns of numbers "
             "below one header line"
         )
-    refuse_unquoted(str(path), [(line.number, line.text) for line in head], start, dialect)
+    refuse_unquoted_decimals(str(path), [(line.number, line.text) for line in head], start, dialect)
     first = head[start]
     above = (line.strip(" \x00") for line in text[: first.offset].split("\n"))
     # a header may itself be a comment, as numpy.savetxt writes it
-    header = header_of([line.lstrip("".join(COMMENTS) + " ") for line in above if line], dialect)
+    header = parse_header([line.lstrip("".join(COMMENTS) + " ") for line in above if line], dialect)
     numbers, cells, notes = _body(path, text, first, dialect)
     columns = dict(zip(header.names, cells, strict=True))
     named = {name: values for name, values in columns.items() if not _is_trailing(name, values)}
@@ -71,7 +71,7 @@ def _table(path: Path, text: str) -> Table:
     return Table(str(path), named, units, numbers, tuple(notes), dialect.decimal, header.clocks)
 
 
-def _body(path: Path, text: str, first: Line, dialect: Dialect) -> tuple[np.ndarray, list[np.ndarray], list[str]]:
+def _body(path: Path, text: str, first: TextLine, dialect: Dialect) -> tuple[np.ndarray, list[np.ndarray], list[str]]:
     """The rows from the first one on: their lines' numbers, their columns, and notes.
 
     What Arrow refuses is read row by row, which takes ten times as long, and says what is wrong in which line.
@@ -82,18 +82,18 @@ def _body(path: Path, text: str, first: Line, dialect: Dialect) -> tuple[np.ndar
     last = body[begin:]
     # nobody can say whether the last number of a line without its line end is complete
     ended = "\n" in tail[len(tail.rstrip(_OUTER)) :] or last.startswith(COMMENTS)
-    full = body if ended and width_of(last, dialect) == dialect.width else body[: max(0, begin - 1)]
-    columns = columns_by_arrow(full, dialect) if full and not last.startswith(COMMENTS) else None
+    full = body if ended and cell_count(last, dialect) == dialect.width else body[: max(0, begin - 1)]
+    columns = parse_with_arrow(full, dialect) if full and not last.startswith(COMMENTS) else None
     if columns is not None:
         numbers = first.number + np.arange(len(columns[0]))
-        _, notes = rows_of(path, [(int(numbers[-1]) + 1, last)] if full is not body else [], dialect, ended)
+        _, notes = complete_rows(path, [(int(numbers[-1]) + 1, last)] if full is not body else [], dialect, ended)
         return numbers, columns, notes
-    kept = [(line.number + first.number - 1, line.text) for line in lines_of(body)]
-    rows, notes = rows_of(path, kept, dialect, ended)
+    kept = [(line.number + first.number - 1, line.text) for line in data_lines(body)]
+    rows, notes = complete_rows(path, kept, dialect, ended)
     if not rows:
         raise LogError(f"{path}: has one row, and that is cut off; export the log again")
-    cells = cells_of([line for _, line in rows], dialect)
-    return np.array([number for number, _ in rows]), [column_of(column, dialect) for column in cells], notes
+    cells = split_columns([line for _, line in rows], dialect)
+    return np.array([number for number, _ in rows]), [parse_column(column, dialect) for column in cells], notes
 
 
 def _text(path: Path, raw: bytes) -> str:

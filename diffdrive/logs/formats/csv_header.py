@@ -20,7 +20,7 @@ class Header:
     clocks: dict[str, str] = field(default_factory=dict)
 
 
-def header_of(preamble: list[str], dialect: Dialect) -> Header:
+def parse_header(preamble: list[str], dialect: Dialect) -> Header:
     """The header among the lines before the first row; columns without one are called '1', '2', ..."""
     rows = [cells for line in preamble if (cells := _cells(line, dialect)) is not None]
     scope = next((cells for cells in reversed(rows) if cells[0] == "Name"), None)
@@ -30,8 +30,8 @@ def header_of(preamble: list[str], dialect: Dialect) -> Header:
     if len(rows) > 1 and _are_units(rows[-1], rows[-2]):
         unit_row = rows.pop()
     named = [name or str(k + 1) for k, name in enumerate(rows[-1])] if rows else None
-    names = _once(named or [str(k + 1) for k in range(dialect.width)])
-    units = {name: unit for name, unit in zip(names, map(_bare, unit_row or ()), strict=False) if unit}
+    names = _unique(named or [str(k + 1) for k in range(dialect.width)])
+    units = {name: unit for name, unit in zip(names, map(_bare_unit, unit_row or ()), strict=False) if unit}
     return Header(names, units)
 
 
@@ -54,11 +54,11 @@ def _twincat(rows: list[list[str]], names: list[str]) -> Header:
     called, following = [], [*names[1:], ""]
     for k, (name, is_time) in enumerate(zip(names, times, strict=True)):
         called.append(("time" if k == 0 else f"{following[k]}.clock") if is_time else name or str(k + 1))
-    named = _once(called)
+    named = _unique(called)
     units = {
-        name: "ms" if is_time else _bare(unit)
+        name: "ms" if is_time else _bare_unit(unit)
         for name, unit, is_time in zip(named, units_row, times, strict=True)
-        if is_time or _bare(unit)
+        if is_time or _bare_unit(unit)
     }
     clocks, clock = {}, ""
     for name, is_time in zip(named, times, strict=True):
@@ -69,7 +69,7 @@ def _twincat(rows: list[list[str]], names: list[str]) -> Header:
     return Header(named, units, clocks)
 
 
-def _bare(cell: str) -> str:
+def _bare_unit(cell: str) -> str:
     """A cell of a unit row without brackets; empty where it says that there is no unit."""
     bare = cell.strip("[]() ")
     return "" if bare in ("-", "1") or bare.casefold() == "none" else bare
@@ -81,7 +81,7 @@ def _are_units(cells: list[str], above: list[str]) -> bool:
     Either all are units of channels, or one is the unit of the very channel named above it, or half of them are and
     there are names above all of them.
     """
-    given = [(name, cell) for name, cell in zip(above, map(_bare, cells), strict=True) if cell]
+    given = [(name, cell) for name, cell in zip(above, map(_bare_unit, cells), strict=True) if cell]
     known = sum(any(is_unit_of(channel, cell) for channel in CHANNELS) for _, cell in given)
     if not known or known == len(given):
         return known > 0
@@ -95,7 +95,7 @@ def _is_called(name: str, channel: str) -> bool:
     return split_unit(name, channel)[0].strip('" ').casefold() == channel
 
 
-def _once(names: list[str]) -> list[str]:
+def _unique(names: list[str]) -> list[str]:
     """Names that occur several times are numbered: nobody can say which of them is meant."""
     total, seen, numbered = Counter(names), Counter(), []
     for name in names:

@@ -12,7 +12,7 @@ _LAST = 100  # lines at its end
 _FEWEST = 256  # lines that are looked at first; twice as many where the table does not begin among them
 
 
-class Line(NamedTuple):
+class TextLine(NamedTuple):
     """A line without outer spaces: its number from 1, and where it begins in the text."""
 
     number: int
@@ -20,36 +20,36 @@ class Line(NamedTuple):
     text: str
 
 
-def lines_of(text: str) -> Iterator[Line]:
+def data_lines(text: str) -> Iterator[TextLine]:
     """The lines that hold something and are no comments, in order."""
     number, begin = 0, 0
     while begin <= len(text):
         number, end = number + 1, text.find("\n", begin)
         end = len(text) if end < 0 else end
-        if line := _kept(text[begin:end]):
-            yield Line(number, begin, line)
+        if line := _stripped(text[begin:end]):
+            yield TextLine(number, begin, line)
         begin = end + 1
 
 
-def sampled(text: str) -> list[str]:
+def sample_lines(text: str) -> list[str]:
     """Lines from all over the text, and its last hundred: enough to tell how the table is written."""
     offsets = {text.rfind("\n", 0, len(text) * k // _SPREAD) + 1 for k in range(_SPREAD)}
     last: list[str] = []
     end = len(text)
     while end >= 0 and len(last) < _LAST:
         begin = text.rfind("\n", 0, end) + 1
-        if line := _kept(text[begin:end]):
+        if line := _stripped(text[begin:end]):
             last.append(line)
             offsets.discard(begin)
         end = begin - 1
-    spread = (_kept(text[begin : _end(text, begin)]) for begin in sorted(offsets) if begin < end)
+    spread = (_stripped(text[begin : _end(text, begin)]) for begin in sorted(offsets) if begin < end)
     return [*filter(None, spread), *reversed(last)]
 
 
-def beginning(text: str, dialect: Dialect, following: int) -> tuple[list[Line], int | None]:
+def find_table(text: str, dialect: Dialect, following: int) -> tuple[list[TextLine], int | None]:
     """The lines down to the first row and at least so many behind it, and which of them is that row; None if none."""
-    lines = lines_of(text)
-    head: list[Line] = []
+    lines = data_lines(text)
+    head: list[TextLine] = []
     while True:
         wanted = max(_FEWEST, len(head))
         more = list(islice(lines, wanted))
@@ -64,6 +64,6 @@ def _end(text: str, begin: int) -> int:
     return len(text) if end < 0 else end
 
 
-def _kept(line: str) -> str:
+def _stripped(line: str) -> str:
     line = line.strip(" \r\x00")
     return "" if line.startswith(COMMENTS) else line

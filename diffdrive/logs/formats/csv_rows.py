@@ -12,7 +12,7 @@ from diffdrive.logs.formats.csv_dialect import Dialect
 from diffdrive.logs.formats.table import MISSING
 
 
-def rows_of(
+def complete_rows(
     path: Path, kept: list[tuple[int, str]], dialect: Dialect, ended: bool
 ) -> tuple[list[tuple[int, str]], list[str]]:
     """The rows with as many cells as the table has columns; a last one that is or may be cut off is left out.
@@ -22,7 +22,7 @@ def rows_of(
     """
     rows, notes = [], []
     for number, line in kept:
-        found, is_last = width_of(line, dialect), number == kept[-1][0]
+        found, is_last = cell_count(line, dialect), number == kept[-1][0]
         if found == dialect.width and (ended or not is_last):
             rows.append((number, line))
         elif not is_last:
@@ -39,21 +39,21 @@ def rows_of(
     return rows, notes
 
 
-def width_of(line: str, dialect: Dialect) -> int:
+def cell_count(line: str, dialect: Dialect) -> int:
     """How many cells a line has."""
     if dialect.delimiter == " ":
         return len(line.split())
     return len(dialect.split(line)) if '"' in line else line.count(dialect.delimiter) + 1
 
 
-def cells_of(lines: list[str], dialect: Dialect) -> Iterable[tuple[str, ...]]:
+def split_columns(lines: list[str], dialect: Dialect) -> Iterable[tuple[str, ...]]:
     """The table column by column."""
     if dialect.delimiter == " ":
         return zip(*map(dialect.split, lines), strict=True)
     return zip(*csv.reader(lines, delimiter=dialect.delimiter, skipinitialspace=True), strict=True)
 
 
-def column_of(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
+def parse_column(cells: tuple[str, ...], dialect: Dialect) -> np.ndarray:
     """Whole numbers, numbers, or text for `Table.numbers` to judge, such as points beside decimal commas."""
     mixed = dialect.decimal == "," and any("." in cell for cell in cells)
     plain = cells if dialect.decimal == "." else [cell.replace(",", ".") for cell in cells]

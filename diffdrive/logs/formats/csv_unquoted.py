@@ -4,13 +4,13 @@ import re
 
 from diffdrive.errors import LogError
 from diffdrive.logs.formats.csv_dialect import Dialect
-from diffdrive.logs.formats.table import is_of_either_style
+from diffdrive.logs.formats.table import is_number_of_any_style
 
 SAMPLED = 100  # rows below the header
 _FRACTION = re.compile(r"0\d+")  # what is left behind a decimal comma, but no whole number
 
 
-def refuse_unquoted(source: str, kept: list[tuple[int, str]], start: int, dialect: Dialect) -> None:
+def refuse_unquoted_decimals(source: str, kept: list[tuple[int, str]], start: int, dialect: Dialect) -> None:
     """Raise `LogError` for rows of whole numbers, up to twice as many as the header has cells.
 
     `kept` are the lines of the file with their numbers, `start` is the first of them that is a row.
@@ -22,7 +22,7 @@ def refuse_unquoted(source: str, kept: list[tuple[int, str]], start: int, dialec
         return
     named = len(_trimmed(kept[header][1], dialect))
     rows = [_trimmed(line, dialect) for _, line in kept[header + 1 : start + SAMPLED]][:-1]  # the last may be cut off
-    numbers = [[cell for cell in row if is_of_either_style(cell)] for row in rows]
+    numbers = [[cell for cell in row if is_number_of_any_style(cell)] for row in rows]
     width = len(_trimmed(kept[start][1], dialect))
     if not named < width <= 2 * named or any("." in cell for row in numbers for cell in row):
         return
@@ -45,4 +45,4 @@ def _trimmed(line: str, dialect: Dialect) -> list[str]:
 
 def _is_header(line: str, dialect: Dialect) -> bool:
     cells = dialect.split(line)
-    return len(cells) > 1 and not any(map(is_of_either_style, cells))
+    return len(cells) > 1 and not any(map(is_number_of_any_style, cells))

@@ -15,10 +15,10 @@ from diffdrive.logs.formats.table import Table
 
 def read_frame(source: Any, name: str) -> Table:
     """The columns of a data frame or of a dict of arrays; `name` stands for it in messages. Raises `LogError`."""
-    return _of_arrays(source, name) if isinstance(source, Mapping) else _of_frame(source, name)
+    return _from_arrays(source, name) if isinstance(source, Mapping) else _from_frame(source, name)
 
 
-def _of_arrays(source: Mapping[str, Any], name: str) -> Table:
+def _from_arrays(source: Mapping[str, Any], name: str) -> Table:
     columns, units = {}, {}
     for key, values in source.items():
         array = np.asarray(values)
@@ -33,7 +33,7 @@ def _of_arrays(source: Mapping[str, Any], name: str) -> Table:
     return Table(name, columns, units)
 
 
-def _of_frame(source: Any, name: str) -> Table:
+def _from_frame(source: Any, name: str) -> Table:
     try:
         frame = nw.from_native(source)
     except DuplicateError:

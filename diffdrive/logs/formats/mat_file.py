@@ -14,7 +14,7 @@ import scipy.io
 from pymatreader import read_mat as read_variables
 
 from diffdrive.errors import LogError
-from diffdrive.logs.formats.table import Table, in_words, left_out
+from diffdrive.logs.formats.table import Table, skipped_note, skipped_text
 from diffdrive.support.atomic_write import atomic_write
 
 Column = tuple[str, np.ndarray | str, str | None]  # path, values or why it has none, unit
@@ -38,14 +38,14 @@ def read_mat(path: Path) -> Table:
     passed_over = {name: values for name, values, _ in found if isinstance(values, str)}
     if not columns:
         raise LogError(
-            f"{path}: holds no arrays of numbers ({in_words(passed_over) or 'it is empty'}); export signals as arrays "
+            f"{path}: holds no arrays of numbers ({skipped_text(passed_over) or 'it is empty'}); export signals as arrays "
             "or as structure with time, not as timeseries or Dataset objects"
         )
     named = held.get("units")
     units = {name: unit for name, _, unit in found if unit}
     if isinstance(named, dict):
         units |= {name: unit for name, unit in named.items() if name in columns and isinstance(unit, str)}
-    odd = left_out({name: why for name, why in passed_over.items() if why not in (ALONE, TEXT)})
+    odd = skipped_note({name: why for name, why in passed_over.items() if why not in (ALONE, TEXT)})
     return Table(str(path), columns, units, notes=odd, passed_over=passed_over)
 
 
@@ -80,11 +80,11 @@ def _structure(path: str, held: dict[str, Any]) -> Iterator[Column]:
 
 def _dspace(path: str, clocks: dict[str, Any], signals: dict[str, Any]) -> Iterator[Column]:
     """A ControlDesk recording: X(i).Data are the clocks, Y(i).Name and Y(i).Data the signals."""
-    for k, data in enumerate(_listed(clocks.get("Data", []))):
+    for k, data in enumerate(_as_list(clocks.get("Data", []))):
         for name, values in _signals(f"{path}.X.time" if k == 0 else f"{path}.X({k + 1}).time", data):
             yield name, values, None
-    data, names = _listed(signals["Data"]), _listed(signals.get("Name", []))
-    units = _listed(signals.get("Unit", []))
+    data, names = _as_list(signals["Data"]), _as_list(signals.get("Name", []))
+    units = _as_list(signals.get("Unit", []))
     for k, values in enumerate(data):
         name = names[k] if k < len(names) and isinstance(names[k], str) else f"({k + 1})"
         unit = units[k] if k < len(units) and isinstance(units[k], str) else None
@@ -97,19 +97,19 @@ def _simulink(path: str, held: dict[str, Any]) -> Iterator[Column]:
     for name, values in _signals(f"{path}.time", held.get("time")):
         yield name, values, None
     signals, count = held["signals"], np.size(held.get("time"))
-    values, labels = _listed(signals["values"]), _listed(signals.get("label", []))
+    values, labels = _as_list(signals["values"]), _as_list(signals.get("label", []))
     for k, data in enumerate(values):
         label = labels[k] if k < len(labels) and isinstance(labels[k], str) and labels[k] else f"signals({k + 1})"
         for name, column in _signals(f"{path}.{label}", data, count):
             yield name, column, None
 
 
-def _listed(value: Any) -> list[Any]:
+def _as_list(value: Any) -> list[Any]:
     """A structure array of one element comes without its list."""
     return value if isinstance(value, list) else [value]
 
 
-def _why_none(value: Any) -> str | None:
+def _why_no_signal(value: Any) -> str | None:
     """Why a variable is no signal; None where it is one."""
     if isinstance(value, str) or getattr(getattr(value, "dtype", None), "kind", None) in ("U", "S"):
         return TEXT
@@ -129,7 +129,7 @@ def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[
 
     In an array of three dimensions time is the last one, as Simulink writes matrices.
     """
-    if (why := _why_none(value)) is not None:
+    if (why := _why_no_signal(value)) is not None:
         yield path, why
     elif value.ndim == 1:
         yield path, value

@@ -43,50 +43,50 @@ class Table:
         if values.dtype.kind in "fiub":
             return values.astype(np.float64)
         cells = [str(cell).strip() for cell in values]
-        bad = next((k for k, cell in enumerate(cells) if not numeric(cell, self.decimal)), None)
+        bad = next((k for k, cell in enumerate(cells) if not is_number(cell, self.decimal)), None)
         if bad is None:
             return np.array([_value(cell) for cell in cells])
         raise LogError(
             f"{self.source}: {self.where(bad)}, column '{shortened(name)}': '{shortened(cells[bad])}' is "
-            f"{_mend(cells[bad], self.decimal)}"
+            f"{_why_not_a_number(cells[bad], self.decimal)}"
         )
 
 
-def left_out(passed_over: dict[str, str]) -> tuple[str, ...]:
+def skipped_note(passed_over: dict[str, str]) -> tuple[str, ...]:
     """What to say of columns that look like signals and are none; nothing where there are none."""
     if not passed_over:
         return ()
-    return (f"left out, since a signal is one number in each row: {in_words(passed_over)}",)
+    return (f"left out, since a signal is one number in each row: {skipped_text(passed_over)}",)
 
 
-def in_words(passed_over: dict[str, str]) -> str:
+def skipped_text(passed_over: dict[str, str]) -> str:
     """The first of these columns, with why they are none, and how many more there are."""
     few = [f"'{shortened(name)}' {shortened(why)}" for name, why in list(passed_over.items())[:FEW]]
     return ", ".join(few) + (f" and {len(passed_over) - FEW} more" if len(passed_over) > FEW else "")
 
 
-def numeric(cell: str, decimal: str) -> bool:
+def is_number(cell: str, decimal: str) -> bool:
     """Whether a cell is a number with this decimal sign, or stands for a missing one."""
     if cell.casefold() in MISSING:
         return True
-    return _is_written(cell, decimal) and bool(np.isfinite(_value(cell)))  # and not of 400 digits
+    return _is_written_as_number(cell, decimal) and bool(np.isfinite(_value(cell)))  # and not of 400 digits
 
 
-def _is_written(cell: str, decimal: str) -> bool:
+def _is_written_as_number(cell: str, decimal: str) -> bool:
     """Whether a cell is written as a number."""
     # a point beside a decimal comma separates thousands, or is a decimal sign too: nobody can say which
     return not (decimal == "," and "." in cell) and NUMBER.fullmatch(cell.replace(decimal, ".")) is not None
 
 
-def is_of_either_style(cell: str) -> bool:
+def is_number_of_any_style(cell: str) -> bool:
     """Whether a cell is a number with a decimal point or comma, or with thousands in groups."""
     return NUMBER.fullmatch(cell.replace(",", ".")) is not None or GROUPED.fullmatch(cell) is not None
 
 
-def _mend(cell: str, decimal: str) -> str:
-    if _is_written(cell, decimal):
+def _why_not_a_number(cell: str, decimal: str) -> str:
+    if _is_written_as_number(cell, decimal):
         return "larger than any number that a computer reckons with; correct or empty this cell"
-    if not is_of_either_style(cell):
+    if not is_number_of_any_style(cell):
         return "not a number; correct or empty this cell"
     return (
         f"not a number where the decimal sign is '{decimal}'; remove the thousands separators, and write decimals with "

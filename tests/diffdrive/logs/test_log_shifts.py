@@ -10,7 +10,7 @@ from diffdrive.axis_file.drive_file import parse_axis, read_axis, write_axis
 from diffdrive.errors import LogError
 from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.checks.examine import examine
-from diffdrive.logs.clocks.shifts import shifted
+from diffdrive.logs.clocks.shifts import shift_channels
 from diffdrive.logs.mapping import ColumnMapping, parse_mapping
 from tests.support.sound_log import DRIVE, RATE, SOUND, but, moved
 from tests.support.written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, rows
@@ -78,7 +78,7 @@ def test_what_is_not_moved_is_as_it_was(written):
 def test_no_value_crosses_a_gap():
     """Stretches of 6, 2 and 5 samples, moved by two: each loses two, the second is gone."""
     place = np.arange(13.0)
-    signals, gaps, _ = shifted("log", {"position": place, "command": place}, (6, 8), {"command": 2})
+    signals, gaps, _ = shift_channels("log", {"position": place, "command": place}, (6, 8), {"command": 2})
     np.testing.assert_array_equal(signals["position"], [2, 3, 4, 5, 10, 11, 12])
     np.testing.assert_array_equal(signals["command"], [0, 1, 2, 3, 8, 9, 10])
     assert gaps == (4,)

@@ -7,7 +7,7 @@ import pytest
 
 from diffdrive.errors import LogError
 from diffdrive.logs import ColumnMapping, Log, read_log
-from diffdrive.logs.clocks.interpolate import resampled
+from diffdrive.logs.clocks.interpolate import resample
 from diffdrive.logs.write import write_csv
 
 N, RATE = 5000, 1000.0
@@ -135,9 +135,9 @@ def test_a_held_command_keeps_its_impulse():
     held = RNG.normal(size=N)
     at = TIME[10:-10]
     begin, end = np.maximum(stamps, at[0]), np.minimum(np.append(stamps[1:], np.inf), at[-1] + 1 / RATE)
-    means = resampled("command", stamps, held, at)
+    means = resample("command", stamps, held, at)
     assert np.sum(means) / RATE == pytest.approx(np.sum(held * np.maximum(end - begin, 0.0)), abs=1e-9)
-    np.testing.assert_allclose(resampled("command", TIME, held, TIME), held, atol=1e-12)
+    np.testing.assert_allclose(resample("command", TIME, held, TIME), held, atol=1e-12)
 
 
 # --- gaps -------------------------------------------------------------------------------------------------------------

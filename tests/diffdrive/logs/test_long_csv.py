@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from diffdrive.errors import LogError
 from diffdrive.logs import read_log
 from diffdrive.logs.formats import csv_file
-from diffdrive.logs.formats.csv_arrow import columns_by_arrow
-from diffdrive.logs.formats.csv_dialect import dialect_of
+from diffdrive.logs.formats.csv_arrow import parse_with_arrow
+from diffdrive.logs.formats.csv_dialect import detect_dialect
 from diffdrive.logs.formats.csv_file import read_csv
-from diffdrive.logs.formats.csv_rows import cells_of, column_of
+from diffdrive.logs.formats.csv_rows import parse_column, split_columns
 from diffdrive.logs.formats.table import Table
 from tests.diffdrive.logs.test_log_formats import DIALECTS
 
@@ -104,13 +104,13 @@ CELLS = st.one_of(
 def test_every_cell_is_what_it_is_row_by_row(rows, delimiter):
     """As numbers or as text: a wrong cell must be named, not become another number."""
     lines = [delimiter.join([*row, "0.5"]) for row in rows]
-    dialect = dialect_of([line.strip(" ") for line in lines])
+    dialect = detect_dialect([line.strip(" ") for line in lines])
     if dialect is None or dialect.delimiter != delimiter or dialect.width != 3:
         return
-    found = columns_by_arrow("\n".join(lines), dialect)
+    found = parse_with_arrow("\n".join(lines), dialect)
     if found is None:
         return
-    expected = [column_of(cells, dialect) for cells in cells_of(lines, dialect)]
+    expected = [parse_column(cells, dialect) for cells in split_columns(lines, dialect)]
     for one, other in zip(found, expected, strict=True):
         assert_same_column(one, other)
 
@@ -123,7 +123,7 @@ def test_a_file_of_comments_alone_is_no_log(tmp_path):
 
 
 def row_by_row(path, monkeypatch) -> Table:
-    monkeypatch.setattr(csv_file, "columns_by_arrow", lambda *_: None)
+    monkeypatch.setattr(csv_file, "parse_with_arrow", lambda *_: None)
     return read_csv(path)
 
 
