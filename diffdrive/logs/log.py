@@ -1,4 +1,4 @@
-"""What a motion left behind, simulated or measured, in SI units on a uniform clock."""
+"""A log: the signals of one motion, simulated or measured, in SI units on a uniform clock."""
 
 import dataclasses
 import itertools

@@ -20,8 +20,8 @@ class ColumnMapping:
 
     `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
     column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
-    in V or A into newtons. `shifts` moves a channel that was recorded early or late by whole samples, positive to later
-    times; what was injected into the command moves with it. A key such as "lap2:command" is of that log alone. Raises
+    in V or A into newtons. `shifts` shifts a channel that was recorded early or late by whole samples, positive to
+    later times; what was injected into the command shifts with it. A key such as "lap2:command" is of that log alone. Raises
     `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
     """
 
@@ -45,22 +45,26 @@ class ColumnMapping:
             gain = getattr(self, key)
             if gain is not None and not (math.isfinite(gain) and gain != 0):
                 raise LogError(f"[units] {key}: must be a finite number of N/{electric} other than 0, got {gain!r}")
-        for key, by in self.shifts.items():
+        for key, samples in self.shifts.items():
             log, channel = log_and_channel(key)
             if ":" in key and not log:
                 raise LogError(f"[shifts] {key}: names no log: write 'lap2:{channel}', or '{channel}' for all of them")
             if channel not in READABLE or channel == "time":
-                known = [one for one in READABLE if one != "time"]
+                known = [name for name in READABLE if name != "time"]
                 raise LogError(f"[shifts] {key}: no channel that can be moved; {_suggestion(channel, known)}")
-            if isinstance(by, bool) or not isinstance(by, int):
-                raise LogError(f"[shifts] {key}: must be a whole number of samples, such as -1, got {short_repr(by)}")
+            if isinstance(samples, bool) or not isinstance(samples, int):
+                raise LogError(
+                    f"[shifts] {key}: must be a whole number of samples, such as -1, got {short_repr(samples)}"
+                )
         for channel in self.units:
             self.conversion(channel, self.units[channel], f"[units] {channel}")
-        held: dict[str, str] = {}
+        channel_of: dict[str, str] = {}
         for channel, column in self.columns.items():
-            if column in held:
-                raise LogError(f"[columns] {channel}: '{column}' is the {held[column]} already; each needs its own")
-            held[column] = channel
+            if column in channel_of:
+                raise LogError(
+                    f"[columns] {channel}: '{column}' is the {channel_of[column]} already; each needs its own"
+                )
+            channel_of[column] = channel
 
     def __hash__(self) -> int:  # so that an axis can be a static argument of compiled functions
         tables = (tuple(sorted(table.items())) for table in (self.columns, self.units, self.shifts))
@@ -73,23 +77,25 @@ class ColumnMapping:
         return {electric: gain for electric, gain in gains.items() if gain is not None}
 
     def shifts_of(self, path: Path) -> dict[str, int]:
-        """Samples by which each channel of a log's file is moved: the key that names the log most closely counts."""
-        keys = [(*log_and_channel(key), by) for key, by in self.shifts.items()]
-        own = [one for one in keys if matches_log(one[0], path)]
-        return {channel: by for _, channel, by in sorted(own, key=lambda one: len(PurePath(one[0]).parts))}
+        """Samples by which each channel of a log's file is shifted: the key that names the log most closely counts."""
+        keys = [(*log_and_channel(key), samples) for key, samples in self.shifts.items()]
+        matching = [entry for entry in keys if matches_log(entry[0], path)]
+        return {
+            channel: samples
+            for _, channel, samples in sorted(matching, key=lambda entry: len(PurePath(entry[0]).parts))
+        }
 
     def conversion(self, channel: str, unit: str, where: str) -> Conversion:
         """How a column of `channel` in `unit` becomes SI; `where` begins the `LogError` if it cannot."""
         try:
             return conversion(channel, unit, self.force_per)
-        except ValueError as problem:
-            raise LogError(f"{where}: {problem}") from None
+        except ValueError as error:
+            raise LogError(f"{where}: {error}") from None
 
-    def with_more(
-        self, columns: Mapping[str, str], units: Mapping[str, str],
-        shifts: Mapping[str, int],
-    ) -> "ColumnMapping":  # fmt: skip
-        """With these put over it; raises `LogError` for a channel or unit that does not exist."""
+    def updated(
+        self, columns: Mapping[str, str], units: Mapping[str, str], shifts: Mapping[str, int]
+    ) -> "ColumnMapping":
+        """The mapping with these put over its own; raises `LogError` for a channel or unit that does not exist."""
         more = parse_mapping(dict(columns), dict(units), dict(shifts))
         gains = {key: getattr(more, key) for key in FORCE_PER if key in units}
         return dataclasses.replace(
@@ -100,26 +106,31 @@ class ColumnMapping:
     def overridden(
         self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()
     ) -> "ColumnMapping":
-        """With a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1` put over it."""
+        """The mapping with a command line's `--column reference=qg`, `--unit command=V`, `--shift command=-1` over it."""
         more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
         gains = {key: _parse_gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
         changed = {table: getattr(self, table) | more[table] for table in more}
-        moved = {key: _parse_samples(key, by) for key, by in _assignments(shifts, "--shift").items()}
-        # what the command line says of all logs is in the place of what the file says of one
-        kept = {key: by for key, by in self.shifts.items() if log_and_channel(key)[1] not in moved}
-        return dataclasses.replace(self, **changed, **gains, shifts=kept | moved)
+        new_shifts = {key: _parse_samples(key, samples) for key, samples in _assignments(shifts, "--shift").items()}
+        # a shift that the command line states for all logs replaces the file's for a single one
+        kept_shifts = {
+            key: samples for key, samples in self.shifts.items() if log_and_channel(key)[1] not in new_shifts
+        }
+        return dataclasses.replace(self, **changed, **gains, shifts=kept_shifts | new_shifts)
 
 
 def log_and_channel(key: str) -> tuple[str, str]:
-    """The log, "" for all of them, and the channel that a key of [shifts] moves."""
+    """The log, "" for all of them, and the channel that a key of [shifts] shifts."""
     log, _, channel = key.rpartition(":")
     return log.strip(), channel.strip()
 
 
 def matches_log(log: str, path: Path) -> bool:
-    """Whether "lap2", "lap2.csv" or "monday/lap2" means a log's file; "" means every one."""
-    wanted, file = PurePath(log).parts, path.resolve()
-    return any(one.parts[len(one.parts) - len(wanted) :] == wanted for one in (file, file.with_name(file.stem)))
+    """Whether "lap2", "lap2.csv" or "monday/lap2" names a log's file; "" names every one."""
+    suffix, file = PurePath(log).parts, path.resolve()
+    return any(
+        candidate.parts[len(candidate.parts) - len(suffix) :] == suffix
+        for candidate in (file, file.with_name(file.stem))
+    )
 
 
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
@@ -131,8 +142,8 @@ def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[s
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {short_repr(table)}")
     gains = {key: _parse_gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
-    plain = {key: unit for key, unit in units.items() if key not in FORCE_PER}
-    return ColumnMapping(dict(columns), plain, **gains, shifts=dict(shifts))
+    column_units = {key: unit for key, unit in units.items() if key not in FORCE_PER}
+    return ColumnMapping(dict(columns), column_units, **gains, shifts=dict(shifts))
 
 
 def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, Any]]:
@@ -157,8 +168,8 @@ def _parse_gain(key: str, value: Any, where: str) -> float:
             pass
         try:
             return to_si(value, unit)
-        except ValueError as problem:
-            raise LogError(f"{where} {key}: {problem}") from None
+        except ValueError as error:
+            raise LogError(f"{where} {key}: {error}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise LogError(f"{where} {key}: must be a number in {unit}, got {short_repr(value)}")
     try:
@@ -170,15 +181,15 @@ def _parse_gain(key: str, value: Any, where: str) -> float:
 
 
 def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
-    given: dict[str, str] = {}
+    assignments: dict[str, str] = {}
     for text in texts:
         channel, equals, value = (part.strip() for part in _split_assignment(text, option))
         if not (channel and equals and value):
             raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
-        if channel in given:
+        if channel in assignments:
             raise LogError(f"{option} {text}: {channel} is given twice")
-        given[channel] = value
-    return given
+        assignments[channel] = value
+    return assignments
 
 
 def _split_assignment(text: str, option: str) -> tuple[str, str, str]:

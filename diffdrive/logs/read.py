@@ -20,7 +20,7 @@ from diffdrive.logs.select import missing_channel_error, select
 if TYPE_CHECKING:
     from diffdrive.axis import Axis
 
-Texts = Mapping[str, str]
+TextByChannel = Mapping[str, str]
 
 
 def read_table(path: str | Path) -> Table:
@@ -47,20 +47,20 @@ def read_log(
     source: Any,
     axis: "Axis | None" = None,
     *,
-    columns: Texts | None = None,
-    units: Texts | None = None,
+    columns: TextByChannel | None = None,
+    units: TextByChannel | None = None,
     shifts: Mapping[str, int] | None = None,
     name: str | None = None,
     mapping: ColumnMapping | None = None,
     rate: float | None = None,
 ) -> Log:
-    """Read a log in SI units on a uniform clock; its `notes` say what was repaired on the way.
+    """Read a log in SI units on a uniform clock; its `notes` list what was repaired.
 
     `source` is a file (CSV, MAT, Parquet), a data frame of pandas, polars or another library, or a dict of arrays by
-    column. Which column is which channel in which unit is found by their names, or said by the `axis` (the tables
+    column. Which column is which channel in which unit is found by their names, or stated by the `axis` (the tables
     [columns], [units] and [shifts] of its file), or here: `columns` by channel, such as `{"position": "ActPos"}`,
     `units` of one unit of the column, such as `{"position": "mm", "command": "15.96 N"}`, and `shifts` by whole samples
-    of channels that were recorded early or late. `mapping` stands in the place of the axis's.
+    of channels that were recorded early or late. `mapping` replaces the axis's.
 
     `rate` (Hz), or else the axis's, is that of the controller: the log is checked against it, and one without a time
     takes its time from it. `name` is the log's; a file's by default. Raises `LogError`, one line that names the file,
@@ -68,7 +68,7 @@ def read_log(
     """
     mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
     if columns or units or shifts:
-        mapping = mapping.with_more(columns or {}, units or {}, shifts or {})
+        mapping = mapping.updated(columns or {}, units or {}, shifts or {})
     rate = rate if rate is not None or axis is None else axis.rate
     is_file = isinstance(source, str | Path)
     name = name or (Path(source).stem if is_file else "log")
@@ -95,23 +95,23 @@ def _log_from_table(table: Table, path: Path, name: str, mapping: ColumnMapping,
             raise missing_channel_error(table, "time")
         signals["time"] = np.arange(len(signals["position"])) / rate
         notes.append(f"no column holds the time: counted at the drive file's {rate:g} Hz")
-    times, rows, said = ordered_times(table, signals["time"], clock)
-    notes += said
+    times, rows, more = ordered_times(table, signals["time"], clock)
+    notes += more
     signals = {name: values[rows] for name, values in signals.items()} | {"time": times}
-    signals, said = repair_missing(table.source, signals)
-    notes += said
-    signals, gaps, said = on_uniform_clock(table.source, signals, rate, clock.factor)
-    notes += said
+    signals, more = repair_missing(table.source, signals)
+    notes += more
+    signals, gaps, more = on_uniform_clock(table.source, signals, rate, clock.factor)
+    notes += more
     shifts = mapping.shifts_of(path)
     if "injected" in signals and "command" in shifts:  # of which it is a part
         shifts.setdefault("injected", shifts["command"])
-    signals, gaps, said = shift_channels(table.source, signals, gaps, shifts)
+    signals, gaps, more = shift_channels(table.source, signals, gaps, shifts)
     if "injected" in signals:
         signals["disturbance"] = signals.get("disturbance", 0.0) + signals["injected"]
         signals["command"] = signals["command"] - signals["injected"]
         notes.append("the injected force was taken off the command and counted as a disturbance")
     ordered = {name: np.ascontiguousarray(signals[name]) for name in CHANNELS if name in signals}
-    return Log(name, **ordered, gaps=gaps, notes=(*table.notes, *notes, *said), shifts=shifts)
+    return Log(name, **ordered, gaps=gaps, notes=(*table.notes, *notes, *more), shifts=shifts)
 
 
 def read_logs(
@@ -123,7 +123,7 @@ def read_logs(
 ) -> tuple[Log, ...]:
     """Read several logs of one machine, each as `read_log` does; raises `LogError`."""
     sources = list(sources)
-    files = [Path(one) if isinstance(one, str | Path) else None for one in sources]
+    files = [Path(source) if isinstance(source, str | Path) else None for source in sources]
     logs = [
         read_log(source, axis, mapping=mapping, rate=rate, name=None if file else f"log{k + 1}")
         for k, (source, file) in enumerate(zip(sources, files, strict=True))

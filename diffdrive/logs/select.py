@@ -36,32 +36,32 @@ def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray],
             )
     signals, notes, clock = {}, [], Conversion(1.0)
     for channel, column in chosen.items():
-        to_si, said = _conversion(table, mapping, channel, column)
-        notes += said
+        to_si, more = _conversion(table, mapping, channel, column)
+        notes += more
         if channel == "time":
-            signals[channel], clock, said = _seconds(table, column, to_si)
-            notes += said
+            signals[channel], clock, more = _seconds(table, column, to_si)
+            notes += more
         else:
             signals[channel] = to_si(table.numbers(column))
-    signals, said = align_channel_clocks(table, chosen, signals, clock)
-    return signals, clock, notes + said
+    signals, more = align_channel_clocks(table, chosen, signals, clock)
+    return signals, clock, notes + more
 
 
 def _assign_columns(table: Table, mapping: ColumnMapping) -> dict[str, str]:
     chosen = {channel: _mapped_column(table, channel, column) for channel, column in mapping.columns.items()}
-    for channel, meant in READABLE.items():
+    for channel, declaration in READABLE.items():
         if channel in chosen:
             continue
         free = [column for column in table.columns if column not in chosen.values()]
-        found = _matching_columns(free, channel, channel, exact=False)
-        if len(found) > 1:
+        matches = _matching_columns(free, channel, channel, exact=False)
+        if len(matches) > 1:
             raise LogError(
-                f"{table.source}: the columns {quoted_names(found)} may each be the {channel}; say which: [columns] "
-                f'{channel} = "{found[0]}", or {_option(channel, found[0])}'
+                f"{table.source}: the columns {quoted_names(matches)} may each be the {channel}; say which: [columns] "
+                f'{channel} = "{matches[0]}", or {_option(channel, matches[0])}'
             )
-        if found:
-            chosen[channel] = found[0]
-        elif meant.required and channel != "time":
+        if matches:
+            chosen[channel] = matches[0]
+        elif declaration.required and channel != "time":
             raise missing_channel_error(table, channel)
     return {channel: chosen[channel] for channel in READABLE if channel in chosen}
 
@@ -79,22 +79,22 @@ def missing_channel_error(table: Table, channel: str) -> LogError:
 
 
 def _skipped_hint(table: Table, wanted: str) -> str:
-    """What the file holds of that name, or near it, that is no column, and why."""
-    near = difflib.get_close_matches(wanted, list(table.passed_over), n=1)
-    return f"; '{near[0]}' {table.passed_over[near[0]]}, which is no signal" if near else ""
+    """What the file holds under a name near this one that is no column, and why."""
+    near = difflib.get_close_matches(wanted, list(table.skipped), n=1)
+    return f"; '{near[0]}' {table.skipped[near[0]]}, which is no signal" if near else ""
 
 
 def _option(channel: str, column: str) -> str:
-    """How that is said on the command line, to be pasted there."""
-    told = f"{channel}={column}"
-    return f"--column {told}" if re.fullmatch(r"[\w.=/-]+", told) else f'--column "{told}"'
+    """The command-line option that assigns the column."""
+    assignment = f"{channel}={column}"
+    return f"--column {assignment}" if re.fullmatch(r"[\w.=/-]+", assignment) else f'--column "{assignment}"'
 
 
 def _require_no_unmapped_time(table: Table, taken: list[str]) -> None:
-    """Where no column is the time, none may look like it: counted at another rate, every speed would be another."""
+    """Raise `LogError` where no column is mapped to the time but one looks like it: a wrong rate scales every speed."""
     for column in table.columns:
-        said = table.units.get(column) or split_unit(column, "time")[1]
-        if column in taken or said is None or not is_unit_of("time", said):
+        unit = table.units.get(column) or split_unit(column, "time")[1]
+        if column in taken or unit is None or not is_unit_of("time", unit):
             continue
         try:
             values = table.numbers(column)
@@ -108,19 +108,19 @@ def _require_no_unmapped_time(table: Table, taken: list[str]) -> None:
 
 
 def _mapped_column(table: Table, channel: str, column: str) -> str:
-    found = _matching_columns(list(table.columns), column, channel, exact=True)
-    if len(found) == 1:
-        return found[0]
-    if found:
+    matches = _matching_columns(list(table.columns), column, channel, exact=True)
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
         raise LogError(
-            f"{table.source}: [columns] {channel} = '{column}' fits {quoted_names(found)}; write one of them in full"
+            f"{table.source}: [columns] {channel} = '{column}' fits {quoted_names(matches)}; write one of them in full"
         )
     near = difflib.get_close_matches(column, list(table.columns), n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
-    without = "" if READABLE[channel].required else f"; a log needs no {channel}: leave that line out"
+    leave_out = "" if READABLE[channel].required else f"; a log needs no {channel}: leave that line out"
     raise LogError(
         f"{table.source}: [columns] {channel} = '{column}': no such column; {hint}the file has "
-        f"{quoted_names(list(table.columns), column, 'columns')}{_skipped_hint(table, column)}{without}"
+        f"{quoted_names(list(table.columns), column, 'columns')}{_skipped_hint(table, column)}{leave_out}"
     )
 
 
@@ -134,41 +134,43 @@ def _matching_columns(columns: list[str], name: str, channel: str, *, exact: boo
     rules: list[Callable[[str], bool]] = [
         lambda column: exact and column == name,
         lambda column: wanted in names(column),
-        lambda column: any(one.endswith((f".{wanted}", f"/{wanted}")) for one in names(column)),
-        lambda column: any(wanted == re.split(r"[./]", one)[-1].strip('" ') for one in names(column)),
+        lambda column: any(candidate.endswith((f".{wanted}", f"/{wanted}")) for candidate in names(column)),
+        lambda column: any(wanted == re.split(r"[./]", candidate)[-1].strip('" ') for candidate in names(column)),
     ]
     for rule in rules:
-        if found := [column for column in columns if rule(column)]:
-            return found
+        if matches := [column for column in columns if rule(column)]:
+            return matches
     return []
 
 
 def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str) -> tuple[Conversion, list[str]]:
-    said = table.units.get(column) or split_unit(column, channel)[1]
-    ordered = mapping.units.get(channel)
+    file_unit = table.units.get(column) or split_unit(column, channel)[1]
+    mapped_unit = mapping.units.get(channel)
     where = f"{table.source}: column '{column}'"
-    if ordered is None and said is None:
+    if mapped_unit is None and file_unit is None:
         if channel in FORCES and mapping.force_per:
             raise LogError(
                 f"{where}: [units] has a force per volt or ampere, and nothing says whether the {channel} is in V, A "
                 f'or N; write [units] {channel} = "V", "A" or "N", or give --unit {channel}=N'
             )
         return Conversion(1.0), []
-    if ordered is None and not is_unit_of(channel, said):
+    if mapped_unit is None and not is_unit_of(channel, file_unit):
         raise LogError(
-            f"{where}: '{said}' is no unit of the {channel}; correct the file's header, or write what one unit of the "
-            f'column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'
+            f"{where}: '{file_unit}' is no unit of the {channel}; correct the file's header, or write what one unit of "
+            f'the column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'
         )
-    if ordered is None:
-        return mapping.conversion(channel, said, where), []
-    chosen = mapping.conversion(channel, ordered, where)
-    if said is None:
+    if mapped_unit is None:
+        return mapping.conversion(channel, file_unit, where), []
+    chosen = mapping.conversion(channel, mapped_unit, where)
+    if file_unit is None:
         return chosen, []
     try:
-        agrees = np.allclose(mapping.conversion(channel, said, where), chosen, rtol=1e-12, atol=0.0)
+        agrees = np.allclose(mapping.conversion(channel, file_unit, where), chosen, rtol=1e-12, atol=0.0)
     except LogError:
         agrees = False
-    return chosen, [] if agrees else [f"{channel}: the file says {said}, [units] says {ordered}, which was taken"]
+    return chosen, [] if agrees else [
+        f"{channel}: the file says {file_unit}, [units] says {mapped_unit}, which was taken"
+    ]
 
 
 def _seconds(table: Table, column: str, to_si: Conversion) -> tuple[np.ndarray, Conversion, list[str]]:

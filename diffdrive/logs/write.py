@@ -57,7 +57,7 @@ def write_log(path: str | Path, log: Log) -> None:
     Raises `LogError` for an unknown extension or a folder that cannot be written to.
     """
     path = Path(path)
-    write = next((write for ending, write in WRITERS.items() if path.name.lower().endswith(ending)), None)
+    write = next((write for suffix, write in WRITERS.items() if path.name.lower().endswith(suffix)), None)
     if write is None:
         raise LogError(f"{path}: cannot write '{path.suffix}'; known: {', '.join(WRITERS)}")
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in log.channels.items()}

@@ -44,18 +44,18 @@ def fit_clock(stamps: Signal, nominal: float | None) -> UniformClock:
 def _count_missing(stamps: Signal, period: float) -> np.ndarray:
     """How many samples are missing between each stamp and the next."""
     steps = np.diff(stamps) / period
-    whole = np.rint(steps)
-    if np.all((whole >= 1) & (np.abs(steps - whole) < 0.25)):
-        return whole.astype(int) - 1
+    rounded = np.rint(steps)
+    if np.all((rounded >= 1) & (np.abs(steps - rounded) < 0.25)):
+        return rounded.astype(int) - 1
     # a stamp that is only late leaves the later ones where they were; missing samples shift them for good
     lag = (stamps - stamps[0]) / period - np.arange(len(stamps))
     missing = np.zeros(len(steps), dtype=int)
     breaks = np.flatnonzero(steps > _BREAK)
     for k in np.flatnonzero(steps > 1.5):
         before, after = np.searchsorted(breaks, [k, k + 1])
-        low = max(k + 1 - _WINDOW, breaks[before - 1] + 1 if before else 0)
-        high = min(k + 1 + _WINDOW, breaks[after] + 1 if after < len(breaks) else len(stamps))
-        shift = math.floor(np.median(lag[k + 1 : high]) - np.median(lag[low : k + 1]) + 0.5)
+        first = max(k + 1 - _WINDOW, breaks[before - 1] + 1 if before else 0)
+        last = min(k + 1 + _WINDOW, breaks[after] + 1 if after < len(breaks) else len(stamps))
+        shift = math.floor(np.median(lag[k + 1 : last]) - np.median(lag[first : k + 1]) + 0.5)
         missing[k] = max(shift, 0 if steps[k] <= _BREAK else round(steps[k]) - 1)
     return missing
 
@@ -70,21 +70,25 @@ def _fit_segments(
         values = values - values[0]
         return values - (np.bincount(piece, values) / size)[piece]
 
-    i, t = centred(index), centred(stamps)
-    period = float(i @ t / (i @ i)) if i.any() else float(np.median(np.diff(stamps)))
+    index_centred, stamps_centred = centred(index), centred(stamps)
+    period = (
+        float(index_centred @ stamps_centred / (index_centred @ index_centred))
+        if index_centred.any()
+        else float(np.median(np.diff(stamps)))
+    )
 
-    def worst(trial: float) -> float:
-        return float(np.max(np.abs(t - trial * i))) / trial
+    def largest_error(trial: float) -> float:
+        return float(np.max(np.abs(stamps_centred - trial * index_centred))) / trial
 
-    for simple in filter(None, (nominal, 1.0 / float(f"{1.0 / period:.6g}"))):
-        if worst(simple) <= 1.2 * worst(period) + EXACT:
-            period = simple
+    for candidate in filter(None, (nominal, 1.0 / float(f"{1.0 / period:.6g}"))):
+        if largest_error(candidate) <= 1.2 * largest_error(period) + EXACT:
+            period = candidate
             break
     start = np.concatenate(([0], np.flatnonzero(np.diff(piece)) + 1))
-    lead = period * (index - index[start][piece])
-    times = stamps[start][piece] + lead
+    elapsed = period * (index - index[start][piece])
+    times = stamps[start][piece] + elapsed
     if np.max(np.abs(stamps - times)) > ROUNDED * period:  # the first stamp is itself a bad one
         ends = [*start, len(stamps)]
         times = times + np.array([np.median((stamps - times)[a:b]) for a, b in itertools.pairwise(ends)])[piece]
-    off = (stamps - times) / period
-    return UniformClock(period, times, gaps, float(np.max(np.abs(off))), float(np.sqrt(np.mean(off**2))))
+    error = (stamps - times) / period
+    return UniformClock(period, times, gaps, float(np.max(np.abs(error))), float(np.sqrt(np.mean(error**2))))

@@ -50,15 +50,15 @@ def true_stretches(mask: np.ndarray) -> list[tuple[int, int]]:
 
 def _interpolate_short(channel: str, time: Signal, values: Signal) -> tuple[Signal, int]:
     """Short interior stretches interpolated, as long as they are few; and how many samples that were."""
-    bad, few = np.isnan(values), np.zeros(len(values), dtype=bool)
+    bad, short = np.isnan(values), np.zeros(len(values), dtype=bool)
     for begin, end in true_stretches(bad):
         if begin > 0 and end < len(values) and end - begin <= LONGEST_REPAIR:
-            few[begin:end] = True
-    if not few.any() or few.sum() > MOST_REPAIRED * len(values):
+            short[begin:end] = True
+    if not short.any() or short.sum() > MOST_REPAIRED * len(values):
         return values, 0
-    mended = values.copy()
-    mended[few] = interpolate(channel, time[~bad], values[~bad], time[few])
-    return mended, int(few.sum())
+    repaired = values.copy()
+    repaired[short] = interpolate(channel, time[~bad], values[~bad], time[short])
+    return repaired, int(short.sum())
 
 
 def _removal_notes(absent: np.ndarray) -> list[str]:

@@ -1,48 +1,48 @@
-"""The rate of a log beside that of the drive file: the same, a clock apart, decimated, or wrong."""
+"""The rate of a log beside that of the drive file: equal, off by clock drift, decimated, or wrong."""
 
 from diffdrive.errors import LogError
 from diffdrive.logs.clocks.grid import UniformClock
 
 # relative, for whoever compares rates: crystals agree far better, wrong settings far worse
 RATE_TOLERANCE = 1e-3
-_TOLD = 0.01  # periods of drift over the log
+_NOTED_DRIFT = 0.01  # periods of drift over the log
 LARGEST_FACTOR = 50  # of decimation or oversampling
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}  # s
 
 
-def rate_notes(source: str, grid: UniformClock, rate: float | None, unit: float = 1.0) -> list[str]:
+def rate_notes(source: str, clock: UniformClock, rate: float | None, time_unit: float = 1.0) -> list[str]:
     """Notes on how the log's rate compares with the drive file's `rate` (Hz), if that is known.
 
-    The time stamps were read in a `unit` of so many seconds.
-    Raises `LogError` where they differ by more than two clocks do, and not by a whole factor.
+    The time stamps were read in a `time_unit` of so many seconds.
+    Raises `LogError` where they differ by more than clock drift, and not by a whole factor.
     """
     if rate is None:
         return []
-    found = 1.0 / grid.period
-    off = found / rate - 1.0
-    span = float(grid.times[-1] - grid.times[0])
-    if abs(off) <= RATE_TOLERANCE:
-        drift = abs(off) * span
-        if drift <= _TOLD * grid.period:
+    log_rate = 1.0 / clock.period
+    error = log_rate / rate - 1.0
+    duration = float(clock.times[-1] - clock.times[0])
+    if abs(error) <= RATE_TOLERANCE:
+        drift = abs(error) * duration
+        if drift <= _NOTED_DRIFT * clock.period:
             return []
         return [
-            f"the log's rate is {abs(off):.2g} {'below' if off < 0 else 'above'} the drive file's {rate:g} Hz by its "
-            f"own stamps, {1e3 * drift:.3g} ms over the log: its own period was kept"
+            f"the log's rate is {abs(error):.2g} {'below' if error < 0 else 'above'} the drive file's {rate:g} Hz by "
+            f"its own stamps, {1e3 * drift:.3g} ms over the log: its own period was kept"
         ]
-    ratio = max(found / rate, rate / found)
-    read = next((name for name, seconds in _UNITS.items() if abs(seconds / unit - 1) < 1e-6), None)
+    ratio = max(log_rate / rate, rate / log_rate)
+    read_unit = next((name for name, seconds in _UNITS.items() if abs(seconds / time_unit - 1) < 1e-6), None)
     for name, seconds in _UNITS.items():
-        if name != read and abs(seconds / unit * rate / found - 1) < 0.01:
+        if name != read_unit and abs(seconds / time_unit * rate / log_rate - 1) < 0.01:
             raise LogError(
-                f"{source}: the time stamps, read in {read or f'units of {unit:g} s'}, make {found:.6g} Hz, the drive "
-                f'file says {rate:g} Hz; is the time in another unit? Write [units] time = "{name}", or correct '
-                "[sampling] rate"
+                f"{source}: the time stamps, read in {read_unit or f'units of {time_unit:g} s'}, make "
+                f"{log_rate:.6g} Hz, the drive file says {rate:g} Hz; is the time in another unit? Write [units] "
+                f'time = "{name}", or correct [sampling] rate'
             )
-    whole = round(ratio)
-    if 2 <= whole <= LARGEST_FACTOR and abs(ratio / whole - 1) <= RATE_TOLERANCE:
-        what = f"every {whole}th sample of" if found < rate else f"{whole} samples in each period of"
-        return [f"the log has {found:.6g} Hz: {what} the drive file's {rate:g} Hz"]
+    factor = round(ratio)
+    if 2 <= factor <= LARGEST_FACTOR and abs(ratio / factor - 1) <= RATE_TOLERANCE:
+        relation = f"every {factor}th sample of" if log_rate < rate else f"{factor} samples in each period of"
+        return [f"the log has {log_rate:.6g} Hz: {relation} the drive file's {rate:g} Hz"]
     raise LogError(
-        f"{source}: the log has {found:.6g} Hz, the drive file says {rate:g} Hz; correct [sampling] rate, or the unit "
-        "of the time in [units]"
+        f"{source}: the log has {log_rate:.6g} Hz, the drive file says {rate:g} Hz; correct [sampling] rate, or the "
+        "unit of the time in [units]"
     )

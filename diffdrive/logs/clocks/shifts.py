@@ -1,4 +1,4 @@
-"""Channels that were recorded some samples early or late, brought into time with the others."""
+"""Channels that were recorded some samples early or late, aligned with the others."""
 
 import itertools
 
@@ -11,20 +11,20 @@ from diffdrive.support.messages import short_repr
 def shift_channels(
     source: str, signals: dict[str, np.ndarray], gaps: tuple[int, ...], shifts: dict[str, int]
 ) -> tuple[dict[str, np.ndarray], tuple[int, ...], list[str]]:
-    """The signals with some of them moved by whole samples, positive to later times; the gaps, and what to say of it.
+    """The signals with some of them moved by whole samples, positive to later times; the gaps, and notes.
 
     Each stretch between gaps loses at its ends what no longer has a partner. Raises `LogError` where a channel is not
     in the log, or nothing is left.
     """
-    moves = {channel: by for channel, by in shifts.items() if by}
-    if not moves:
+    moved = {channel: samples for channel, samples in shifts.items() if samples}
+    if not moved:
         return signals, gaps, []
-    absent = [channel for channel in moves if channel not in signals]
+    absent = [channel for channel in moved if channel not in signals]
     if absent:
         raise LogError(
             f"{source}: {absent[0]} is to be moved: the log has no such channel; it has {', '.join(signals)}"
         )
-    latest, earliest = max(0, *moves.values()), min(0, *moves.values())
+    latest, earliest = max(0, *moved.values()), min(0, *moved.values())
     edges = [0, *gaps, len(next(iter(signals.values())))]
     spans = [(start + latest, stop + earliest) for start, stop in itertools.pairwise(edges)]
     stretches = [np.arange(start, stop) for start, stop in spans if start < stop]
@@ -33,7 +33,7 @@ def shift_channels(
             f"{source}: shifts by {short_repr(latest - earliest)} samples leave nothing of the log; correct them"
         )
     rows = np.concatenate(stretches)
-    brought = {channel: values[rows - moves.get(channel, 0)] for channel, values in signals.items()}
-    between = tuple(int(k) for k in np.cumsum([len(one) for one in stretches[:-1]]))
-    notes = [f"the {channel} was moved by {by:+d} samples" for channel, by in moves.items()]
-    return brought, between, notes
+    shifted = {channel: values[rows - moved.get(channel, 0)] for channel, values in signals.items()}
+    new_gaps = tuple(int(k) for k in np.cumsum([len(stretch) for stretch in stretches[:-1]]))
+    notes = [f"the {channel} was moved by {samples:+d} samples" for channel, samples in moved.items()]
+    return shifted, new_gaps, notes

@@ -14,7 +14,7 @@ _ISO = re.compile(rf"(?P<date>\d{{4}}-\d{{2}}-\d{{2}})[T ]{_CLOCK}\s*(Z|[-+]\d{{
 _DAY_FIRST = re.compile(rf"(?P<day>\d{{1,2}})\.(?P<month>\d{{1,2}})\.(?P<year>\d{{4}})[T ]\s*{_CLOCK}")
 _FORMS = (_TIME_OF_DAY, _ISO, _DAY_FIRST)
 _EXACT = 2**53  # above this a float64 no longer holds every whole number
-_LOOKED_AT = 3  # rows: where none of the first is readable, the column has another form
+_ROWS_TRIED = 3  # rows: where none of the first is readable, the column has another form
 
 
 def parse_dates(table: Table, column: str) -> np.ndarray | None:
@@ -29,13 +29,13 @@ def parse_dates(table: Table, column: str) -> np.ndarray | None:
     filled = [k for k, text in enumerate(texts) if text.casefold() not in MISSING]
     form = next((form for form in _FORMS if filled and form.fullmatch(texts[filled[0]])), None)
     if form is None:
-        _require_numbers(table, column, texts, filled[:_LOOKED_AT])
+        _require_numbers(table, column, texts, filled[:_ROWS_TRIED])
         return None
-    written = {k: _iso_stamp(form, texts[k]) for k in filled}
+    stamps = {k: _iso_stamp(form, texts[k]) for k in filled}
     try:
-        return np.array([written.get(k, "NaT") for k in range(len(texts))], dtype="datetime64[ns]")
+        return np.array([stamps.get(k, "NaT") for k in range(len(texts))], dtype="datetime64[ns]")
     except ValueError:
-        bad = next(k for k in filled if not _is_date(written[k]))
+        bad = next(k for k in filled if not _is_date(stamps[k]))
     raise LogError(
         f"{table.source}: {table.where(bad)}, column '{column}': '{texts[bad]}' is no time like "
         f"'{texts[filled[0]]}'; correct or empty this cell"
@@ -57,25 +57,25 @@ def counts_from_first(counts: np.ndarray) -> tuple[np.ndarray, str] | None:
     """Counts since the first one, and a note, where a float64 would round them; None where it would not."""
     if len(counts) == 0 or int(counts.max()) < _EXACT:
         return None
-    begin = int(counts[0])
+    first = int(counts[0])
     # as Python integers: a difference of unsigned ones would wrap
-    return np.array([int(count) - begin for count in counts], dtype=np.float64), f"time is counted from {begin}"
+    return np.array([int(count) - first for count in counts], dtype=np.float64), f"time is counted from {first}"
 
 
 def _iso_stamp(form: re.Pattern[str], text: str) -> str:
     """A stamp of this form as numpy reads it; one of another form becomes what numpy refuses."""
-    found = form.fullmatch(text)
-    if found is None:
+    match = form.fullmatch(text)
+    if match is None:
         return "another form"
-    date = found.groupdict().get("date", "1970-01-01")
+    date = match.groupdict().get("date", "1970-01-01")
     if form is _DAY_FIRST:
-        date = f"{found['year']}-{int(found['month']):02}-{int(found['day']):02}"
-    return f"{date}T{int(found['hour']):02}{found['rest'].replace(',', '.')}"
+        date = f"{match['year']}-{int(match['month']):02}-{int(match['day']):02}"
+    return f"{date}T{int(match['hour']):02}{match['rest'].replace(',', '.')}"
 
 
-def _is_date(written: str) -> bool:
+def _is_date(stamp: str) -> bool:
     try:
-        np.datetime64(written, "ns")
+        np.datetime64(stamp, "ns")
     except ValueError:  # no such day or hour, too
         return False
     return True

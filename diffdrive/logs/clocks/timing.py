@@ -16,7 +16,7 @@ from diffdrive.logs.log import Signal
 FEWEST = 3  # samples
 REPEATED = 0.01  # share of repeated stamps beyond which the clock's resolution is coarser than the period
 IRREGULAR = 0.5  # periods, RMS: beyond, there is no common clock
-SURE = 0.05  # periods: what the digits of coarse stamps may add
+DIGITS_ALLOWANCE = 0.05  # periods: what the digits of coarse stamps may add
 MOST_GAPS = 0.02  # of all samples: so many among jittered stamps are no gaps
 _WRAPS = (8, 15, 16, 24, 31, 32)  # bits
 
@@ -55,11 +55,11 @@ def ordered_times(table: Table, stamps: Signal, clock: Conversion) -> tuple[Sign
 
 
 def _why_back(times: Signal, k: int, clock: Conversion) -> str:
-    fall = times[k] - times[k + 1] + float(np.median(np.diff(times[: k + 2])))
-    if abs(fall - 86_400) < 1:
+    backstep = times[k] - times[k + 1] + float(np.median(np.diff(times[: k + 2])))
+    if abs(backstep - 86_400) < 1:
         return "a time of day that passed midnight; add 24 h to the rows from there on"
     for bits in _WRAPS:
-        if abs(fall / clock.factor / 2**bits - 1) < 1e-3:
+        if abs(backstep / clock.factor / 2**bits - 1) < 1e-3:
             return f"a counter of {bits} bits wrapped; add 2^{bits} counts to the rows from there on"
     if times[k + 1] < times[0] + 0.01 * (times[k] - times[0]):
         return "a second recording begins there; put it into a file of its own"
@@ -86,19 +86,22 @@ def _fewest_missing(times: Signal) -> int:
     Between the last sample with one stamp and the first with the next, a uniform clock reaches that stamp. So the first
     samples of all stamps lie within one period above a line, and each that is missing moves the rest by one period.
     """
-    first = np.flatnonzero(np.diff(times) > 0) + 1
-    if len(first) < FEWEST:
+    first_samples = np.flatnonzero(np.diff(times) > 0) + 1
+    if len(first_samples) < FEWEST:
         return 0
-    stamps, mean = times[first], float(np.mean(np.diff(times)))
+    stamps, mean = times[first_samples], float(np.mean(np.diff(times)))
 
     def spread(period: float) -> float:
-        return float(np.ptp(stamps - period * first))
+        return float(np.ptp(stamps - period * first_samples))
 
-    near = 2.0 * spread(mean) / (first[-1] - first[0])  # no other slope lies closer
-    found = minimize_scalar(
-        spread, bounds=(mean - near, mean + near), method="bounded", options={"xatol": 1e-3 * mean / len(times)}
+    slope_range = 2.0 * spread(mean) / (first_samples[-1] - first_samples[0])  # no other slope lies closer
+    best = minimize_scalar(
+        spread,
+        bounds=(mean - slope_range, mean + slope_range),
+        method="bounded",
+        options={"xatol": 1e-3 * mean / len(times)},
     )
-    return max(0, int(np.ceil(float(found.fun) / mean - 1.0 - SURE)))
+    return max(0, int(np.ceil(float(best.fun) / mean - 1.0 - DIGITS_ALLOWANCE)))
 
 
 def _uniform_times(table: Table, times: Signal, rows: np.ndarray) -> Signal:
@@ -121,11 +124,11 @@ def _uniform_times(table: Table, times: Signal, rows: np.ndarray) -> Signal:
 
 
 def on_uniform_clock(
-    source: str, signals: dict[str, Signal], rate: float | None, unit: float = 1.0
+    source: str, signals: dict[str, Signal], rate: float | None, time_unit: float = 1.0
 ) -> tuple[dict[str, Signal], tuple[int, ...], list[str]]:
     """The signals on the uniform clock behind their times, the gaps, and notes; `rate` (Hz) is that of the drive file.
 
-    The times were read in a `unit` of so many seconds.
+    The times were read in a `time_unit` of so many seconds.
 
     Exact stamps stay as they are, rounded ones are replaced, and signals with jittered ones are interpolated. Nothing
     is invented where samples are missing. Raises `LogError` for irregular stamps and for another rate.
@@ -133,44 +136,46 @@ def on_uniform_clock(
     times = signals["time"]
     if len(times) < FEWEST:
         raise LogError(f"{source}: has {len(times)} usable samples; a log needs at least {FEWEST}")
-    grid = fit_clock(times, None if rate is None else 1.0 / rate)
+    clock = fit_clock(times, None if rate is None else 1.0 / rate)
     notes = [] if times[0] == 0 else [f"time starts at {times[0]:.9g} s"]
-    notes += rate_notes(source, grid, rate, unit)
-    if grid.gaps:
+    notes += rate_notes(source, clock, rate, time_unit)
+    if clock.gaps:
         notes.append(
-            f"samples are missing at {len(grid.gaps)} places, the first after t = {times[grid.gaps[0] - 1]:.9g} s"
+            f"samples are missing at {len(clock.gaps)} places, the first after t = {times[clock.gaps[0] - 1]:.9g} s"
         )
-    smallest = max(EXACT, 4 * float(np.spacing(np.max(np.abs(times)))) / grid.period)
-    if grid.deviation <= smallest:
-        return signals, grid.gaps, notes
-    largest = 1e6 * grid.deviation * grid.period
-    if grid.deviation <= ROUNDED:
+    smallest = max(EXACT, 4 * float(np.spacing(np.max(np.abs(times)))) / clock.period)
+    if clock.deviation <= smallest:
+        return signals, clock.gaps, notes
+    largest = 1e6 * clock.deviation * clock.period
+    if clock.deviation <= ROUNDED:
         notes.append(f"time stamps are rounded by up to {largest:.3g} us: replaced by uniform ones")
-        return signals | {"time": grid.times}, grid.gaps, notes
-    if grid.rms > IRREGULAR or len(grid.gaps) > MOST_GAPS * len(times):
+        return signals | {"time": clock.times}, clock.gaps, notes
+    if clock.rms > IRREGULAR or len(clock.gaps) > MOST_GAPS * len(times):
         raise LogError(
-            f"{source}: the time stamps are irregular: {grid.rms:.2g} periods of {1e3 * grid.period:.4g} ms off a "
-            f"uniform clock (RMS), with {len(grid.gaps)} gaps; log at a fixed rate, or "
+            f"{source}: the time stamps are irregular: {clock.rms:.2g} periods of {1e3 * clock.period:.4g} ms off a "
+            f"uniform clock (RMS), with {len(clock.gaps)} gaps; log at a fixed rate, or "
             "leave the time out and give the rate"
         )
     notes.append(
-        f"time stamps jitter by {1e6 * grid.rms * grid.period:.3g} us RMS and {largest:.3g} us at most, "
-        f"{grid.deviation:.0%} of a period: the signals were interpolated onto {1 / grid.period:.6g} Hz"
+        f"time stamps jitter by {1e6 * clock.rms * clock.period:.3g} us RMS and {largest:.3g} us at most, "
+        f"{clock.deviation:.0%} of a period: the signals were interpolated onto {1 / clock.period:.6g} Hz"
     )
-    pieces, gaps = _resample_segments(signals, grid)
+    pieces, gaps = _resample_segments(signals, clock)
     return pieces, gaps, notes
 
 
-def _resample_segments(signals: dict[str, Signal], grid: UniformClock) -> tuple[dict[str, Signal], tuple[int, ...]]:
-    edges = [0, *grid.gaps, len(grid.times)]
+def _resample_segments(signals: dict[str, Signal], clock: UniformClock) -> tuple[dict[str, Signal], tuple[int, ...]]:
+    edges = [0, *clock.gaps, len(clock.times)]
     parts: dict[str, list[Signal]] = {name: [] for name in signals}
     for begin, end in itertools.pairwise(edges):
         stamps = signals["time"][begin:end]
-        uniform = grid.times[begin:end]
+        uniform = clock.times[begin:end]
         # a tolerance far below the jitter: the ends belong to the piece
-        at = uniform[(uniform >= stamps[0] - EXACT * grid.period) & (uniform <= stamps[-1] + EXACT * grid.period)]
-        at = np.clip(at, stamps[0], stamps[-1]) if len(at) else stamps[:1]
+        new_times = uniform[
+            (uniform >= stamps[0] - EXACT * clock.period) & (uniform <= stamps[-1] + EXACT * clock.period)
+        ]
+        new_times = np.clip(new_times, stamps[0], stamps[-1]) if len(new_times) else stamps[:1]
         for name, values in signals.items():
-            parts[name].append(at if name == "time" else resample(name, stamps, values[begin:end], at))
+            parts[name].append(new_times if name == "time" else resample(name, stamps, values[begin:end], new_times))
     lengths = np.cumsum([len(part) for part in parts["time"]])
     return {name: np.concatenate(part) for name, part in parts.items()}, tuple(lengths[:-1].tolist())

@@ -8,10 +8,10 @@ from diffdrive.logs.formats.table import Table, skipped_note
 
 def from_arrow(table: pa.Table, source: str) -> Table:
     """The columns of a table of Arrow; a unit is the metadata "unit" of its field."""
-    columns, units, passed_over = {}, {}, {}
+    columns, units, skipped = {}, {}, {}
     for field, column in zip(table.schema, table.columns, strict=True):
         if pa.types.is_nested(field.type):
-            passed_over[field.name] = f"holds a {field.type} in each row"
+            skipped[field.name] = f"holds a {field.type} in each row"
             continue
         if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
             column = column.cast(pa.int64())
@@ -21,7 +21,7 @@ def from_arrow(table: pa.Table, source: str) -> Table:
         columns[field.name] = _array(column)
         if field.metadata and b"unit" in field.metadata:
             units[field.name] = field.metadata[b"unit"].decode()
-    return Table(source, columns, units, notes=skipped_note(passed_over), passed_over=passed_over)
+    return Table(source, columns, units, notes=skipped_note(skipped), skipped=skipped)
 
 
 def _array(column: pa.ChunkedArray) -> np.ndarray:

@@ -20,13 +20,13 @@ _ABSENT = sorted({form for word in MISSING if "inf" not in word for form in (wor
 
 def parse_with_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
     """The columns of rows of one width, or None where they are not, or hold what has to be read row by row."""
-    spaced = dialect.delimiter == " "
-    if not body.isascii() or any(sign in body for sign in _READ_OTHERWISE) or (spaced and '"' in body):
+    by_spaces = dialect.delimiter == " "
+    if not body.isascii() or any(sign in body for sign in _READ_OTHERWISE) or (by_spaces and '"' in body):
         return None
     if ("#" in body or "%" in body) and _COMMENT.search(body):
         return None
     count = body.count("\n") + 1
-    text = pa.py_buffer((_single_spaced(body) if spaced else body).encode("ascii"))
+    text = pa.py_buffer((_single_spaced(body) if by_spaces else body).encode("ascii"))
 
     def read(**options: object) -> pa.Table:
         return pyarrow.csv.read_csv(
@@ -47,10 +47,12 @@ def parse_with_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
         return None
     if any(pa.types.is_floating(column.type) and pc.any(pc.is_inf(column)).as_py() for column in table.columns):
         return None  # numbers of too many digits, or infinity in words
-    texts = [field.name for field in table.schema if field.type not in (pa.int64(), pa.float64())]
-    written = read(column_types=dict.fromkeys(texts, pa.string()), include_columns=texts) if texts else None
+    text_names = [field.name for field in table.schema if field.type not in (pa.int64(), pa.float64())]
+    text_columns = (
+        read(column_types=dict.fromkeys(text_names, pa.string()), include_columns=text_names) if text_names else None
+    )
     return [
-        parse_column(tuple(written[name].to_pylist()), dialect) if name in texts else _array(table[name])
+        parse_column(tuple(text_columns[name].to_pylist()), dialect) if name in text_names else _array(table[name])
         for name in table.column_names
     ]
 

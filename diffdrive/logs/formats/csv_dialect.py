@@ -47,18 +47,18 @@ def detect_dialect(lines: list[str]) -> Dialect | None:
     A decimal comma before a comma as delimiter is only possible in quotes.
     """
     sample = [line for line in lines[-_SAMPLED:] if line]
-    best, most = None, 0.0
+    best, best_score = None, 0.0
     for delimiter in _DELIMITERS:
-        trial = Dialect(delimiter, ".", 0, ())
-        rows = [trial.split(line) for line in sample]
-        [(width, alike)] = Counter(map(len, rows)).most_common(1)
+        candidate = Dialect(delimiter, ".", 0, ())
+        rows = [candidate.split(line) for line in sample]
+        [(width, count_of_width)] = Counter(map(len, rows)).most_common(1)
         if width < 2:
             continue
         counts = [sum(is_number_of_any_style(row[k]) for row in rows if len(row) == width) for k in range(width)]
-        numeric = tuple(k for k, count in enumerate(counts) if count >= 0.5 * alike)
+        numeric = tuple(k for k, count in enumerate(counts) if count >= 0.5 * count_of_width)
         score = sum(counts) / len(rows)
-        if numeric and score > most:
-            best, most = Dialect(delimiter, ".", width, numeric), score
+        if numeric and score > best_score:
+            best, best_score = Dialect(delimiter, ".", width, numeric), score
     return best and replace(best, decimal=_decimal_sign(lines, best))
 
 
@@ -66,13 +66,13 @@ def _decimal_sign(lines: list[str], dialect: Dialect) -> str:
     """The decimal sign of most numbers; those that may be thousands in groups count only where there are no others."""
     spread = (dialect.split(line) for line in lines[:: max(1, len(lines) // _SPREAD)])
     cells = [cell for row in spread if len(row) == dialect.width for cell in row if is_number_of_any_style(cell)]
-    sure, doubtful = Counter(), Counter()
+    certain, doubtful = Counter(), Counter()
     for cell in cells:
         if sign := _LAST_SIGN.search(cell):
-            of_two = "." in cell and "," in cell  # in 1.004,5 the comma is the decimal sign for sure
-            (doubtful if GROUPED.fullmatch(cell) and not of_two else sure)[sign[0]] += 1
-    counted = sure or doubtful
-    return "," if counted[","] > counted["."] else "."
+            has_both = "." in cell and "," in cell  # in 1.004,5 the comma is the decimal sign for sure
+            (doubtful if GROUPED.fullmatch(cell) and not has_both else certain)[sign[0]] += 1
+    counts = certain or doubtful
+    return "," if counts[","] > counts["."] else "."
 
 
 def first_row(lines: list[str], dialect: Dialect) -> int | None:

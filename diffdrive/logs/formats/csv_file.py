@@ -13,8 +13,8 @@ from diffdrive.logs.formats.csv_lines import COMMENTS, TextLine, data_lines, fin
 from diffdrive.logs.formats.csv_rows import cell_count, complete_rows, parse_column, split_columns
 from diffdrive.logs.formats.csv_unquoted import SAMPLED, refuse_unquoted_decimals
 from diffdrive.logs.formats.table import Table
-from diffdrive.support.resources import format_bytes, require_memory
-from diffdrive.support.text_file import decode_text, detect_encoding
+from diffdrive.support.resources import in_bytes, require_memory
+from diffdrive.support.text_file import decoded, encoding_of
 
 IN_MEMORY = 20.0  # bytes for each of the file, while its cells are texts: measured, a cell of 8 characters takes 57
 _OUTER = " \n\x00"  # what may stand around a text
@@ -32,8 +32,8 @@ _SIGNATURES = {
 def read_csv(path: Path) -> Table:
     """The columns of a text table; raises `LogError` naming the file, the line and the column."""
     size = path.stat().st_size
-    mend = "cut it into several, or export it as Parquet"
-    require_memory(LogError, f"{path}: reading {format_bytes(size)} of text", IN_MEMORY * size, mend)
+    remedy = "cut it into several, or export it as Parquet"
+    require_memory(LogError, f"{path}: reading {in_bytes(size)} of text", IN_MEMORY * size, remedy)
     text = _text(path, path.read_bytes())
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -41,12 +41,12 @@ def read_csv(path: Path) -> Table:
         raise LogError(f"{path}: is empty; export the log again")
     try:
         return _table(path, text)
-    except csv.Error as problem:  # a cell beyond what the library reads
+    except csv.Error as error:  # a cell beyond what the library reads
         lines = text.split("\n")
         number = max(range(len(lines)), key=lambda k: len(lines[k]))
         raise LogError(
             f"{path}: line {number + 1} has {len(lines[number])} characters, too many for one row of a table "
-            f"({problem}); correct or remove it"
+            f"({error}); correct or remove it"
         ) from None
 
 
@@ -81,15 +81,17 @@ def _body(path: Path, text: str, first: TextLine, dialect: Dialect) -> tuple[np.
     begin = body.rfind("\n") + 1
     last = body[begin:]
     # nobody can say whether the last number of a line without its line end is complete
-    ended = "\n" in tail[len(tail.rstrip(_OUTER)) :] or last.startswith(COMMENTS)
-    full = body if ended and cell_count(last, dialect) == dialect.width else body[: max(0, begin - 1)]
-    columns = parse_with_arrow(full, dialect) if full and not last.startswith(COMMENTS) else None
+    ends_complete = "\n" in tail[len(tail.rstrip(_OUTER)) :] or last.startswith(COMMENTS)
+    complete = body if ends_complete and cell_count(last, dialect) == dialect.width else body[: max(0, begin - 1)]
+    columns = parse_with_arrow(complete, dialect) if complete and not last.startswith(COMMENTS) else None
     if columns is not None:
         numbers = first.number + np.arange(len(columns[0]))
-        _, notes = complete_rows(path, [(int(numbers[-1]) + 1, last)] if full is not body else [], dialect, ended)
+        _, notes = complete_rows(
+            path, [(int(numbers[-1]) + 1, last)] if complete is not body else [], dialect, ends_complete
+        )
         return numbers, columns, notes
-    kept = [(line.number + first.number - 1, line.text) for line in data_lines(body)]
-    rows, notes = complete_rows(path, kept, dialect, ended)
+    lines = [(line.number + first.number - 1, line.text) for line in data_lines(body)]
+    rows, notes = complete_rows(path, lines, dialect, ends_complete)
     if not rows:
         raise LogError(f"{path}: has one row, and that is cut off; export the log again")
     cells = split_columns([line for _, line in rows], dialect)
@@ -100,8 +102,8 @@ def _text(path: Path, raw: bytes) -> str:
     for signature, what in _SIGNATURES.items():
         if raw.startswith(signature):
             raise LogError(f"{path}: is {what}")
-    text = decode_text(raw)
-    if detect_encoding(raw) in _OF_BYTES and len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
+    text = decoded(raw)
+    if encoding_of(raw) in _OF_BYTES and len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
         raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
     return text
 

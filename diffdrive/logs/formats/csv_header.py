@@ -51,10 +51,10 @@ def _twincat(rows: list[list[str]], names: list[str]) -> Header:
     """
     units_row = next((cells for cells in rows if cells[0] == "Unit"), [""] * len(names))
     times = [name == "Name" for name in names]
-    called, following = [], [*names[1:], ""]
+    columns, next_names = [], [*names[1:], ""]
     for k, (name, is_time) in enumerate(zip(names, times, strict=True)):
-        called.append(("time" if k == 0 else f"{following[k]}.clock") if is_time else name or str(k + 1))
-    named = _unique(called)
+        columns.append(("time" if k == 0 else f"{next_names[k]}.clock") if is_time else name or str(k + 1))
+    named = _unique(columns)
     units = {
         name: "ms" if is_time else _bare_unit(unit)
         for name, unit, is_time in zip(named, units_row, times, strict=True)
@@ -81,14 +81,14 @@ def _are_units(cells: list[str], above: list[str]) -> bool:
     Either all are units of channels, or one is the unit of the very channel named above it, or half of them are and
     there are names above all of them.
     """
-    given = [(name, cell) for name, cell in zip(above, map(_bare_unit, cells), strict=True) if cell]
-    known = sum(any(is_unit_of(channel, cell) for channel in CHANNELS) for _, cell in given)
-    if not known or known == len(given):
+    stated = [(name, cell) for name, cell in zip(above, map(_bare_unit, cells), strict=True) if cell]
+    known = sum(any(is_unit_of(channel, cell) for channel in CHANNELS) for _, cell in stated)
+    if not known or known == len(stated):
         return known > 0
-    if any(is_unit_of(channel, cell) for name, cell in given for channel in CHANNELS if _is_called(name, channel)):
+    if any(is_unit_of(channel, cell) for name, cell in stated for channel in CHANNELS if _is_called(name, channel)):
         return True
-    named = all(re.match(r"[^\W\d]", name) or cell.casefold() in _LABELS for name, cell in given)
-    return named and known >= 2 and 2 * known >= len(given)
+    named = all(re.match(r"[^\W\d]", name) or cell.casefold() in _LABELS for name, cell in stated)
+    return named and known >= 2 and 2 * known >= len(stated)
 
 
 def _is_called(name: str, channel: str) -> bool:

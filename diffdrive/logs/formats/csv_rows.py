@@ -1,4 +1,4 @@
-"""The rows of a text table one by one: which of them are whole, and what each column's cells are."""
+"""The rows of a text table one by one: which of them are complete, and what each column's cells are."""
 
 import contextlib
 import csv
@@ -13,27 +13,27 @@ from diffdrive.logs.formats.table import MISSING
 
 
 def complete_rows(
-    path: Path, kept: list[tuple[int, str]], dialect: Dialect, ended: bool
+    path: Path, lines: list[tuple[int, str]], dialect: Dialect, ends_complete: bool
 ) -> tuple[list[tuple[int, str]], list[str]]:
     """The rows with as many cells as the table has columns; a last one that is or may be cut off is left out.
 
-    `ended` says whether the last line has its line end: of one without, nobody can say whether its last number is
-    complete.
+    `ends_complete` says whether the last line has its line end: of one without, nobody can say whether its last number
+    is complete.
     """
     rows, notes = [], []
-    for number, line in kept:
-        found, is_last = cell_count(line, dialect), number == kept[-1][0]
-        if found == dialect.width and (ended or not is_last):
+    for number, line in lines:
+        count, is_last = cell_count(line, dialect), number == lines[-1][0]
+        if count == dialect.width and (ends_complete or not is_last):
             rows.append((number, line))
         elif not is_last:
             raise LogError(
-                f"{path}: line {number} has {found} columns, the other rows have {dialect.width}; correct this line"
+                f"{path}: line {number} has {count} columns, the other rows have {dialect.width}; correct this line"
             )
-        elif found == dialect.width:
+        elif count == dialect.width:
             notes.append(f"line {number}, the last, has no line end: its last number may be cut off; left out")
         elif line != "EOF":  # TwinCAT's end mark
             notes.append(
-                f"line {number}, the last, has {found} columns, the other rows have {dialect.width}: the file is cut "
+                f"line {number}, the last, has {count} columns, the other rows have {dialect.width}: the file is cut "
                 "off there, and this line is left out; if the log was longer, copy or export it again"
             )
     return rows, notes

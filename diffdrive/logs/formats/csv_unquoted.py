@@ -10,28 +10,30 @@ SAMPLED = 100  # rows below the header
 _FRACTION = re.compile(r"0\d+")  # what is left behind a decimal comma, but no whole number
 
 
-def refuse_unquoted_decimals(source: str, kept: list[tuple[int, str]], start: int, dialect: Dialect) -> None:
+def refuse_unquoted_decimals(source: str, lines: list[tuple[int, str]], start: int, dialect: Dialect) -> None:
     """Raise `LogError` for rows of whole numbers, up to twice as many as the header has cells.
 
-    `kept` are the lines of the file with their numbers, `start` is the first of them that is a row.
+    `lines` are the lines of the file with their numbers, `start` is the first of them that is a row.
     """
     if dialect.delimiter != ",":
         return
-    header = next((k for k in reversed(range(start)) if _is_header(kept[k][1], dialect)), None)
+    header = next((k for k in reversed(range(start)) if _is_header(lines[k][1], dialect)), None)
     if header is None:
         return
-    named = len(_trimmed(kept[header][1], dialect))
-    rows = [_trimmed(line, dialect) for _, line in kept[header + 1 : start + SAMPLED]][:-1]  # the last may be cut off
+    names = len(_trimmed(lines[header][1], dialect))
+    rows = [_trimmed(line, dialect) for _, line in lines[header + 1 : start + SAMPLED]][:-1]  # the last may be cut off
     numbers = [[cell for cell in row if is_number_of_any_style(cell)] for row in rows]
-    width = len(_trimmed(kept[start][1], dialect))
-    if not named < width <= 2 * named or any("." in cell for row in numbers for cell in row):
+    width = len(_trimmed(lines[start][1], dialect))
+    if not names < width <= 2 * names or any("." in cell for row in numbers for cell in row):
         return
     # a table of whole numbers below a line of prose looks alike, but its rows are of one width and without fractions
-    told = len({len(row) for row in rows}) > 1 or any(_FRACTION.fullmatch(cell) for row in numbers for cell in row)
-    if told or width == 2 * named:
+    is_evident = len({len(row) for row in rows}) > 1 or any(
+        _FRACTION.fullmatch(cell) for row in numbers for cell in row
+    )
+    if is_evident or width == 2 * names:
         raise LogError(
-            f"{source}: line {kept[start][0]} has {width} cells below the {named} names in line "
-            f"{kept[header][0]}: decimal comma without quotes; export with semicolons or quotes"
+            f"{source}: line {lines[start][0]} has {width} cells below the {names} names in line "
+            f"{lines[header][0]}: decimal comma without quotes; export with semicolons or quotes"
         )
 
 

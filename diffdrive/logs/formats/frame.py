@@ -48,6 +48,6 @@ def _from_frame(source: Any, name: str) -> Table:
     if index is not None and getattr(index, "name", None) is not None:  # pandas: the time, more often than not
         frame = nw.from_native(nw.to_native(frame).reset_index())
     try:
-        return from_arrow(frame.rename({one: str(one) for one in frame.columns}).to_arrow(), name)
-    except (pa.ArrowException, TypeError, ValueError) as problem:
-        raise LogError(f"{name}: is no table of numbers: {str(problem).splitlines()[0]}") from None
+        return from_arrow(frame.rename({column: str(column) for column in frame.columns}).to_arrow(), name)
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        raise LogError(f"{name}: is no table of numbers: {str(error).splitlines()[0]}") from None

@@ -26,27 +26,27 @@ def read_mat(path: Path) -> Table:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # objects of classes, which are no signals
-            variables = read_variables(path)
-    except Exception as problem:  # the libraries raise a dozen kinds on a damaged file
-        text = (str(problem) or type(problem).__name__).splitlines()[0]
+            contents = read_variables(path)
+    except Exception as error:  # the libraries raise a dozen kinds on a damaged file
+        text = (str(error) or type(error).__name__).splitlines()[0]
         raise LogError(
             f"{path}: cannot be read as a MAT file, it is another format or cut off ({text}); export or copy it again"
         ) from None
-    held = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
-    found = list(_columns("", held))
+    variables = {name: value for name, value in contents.items() if not name.startswith(("__", "#"))}
+    found = list(_columns("", variables))
     columns = {name: values for name, values, _ in found if not isinstance(values, str)}
-    passed_over = {name: values for name, values, _ in found if isinstance(values, str)}
+    skipped = {name: values for name, values, _ in found if isinstance(values, str)}
     if not columns:
         raise LogError(
-            f"{path}: holds no arrays of numbers ({skipped_text(passed_over) or 'it is empty'}); export signals as arrays "
+            f"{path}: holds no arrays of numbers ({skipped_text(skipped) or 'it is empty'}); export signals as arrays "
             "or as structure with time, not as timeseries or Dataset objects"
         )
-    named = held.get("units")
+    stated = variables.get("units")
     units = {name: unit for name, _, unit in found if unit}
-    if isinstance(named, dict):
-        units |= {name: unit for name, unit in named.items() if name in columns and isinstance(unit, str)}
-    odd = skipped_note({name: why for name, why in passed_over.items() if why not in (ALONE, TEXT)})
-    return Table(str(path), columns, units, notes=odd, passed_over=passed_over)
+    if isinstance(stated, dict):
+        units |= {name: unit for name, unit in stated.items() if name in columns and isinstance(unit, str)}
+    notes = skipped_note({name: why for name, why in skipped.items() if why not in (ALONE, TEXT)})
+    return Table(str(path), columns, units, notes=notes, skipped=skipped)
 
 
 def write_mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
@@ -68,13 +68,13 @@ def _columns(path: str, value: Any) -> Iterator[Column]:
             yield name, values, None
 
 
-def _structure(path: str, held: dict[str, Any]) -> Iterator[Column]:
-    if isinstance(held.get("X"), dict) and isinstance(held.get("Y"), dict) and "Data" in held["Y"]:
-        yield from _dspace(path, held["X"], held["Y"])
-    elif isinstance(held.get("signals"), dict) and "values" in held["signals"]:
-        yield from _simulink(path, held)
+def _structure(path: str, fields: dict[str, Any]) -> Iterator[Column]:
+    if isinstance(fields.get("X"), dict) and isinstance(fields.get("Y"), dict) and "Data" in fields["Y"]:
+        yield from _dspace(path, fields["X"], fields["Y"])
+    elif isinstance(fields.get("signals"), dict) and "values" in fields["signals"]:
+        yield from _simulink(path, fields)
     else:
-        for name, value in held.items():
+        for name, value in fields.items():
             yield from _columns(f"{path}.{name}" if path else name, value)
 
 
@@ -92,11 +92,11 @@ def _dspace(path: str, clocks: dict[str, Any], signals: dict[str, Any]) -> Itera
             yield column, array, unit
 
 
-def _simulink(path: str, held: dict[str, Any]) -> Iterator[Column]:
+def _simulink(path: str, fields: dict[str, Any]) -> Iterator[Column]:
     """'Structure with time': time, signals(i).values and signals(i).label."""
-    for name, values in _signals(f"{path}.time", held.get("time")):
+    for name, values in _signals(f"{path}.time", fields.get("time")):
         yield name, values, None
-    signals, count = held["signals"], np.size(held.get("time"))
+    signals, count = fields["signals"], np.size(fields.get("time"))
     values, labels = _as_list(signals["values"]), _as_list(signals.get("label", []))
     for k, data in enumerate(values):
         label = labels[k] if k < len(labels) and isinstance(labels[k], str) and labels[k] else f"signals({k + 1})"
@@ -138,7 +138,7 @@ def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[
             yield f"{path}({i + 1},{j + 1})", value[i, j]
     else:
         rows, columns = value.shape
-        lies = columns == count if count in value.shape and rows != columns else rows < columns
-        upright = value.T if lies else value
-        for k in range(upright.shape[1]):
-            yield f"{path}({k + 1})", upright[:, k]
+        is_row = columns == count if count in value.shape and rows != columns else rows < columns
+        columns_first = value.T if is_row else value
+        for k in range(columns_first.shape[1]):
+            yield f"{path}({k + 1})", columns_first[:, k]

@@ -10,7 +10,7 @@ from diffdrive.errors import LogError
 from diffdrive.logs.formats.arrow import from_arrow
 from diffdrive.logs.formats.table import Table
 from diffdrive.support.atomic_write import atomic_write
-from diffdrive.support.resources import format_count, require_memory
+from diffdrive.support.resources import counted, require_memory
 
 IN_MEMORY = 24.0  # bytes for each number: as the library reads it, as an array, as a signal
 
@@ -20,12 +20,12 @@ def read_parquet(path: Path) -> Table:
     try:
         with pq.ParquetFile(path) as file:
             cells = file.metadata.num_rows * file.metadata.num_columns
-            mend = "cut it into several, or leave columns out"
-            require_memory(LogError, f"{path}: reading {format_count(cells)} numbers", IN_MEMORY * cells, mend)
+            remedy = "cut it into several, or leave columns out"
+            require_memory(LogError, f"{path}: reading {counted(cells)} numbers", IN_MEMORY * cells, remedy)
             table = file.read()
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as problem:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise LogError(
-            f"{path}: cannot be read as Parquet, it is another format or cut off ({_first_line(problem)}); "
+            f"{path}: cannot be read as Parquet, it is another format or cut off ({_first_line(error)}); "
             "export or copy it again"
         ) from None
     return from_arrow(table, str(path))
@@ -38,5 +38,5 @@ def write_parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, s
         pq.write_table(pa.table([pa.array(values) for values in columns.values()], schema=schema), file)
 
 
-def _first_line(problem: Exception) -> str:
-    return (str(problem) or type(problem).__name__).splitlines()[0]
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]

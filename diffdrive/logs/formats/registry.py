@@ -47,9 +47,9 @@ def register(*extensions: str) -> Callable[[Reader], Reader]:
 
     """
 
-    def known(reader: Reader) -> Reader:
+    def add(reader: Reader) -> Reader:
         for extension in extensions:
             READERS[extension.lower()] = reader
         return reader
 
-    return known
+    return add

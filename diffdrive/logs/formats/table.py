@@ -1,4 +1,4 @@
-"""What a file holds before anybody asks what it means: named columns of one length or several."""
+"""The columns of a file before their meaning is known: named arrays of one length or several."""
 
 import re
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ class Table:
 
     `units` are those that the file itself states, by column; `lines` the line of each row in a text file, `decimal` its
     decimal sign; `clocks` the column of each column's own time stamps, where a file has several clocks;
-    `passed_over` what the file holds beside its columns, and why that is none.
+    `skipped` what the file holds beside its columns, and why each is no column.
     """
 
     source: str
@@ -31,7 +31,7 @@ class Table:
     notes: tuple[str, ...] = ()
     decimal: str = "."
     clocks: dict[str, str] = field(default_factory=dict)
-    passed_over: dict[str, str] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
 
     def where(self, row: int) -> str:
         """Row `row` as an engineer finds it in the file: its line, or its number counted from 1."""
@@ -52,17 +52,17 @@ class Table:
         )
 
 
-def skipped_note(passed_over: dict[str, str]) -> tuple[str, ...]:
-    """What to say of columns that look like signals and are none; nothing where there are none."""
-    if not passed_over:
+def skipped_note(skipped: dict[str, str]) -> tuple[str, ...]:
+    """A note on what looks like a signal and is none; no note where there is none."""
+    if not skipped:
         return ()
-    return (f"left out, since a signal is one number in each row: {skipped_text(passed_over)}",)
+    return (f"left out, since a signal is one number in each row: {skipped_text(skipped)}",)
 
 
-def skipped_text(passed_over: dict[str, str]) -> str:
-    """The first of these columns, with why they are none, and how many more there are."""
-    few = [f"'{shortened(name)}' {shortened(why)}" for name, why in list(passed_over.items())[:FEW]]
-    return ", ".join(few) + (f" and {len(passed_over) - FEW} more" if len(passed_over) > FEW else "")
+def skipped_text(skipped: dict[str, str]) -> str:
+    """The first of what was skipped, with the reasons, and how many more there are."""
+    named = [f"'{shortened(name)}' {shortened(why)}" for name, why in list(skipped.items())[:FEW]]
+    return ", ".join(named) + (f" and {len(skipped) - FEW} more" if len(skipped) > FEW else "")
 
 
 def is_number(cell: str, decimal: str) -> bool:

@@ -44,7 +44,7 @@ def test_memory_is_a_few_times_the_files_size(long):
 
 
 def test_no_row_of_a_plain_table_is_read_by_itself(long, monkeypatch):
-    monkeypatch.setattr(csv_file, "lines_of", lambda text: pytest.fail("row by row"))
+    monkeypatch.setattr(csv_file, "data_lines", lambda text: pytest.fail("row by row"))
     assert len(read_csv(long).numbers("command")) == ROWS
 
 
