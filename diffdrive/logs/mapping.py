@@ -21,8 +21,8 @@ class ColumnMapping:
     `columns` holds the column's name (in MAT structures its path, such as "dspace.Y.pos"), `units` the unit of one
     column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
     in V or A into newtons. `shifts` shifts a channel that was recorded early or late by whole samples, positive to
-    later times; what was injected into the command shifts with it. A key such as "lap2:command" is of that log alone. Raises
-    `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
+    later times; what was injected into the command shifts with it. A key such as "lap2:command" is of that log alone.
+    Raises `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
     """
 
     columns: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -106,7 +106,7 @@ class ColumnMapping:
     def overridden(
         self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()
     ) -> "ColumnMapping":
-        """The mapping with a command line's `--column reference=qg`, `--unit command=V`, `--shift command=-1` over it."""
+        """The mapping with a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1`."""
         more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
         gains = {key: _parse_gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
         changed = {table: getattr(self, table) | more[table] for table in more}

@@ -16,7 +16,8 @@ def align_channel_clocks(
 ) -> tuple[dict[str, Signal], list[str]]:
     """The signals with each sample in the row of its own time stamp, and notes.
 
-    `chosen` are the channels' columns; `to_si` makes the time's column seconds. Raises `LogError` for a clock that is not the time but for whole samples.
+    `chosen` are the channels' columns; `to_si` makes the time's column seconds. Raises `LogError` for a
+    clock that is not the time but for whole samples.
     """
     if not table.clocks:
         return signals, []

@@ -13,8 +13,8 @@ from diffdrive.logs.formats.csv_lines import COMMENTS, TextLine, data_lines, fin
 from diffdrive.logs.formats.csv_rows import cell_count, complete_rows, parse_column, split_columns
 from diffdrive.logs.formats.csv_unquoted import SAMPLED, refuse_unquoted_decimals
 from diffdrive.logs.formats.table import Table
-from diffdrive.support.resources import in_bytes, require_memory
-from diffdrive.support.text_file import decoded, encoding_of
+from diffdrive.support.resources import format_bytes, require_memory
+from diffdrive.support.text_file import decode_text, detect_encoding
 
 IN_MEMORY = 20.0  # bytes for each of the file, while its cells are texts: measured, a cell of 8 characters takes 57
 _OUTER = " \n\x00"  # what may stand around a text
@@ -33,7 +33,7 @@ def read_csv(path: Path) -> Table:
     """The columns of a text table; raises `LogError` naming the file, the line and the column."""
     size = path.stat().st_size
     remedy = "cut it into several, or export it as Parquet"
-    require_memory(LogError, f"{path}: reading {in_bytes(size)} of text", IN_MEMORY * size, remedy)
+    require_memory(LogError, f"{path}: reading {format_bytes(size)} of text", IN_MEMORY * size, remedy)
     text = _text(path, path.read_bytes())
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -102,8 +102,8 @@ def _text(path: Path, raw: bytes) -> str:
     for signature, what in _SIGNATURES.items():
         if raw.startswith(signature):
             raise LogError(f"{path}: is {what}")
-    text = decoded(raw)
-    if encoding_of(raw) in _OF_BYTES and len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
+    text = decode_text(raw)
+    if detect_encoding(raw) in _OF_BYTES and len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
         raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
     return text
 

@@ -10,7 +10,7 @@ from diffdrive.errors import LogError
 from diffdrive.logs.formats.arrow import from_arrow
 from diffdrive.logs.formats.table import Table
 from diffdrive.support.atomic_write import atomic_write
-from diffdrive.support.resources import counted, require_memory
+from diffdrive.support.resources import format_count, require_memory
 
 IN_MEMORY = 24.0  # bytes for each number: as the library reads it, as an array, as a signal
 
@@ -21,7 +21,7 @@ def read_parquet(path: Path) -> Table:
         with pq.ParquetFile(path) as file:
             cells = file.metadata.num_rows * file.metadata.num_columns
             remedy = "cut it into several, or leave columns out"
-            require_memory(LogError, f"{path}: reading {counted(cells)} numbers", IN_MEMORY * cells, remedy)
+            require_memory(LogError, f"{path}: reading {format_count(cells)} numbers", IN_MEMORY * cells, remedy)
             table = file.read()
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise LogError(
