@@ -99,7 +99,7 @@ class Axis(eqx.Module):
 
     def with_drive(self, drive: Drive) -> "Axis":
         """The axis with another machine, in what its controller believes of it, too."""
-        return replace(self, drive=drive, controller=self.controller.remodelled(drive))
+        return replace(self, drive=drive, controller=self.controller.with_model(drive))
 
     def with_controller(self, controller: Controller) -> "Axis":
         """The axis under another controller."""

@@ -52,7 +52,7 @@ def allow_accelerator() -> None:
         jax.config.update("jax_platforms", None)
 
 
-def arithmetic() -> list[str]:
+def arithmetic_signature() -> list[str]:
     """What the last bits of a number hang on beside the program: the device, the processor's vectors, the flags."""
     vectors = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found", [])
     flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_DEVICES)]

@@ -17,7 +17,7 @@ from diffdrive.loop.run import Run
 from diffdrive.model.parameters import Scalar, as_arrays
 from diffdrive.motion.motion import Motion
 
-SAME_RATE = 1e-6  # relative
+RATE_TOLERANCE = 1e-6  # relative
 
 
 def simulate(
@@ -108,7 +108,7 @@ def rollout(
 
     """
     drive = _machine(axis, machine).drive
-    if abs(motion.rate / axis.rate - 1.0) > SAME_RATE:
+    if abs(motion.rate / axis.rate - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
         )
@@ -136,7 +136,7 @@ def rollout(
 def _machine(axis: Axis, machine: Axis | None) -> Axis:
     if machine is None:
         return axis
-    if abs(machine.rate / axis.rate - 1.0) > SAME_RATE:
+    if abs(machine.rate / axis.rate - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
             f"machine: is sampled at {machine.rate:.10g} Hz, the axis at {axis.rate:.10g} Hz: delays are told in "
             "samples; make the rates equal"

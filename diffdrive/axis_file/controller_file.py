@@ -19,7 +19,7 @@ def build_controller(section: Any, drive: Drive) -> Controller:
         raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
     if not isinstance(name, str) or name not in KINDS:
         raise section.fail("kind", f"unknown controller {short_repr(name)}; known: {', '.join(KINDS)}")
-    section.of_kind(name, _kinds_with)
+    section.set_kind(name, _kinds_with)
     return KINDS[name].build(section, drive)
 
 

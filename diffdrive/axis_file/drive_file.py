@@ -75,10 +75,10 @@ class TomlSection:
         """The table below `key`, empty if it is absent."""
         below = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}))
         if self.kind is not None:
-            below.of_kind(self.kind, self._kinds_of_table)
+            below.set_kind(self.kind, self._kinds_of_table)
         return below
 
-    def of_kind(self, kind: str, kinds_with: Callable[[str, str], list[str]]) -> None:
+    def set_kind(self, kind: str, kinds_with: Callable[[str, str], list[str]]) -> None:
         """From now on it knows which other kinds have a key that is left in a table."""
         self.kind, self._kinds_of_table = kind, kinds_with
         self.kinds_with = lambda key: kinds_with(self.name, key)

@@ -58,7 +58,7 @@ class Controller(eqx.Module):
         """The keys of [controller] that state it in an axis file, but for the kind."""
         raise ParameterError(f"no axis file can state a {type(self).__name__}: register a `Kind` of it")
 
-    def remodelled(self, drive: Drive) -> "Controller":
+    def with_model(self, drive: Drive) -> "Controller":
         """The same controller with this drive for what it believes of the machine."""
         return self
 
@@ -101,7 +101,7 @@ class Feedforward(eqx.Module):
         """Whether it feeds anything forward; a traced one is taken to."""
         return isinstance(self.mass, jax.core.Tracer) or bool(np.all(np.asarray(self.mass) > 0.0))
 
-    def remodelled(self, plant: Plant) -> "Feedforward":
+    def with_model(self, plant: Plant) -> "Feedforward":
         """That of another plant; off where it is off."""
         return Feedforward.of(plant) if self.is_on else self
 
@@ -128,7 +128,7 @@ class LastError(NamedTuple):
         """Before the first sample."""
         return cls(jnp.zeros(()), jnp.zeros((), bool))
 
-    def or_now(self, error: Scalar) -> Scalar:
+    def value_or(self, error: Scalar) -> Scalar:
         """The last error, at the first sample this one."""
         return jnp.where(self.known, self.error, error)
 
@@ -147,16 +147,16 @@ class Tracking(eqx.Module):
     def step(self, last: LastError, reference: Reference, position: Scalar, period: float) -> tuple[LastError, Scalar]:
         """Feedback plus motion feed-forward (N)."""
         error = reference.position - position
-        force = self.gains.force(error, last.or_now(error), period) + self.feedforward.force(reference)
+        force = self.gains.force(error, last.value_or(error), period) + self.feedforward.force(reference)
         return LastError.after(error), force
 
     def table(self) -> dict[str, Any]:
         """Its keys of [controller]."""
         return {"feedforward": self.feedforward.is_on} | quantity_table(self.gains)
 
-    def remodelled(self, plant: Plant) -> "Tracking":
+    def with_model(self, plant: Plant) -> "Tracking":
         """The same gains with the feed-forward of this plant."""
-        return Tracking(self.gains, self.feedforward.remodelled(plant))
+        return Tracking(self.gains, self.feedforward.with_model(plant))
 
 
 TRACKING_GAINS = {

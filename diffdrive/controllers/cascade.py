@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.controllers.base import FEEDBACK_FACTOR, Command, Controller, Feedforward, Reference, Tunable
-from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, feedforward_of
+from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, read_feedforward
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
@@ -56,8 +56,8 @@ class Cascade(Controller):
         fed = {"feedforward": self.feedforward.is_on, "velocity_samples": self.velocity_samples}
         return fed | quantity_table(self)
 
-    def remodelled(self, drive: Drive) -> "Cascade":
-        return replace(self, feedforward=self.feedforward.remodelled(drive.plant))
+    def with_model(self, drive: Drive) -> "Cascade":
+        return replace(self, feedforward=self.feedforward.with_model(drive.plant))
 
     @property
     def pipelines(self) -> tuple[tuple[str, int], ...]:
@@ -86,7 +86,7 @@ VELOCITY_SAMPLES = Option("velocity_samples", "-", ">= 1, whole", "1", "samples 
 
 def _build(section: Section, drive: Drive) -> Cascade:
     # the loop of most CNCs has no feed-forward of force unless the file says so
-    feedforward, samples = feedforward_of(section, drive, default=False), section.take("velocity_samples", 1)
+    feedforward, samples = read_feedforward(section, drive, default=False), section.take("velocity_samples", 1)
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
         raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {short_repr(samples)}")
     return section.build(Cascade, feedforward=feedforward, velocity_samples=samples)

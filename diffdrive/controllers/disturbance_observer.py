@@ -44,7 +44,7 @@ class DisturbanceObserver(eqx.Module):
         """For this plant."""
         return cls(cutoff=cutoff, mass=plant.mass, damping=plant.damping)
 
-    def remodelled(self, plant: Plant) -> "DisturbanceObserver":
+    def with_model(self, plant: Plant) -> "DisturbanceObserver":
         """The same cut-off for another plant."""
         return DisturbanceObserver.of(plant, self.cutoff)
 
@@ -74,6 +74,6 @@ class DisturbanceObserver(eqx.Module):
 OBSERVER_KEYS = Keys("controller", DisturbanceObserver, frozenset({"mass", "damping"}))
 
 
-def observer_of(section: Section, drive: Drive) -> DisturbanceObserver:
+def read_observer(section: Section, drive: Drive) -> DisturbanceObserver:
     """The disturbance observer that a table of an axis file states, for this drive."""
     return section.build(DisturbanceObserver, mass=drive.plant.mass, damping=drive.plant.damping)

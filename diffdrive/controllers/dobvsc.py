@@ -15,14 +15,19 @@ from diffdrive.controllers.base import (
     Tracking,
     Tunable,
 )
-from diffdrive.controllers.disturbance_observer import OBSERVER_KEYS, DisturbanceObserver, DisturbanceState, observer_of
+from diffdrive.controllers.disturbance_observer import (
+    OBSERVER_KEYS,
+    DisturbanceObserver,
+    DisturbanceState,
+    read_observer,
+)
 from diffdrive.controllers.kinds import (
     TRACKING_KEYS,
     TRACKING_OPTIONS,
     Keys,
     Kind,
     Section,
-    tracking_of,
+    read_tracking,
 )
 from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
@@ -61,8 +66,8 @@ class DOBVSC(Controller):
     def table(self) -> dict[str, Any]:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
 
-    def remodelled(self, drive: Drive) -> "DOBVSC":
-        tracking, observer = self.tracking.remodelled(drive.plant), self.observer.remodelled(drive.plant)
+    def with_model(self, drive: Drive) -> "DOBVSC":
+        tracking, observer = self.tracking.with_model(drive.plant), self.observer.with_model(drive.plant)
         return DOBVSC(tracking, observer, self.reach, self.layer, self.slope)
 
     def init(self, position: Scalar) -> DOBVSCState:
@@ -72,7 +77,7 @@ class DOBVSC(Controller):
         self, state: DOBVSCState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[DOBVSCState, Command]:
         error = reference.position - position
-        surface = (error - state.last_error.or_now(error)) / period + self.slope * error
+        surface = (error - state.last_error.value_or(error)) / period + self.slope * error
         switching = self.reach * jnp.clip(surface / self.layer, -1.0, 1.0)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
         disturbance, resisting = self.observer.step(state.disturbance, position, applied, period)
@@ -81,8 +86,8 @@ class DOBVSC(Controller):
 
 
 def _build(section: Section, drive: Drive) -> DOBVSC:
-    tracking = tracking_of(section, drive)
-    return section.build(DOBVSC, tracking=tracking, observer=observer_of(section, drive))
+    tracking = read_tracking(section, drive)
+    return section.build(DOBVSC, tracking=tracking, observer=read_observer(section, drive))
 
 
 KIND = Kind(

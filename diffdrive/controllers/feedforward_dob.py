@@ -15,14 +15,19 @@ from diffdrive.controllers.base import (
     Tracking,
     Tunable,
 )
-from diffdrive.controllers.disturbance_observer import OBSERVER_KEYS, DisturbanceObserver, DisturbanceState, observer_of
+from diffdrive.controllers.disturbance_observer import (
+    OBSERVER_KEYS,
+    DisturbanceObserver,
+    DisturbanceState,
+    read_observer,
+)
 from diffdrive.controllers.kinds import (
     TRACKING_KEYS,
     TRACKING_OPTIONS,
     Keys,
     Kind,
     Section,
-    tracking_of,
+    read_tracking,
 )
 from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Friction, Scalar, quantity, quantity_table
@@ -57,8 +62,8 @@ class PDFeedforwardDOB(Controller):
     def table(self) -> dict[str, Any]:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
 
-    def remodelled(self, drive: Drive) -> "PDFeedforwardDOB":
-        tracking, observer = self.tracking.remodelled(drive.plant), self.observer.remodelled(drive.plant)
+    def with_model(self, drive: Drive) -> "PDFeedforwardDOB":
+        tracking, observer = self.tracking.with_model(drive.plant), self.observer.with_model(drive.plant)
         return PDFeedforwardDOB(tracking, observer, drive.friction, self.load)
 
     def init(self, position: Scalar) -> FeedforwardState:
@@ -80,7 +85,7 @@ class PDFeedforwardDOB(Controller):
 
 
 def _build(section: Section, drive: Drive) -> PDFeedforwardDOB:
-    tracking, observer = tracking_of(section, drive), observer_of(section, drive)
+    tracking, observer = read_tracking(section, drive), read_observer(section, drive)
     return section.build(PDFeedforwardDOB, tracking=tracking, observer=observer, friction=drive.friction)
 
 

@@ -20,7 +20,7 @@ from diffdrive.controllers.kinds import (
     Keys,
     Kind,
     Section,
-    tracking_of,
+    read_tracking,
 )
 from diffdrive.model.parameters import Drive, Scalar
 from diffdrive.observers.friction_observer import (
@@ -62,9 +62,9 @@ class FrictionCompensation(Controller):
     def table(self) -> dict[str, Any]:
         return self.tracking.table() | self.observer.tables()
 
-    def remodelled(self, drive: Drive) -> "FrictionCompensation":
+    def with_model(self, drive: Drive) -> "FrictionCompensation":
         observer = replace(self.observer, plant=drive.plant, friction=drive.friction)
-        return FrictionCompensation(self.tracking.remodelled(drive.plant), observer)
+        return FrictionCompensation(self.tracking.with_model(drive.plant), observer)
 
     def init(self, position: Scalar) -> FrictionCompensationState:
         return FrictionCompensationState(LastError.none(), self.observer.init(position))
@@ -83,7 +83,7 @@ def _with(
     """How a friction observer with this load estimator is built."""
 
     def build(section: Section, drive: Drive) -> FrictionCompensation:
-        tracking = tracking_of(section, drive)
+        tracking = read_tracking(section, drive)
         tuning, estimator = section.subsection("observer"), section.subsection("load_estimator")
         observer = KalmanObserver(drive.plant, drive.friction, tuning.build(Tuning), estimator.build(load))
         tuning.done()
@@ -94,7 +94,7 @@ def _with(
 
 
 def _with_load_state(section: Section, drive: Drive) -> FrictionCompensation:
-    tracking = tracking_of(section, drive)
+    tracking = read_tracking(section, drive)
     tuning, estimator = section.subsection("observer"), section.subsection("load_estimator")
     observer = estimator.build(
         LoadStateObserver, plant=drive.plant, friction=drive.friction, tuning=tuning.build(LoadStateTuning)

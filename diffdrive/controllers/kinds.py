@@ -54,12 +54,12 @@ class Keys(NamedTuple):
 
     table: str  # "controller", or one below it
     parameters: type
-    of_the_plant: frozenset[str] = frozenset()
+    from_plant: frozenset[str] = frozenset()
 
     def names(self) -> Iterator[str]:
         """The keys."""
         declared = (one.name for one in dataclasses.fields(self.parameters) if "quantity" in one.metadata)
-        return (name for name in declared if name not in self.of_the_plant)
+        return (name for name in declared if name not in self.from_plant)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Kind:
         return key in own or any(key in keys.names() for keys in self.keys if keys.table == table)
 
 
-def feedforward_of(section: Section, drive: Drive, default: bool) -> Feedforward:
+def read_feedforward(section: Section, drive: Drive, default: bool) -> Feedforward:
     """The motion feed-forward that a table asks for: that of the drive's inertia and damping, or none."""
     wanted = section.take("feedforward", default)
     if not isinstance(wanted, bool):
@@ -87,9 +87,9 @@ def feedforward_of(section: Section, drive: Drive, default: bool) -> Feedforward
     return Feedforward.of(drive.plant) if wanted else Feedforward()
 
 
-def tracking_of(section: Section, drive: Drive, feedforward: bool = True) -> Tracking:
+def read_tracking(section: Section, drive: Drive, feedforward: bool = True) -> Tracking:
     """Feedback and feed-forward of the paper's controllers, as a table states them."""
-    fed = feedforward_of(section, drive, feedforward)
+    fed = read_feedforward(section, drive, feedforward)
     derivative = section.take("derivative", DERIVATIVE.default)
     if derivative != DERIVATIVE.default:
         raise section.fail("derivative", f"only '{DERIVATIVE.default}' is known, got {short_repr(derivative)}")

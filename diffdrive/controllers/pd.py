@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from diffdrive.controllers.base import TRACKING_GAINS, Command, Controller, LastError, Reference, Tracking, Tunable
-from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, tracking_of
+from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, read_tracking
 from diffdrive.model.parameters import Drive, Scalar
 
 
@@ -24,8 +24,8 @@ class PD(Controller):
     def table(self) -> dict[str, Any]:
         return self.tracking.table()
 
-    def remodelled(self, drive: Drive) -> "PD":
-        return PD(self.tracking.remodelled(drive.plant))
+    def with_model(self, drive: Drive) -> "PD":
+        return PD(self.tracking.with_model(drive.plant))
 
     def init(self, position: Scalar) -> LastError:
         return LastError.none()
@@ -41,7 +41,7 @@ KIND = Kind(
     "pd",
     "feedback and motion feed-forward",
     # a bare PD is what many machines run, and has no feed-forward unless the file says so
-    lambda section, drive: PD(tracking_of(section, drive, feedforward=False)),
+    lambda section, drive: PD(read_tracking(section, drive, feedforward=False)),
     (TRACKING_KEYS,),
     TRACKING_OPTIONS,
 )

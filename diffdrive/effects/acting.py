@@ -51,7 +51,7 @@ def actuator_output(
     chain = [(effect.stage, k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
     for _, k, effect in sorted(chain, key=lambda one: one[:2]):
         ahead[k], own = effect.step(states[k], push.mean, period)
-        push = Push(own.mean, push.tilt + own.tilt)
+        push = Push(own.mean, push.slope + own.slope)
     return tuple(ahead), push
 
 
@@ -102,7 +102,7 @@ def table_action_in_order(
     """
     ahead, total, before = list(states), Acts(), (seen, drive)
     for place in StepOrder:
-        mine = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.place == place]
+        mine = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.order == place]
         for k in mine:
             ahead[k], acts = effects[k].step(states[k], *before, period)
             total = total.plus(acts)

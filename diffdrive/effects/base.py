@@ -28,22 +28,22 @@ class Seen(NamedTuple):
     load: Scalar  # N, on the guides
     push: Scalar = 0.0  # N, of what else acts on the table, but for the plant's constant force
     ripple: Any = None  # N, by how much the force differs in each equal part of the period; None: not at all
-    lacking: Scalar = 0.0  # N, that an observer finds to act as well
+    disturbance: Scalar = 0.0  # N, that an observer finds to act as well
 
-    def pushes(self, drive: Drive) -> Scalar:
+    def external_force(self, drive: Drive) -> Scalar:
         """All that is known to act on the table beside the actuator and friction (N)."""
         return self.push + drive.plant.constant_force
 
     def resultant(self, drive: Drive) -> Scalar:
         """All that accelerates the table at the beginning of the period (N)."""
-        return self.force + self.pushes(drive) + self.lacking - self.friction
+        return self.force + self.external_force(drive) + self.disturbance - self.friction
 
 
 class Push(NamedTuple):
     """A force over the coming period."""
 
     mean: Scalar  # N
-    tilt: Scalar = 0.0  # N, by which a force in a straight line with the same first moment rises from end to end
+    slope: Scalar = 0.0  # N, by which a force in a straight line with the same first moment rises from end to end
 
 
 class Acts(NamedTuple):
@@ -128,16 +128,16 @@ class ActuatorEffect(Effect):
 class StepOrder(enum.IntEnum):
     """What an effect on the table has to know, in the order in which effects are stepped."""
 
-    GIVEN = 0  # where the table is
-    FOLLOWING = 1  # how it moves within the period, as all forces and the friction of those before drive it
-    BETWEEN = 2  # all that pushes the table, which the motor's force reaches only through it
+    KINEMATIC = 0  # where the table is
+    DYNAMIC = 1  # how it moves within the period, as all forces and the friction of those before drive it
+    TRANSMISSION = 2  # all that pushes the table, which the motor's force reaches only through it
 
 
 class TableEffect(Effect):
-    """On the table and its friction; it `remembers` where its state outlasts a tenth of a second."""
+    """On the table and its friction; it `has_memory` where its state outlasts a tenth of a second."""
 
-    remembers: ClassVar[bool] = False
-    place: ClassVar[StepOrder] = StepOrder.GIVEN
+    has_memory: ClassVar[bool] = False
+    order: ClassVar[StepOrder] = StepOrder.KINEMATIC
 
     @abc.abstractmethod
     def init(self) -> Any:
@@ -153,7 +153,7 @@ class TableEffect(Effect):
         """
         return None
 
-    def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
+    def state_after_travel(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
         """State after a period over which the table is known to travel so far (m)."""
         return self.step(state, seen, drive, period)[0]
 

@@ -11,7 +11,7 @@ from diffdrive.model.friction import friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.numerics.turning import MAX_TURNS, cosine_sine, double_angle, triple_angle
 
-EDGE = 5e-3  # s, over which a process force sets in and ends
+EDGE_TIME = 5e-3  # s, over which a process force sets in and ends
 
 
 def midpoint_position(seen: Seen, period: float) -> Scalar:
@@ -24,7 +24,7 @@ def end_velocity(seen: Seen, drive: Drive, period: float) -> Scalar:
     return seen.velocity + period * seen.resultant(drive) / drive.plant.mass
 
 
-def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE) -> Scalar:
+def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE_TIME) -> Scalar:
     """One between `start` and `end` (s), zero outside, smooth over `edge` (s)."""
     return 0.25 * (1.0 + jnp.tanh(2.0 * (time - start) / edge)) * (1.0 - jnp.tanh(2.0 * (time - end) / edge))
 
@@ -174,8 +174,8 @@ class FrameVibration(TableEffect):
     """
 
     name: ClassVar[str] = "frame_vibration"
-    remembers: ClassVar[bool] = True
-    place: ClassVar[StepOrder] = StepOrder.FOLLOWING
+    has_memory: ClassVar[bool] = True
+    order: ClassVar[StepOrder] = StepOrder.DYNAMIC
     ratio: Scalar = quantity("1", "moving mass over the base's", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "natural frequency of the base", above=0.0, default=20.0)
     damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, default=0.03)

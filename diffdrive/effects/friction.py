@@ -16,9 +16,12 @@ from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation
 from diffdrive.numerics.turning import cosine_sine
 
-GRID, FINE_ENOUGH = 4096, 32  # places along a stroke at which a level is looked at, and of them in each wave
+STROKE_POINTS, POINTS_PER_WAVE = (
+    4096,
+    32,
+)  # places along a stroke at which a level is looked at, and of them in each wave
 ELEMENTS = 6  # Maxwell elements of presliding hysteresis
-FINE = 1e-4  # s, in which they are stepped
+SUBSTEP = 1e-4  # s, in which they are stepped
 
 
 class AppliedLoad(TableEffect):
@@ -76,14 +79,14 @@ class PositionFriction(TableEffect):
             turns = within.farthest / np.asarray(self.period)
             if problem := too_many_turns(turns, "the way from 0 to the end of the stroke"):
                 return problem
-        short = FINE_ENOUGH * (high - low) / np.asarray(self.period) > GRID
+        short = POINTS_PER_WAVE * (high - low) / np.asarray(self.period) > STROKE_POINTS
         if within.position is None:
             least = -height
         else:
             slope, neutral, period, height, cosine, sine, short = np.broadcast_arrays(
                 self.slope, self.neutral, self.period, height, self.cosine, self.sine, short
             )
-            at = np.linspace(low, high, GRID).reshape(-1, *[1] * slope.ndim)
+            at = np.linspace(low, high, STROKE_POINTS).reshape(-1, *[1] * slope.ndim)
             along = slope * (at - neutral)
             angle = 2.0 * np.pi * at / period
             wave = np.where(short, -height, cosine * np.cos(angle) + sine * np.sin(angle))
@@ -146,7 +149,7 @@ class FrictionDwell(TableEffect):
     """Breakaway that grows with the logarithm of the contact's age, d age/dt = 1 - |v| age / D (Dieterich)."""
 
     name: ClassVar[str] = "friction_dwell"
-    place: ClassVar[StepOrder] = StepOrder.FOLLOWING
+    order: ClassVar[StepOrder] = StepOrder.DYNAMIC
     growth: Scalar = quantity("1", "growth of the breakaway gap per e-fold of time at rest", default=0.0)
     onset: Scalar = quantity("s", "time at rest from which it grows", above=0.0, default=0.1)
     slip: Scalar = quantity("m", "travel over which it is forgotten", above=0.0, default=1e-5)
@@ -176,7 +179,7 @@ class FrictionDwell(TableEffect):
         half = 0.5 * period
         speed = _mean_speed(seen.velocity, end_velocity(seen, drive, period))
         fade = relaxation(half * speed, self.slip)  # the age's equation is a bristle's
-        share = reciprocal(fade.whole)
+        share = reciprocal(fade.common_denominator)
         left, gained = once((fade.end * share, half * fade.mean * share))
         midway = left * state + gained
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
@@ -193,8 +196,8 @@ class PreslidingHysteresis(TableEffect):
     """
 
     name: ClassVar[str] = "presliding_hysteresis"
-    remembers: ClassVar[bool] = True
-    place: ClassVar[StepOrder] = StepOrder.FOLLOWING
+    has_memory: ClassVar[bool] = True
+    order: ClassVar[StepOrder] = StepOrder.DYNAMIC
     share: Scalar = quantity("1", "of the bristle that elements replace", default=0.0)
     longest: Scalar = quantity("m", "longest slip distance", above=0.0, default=5e-6)
     shortest: Scalar = quantity("1", "shortest slip distance over the longest", above=0.0, default=0.2)
@@ -223,10 +226,10 @@ class PreslidingHysteresis(TableEffect):
         """Each element sticks or slips, and the bristle bends, as the forces move the table within the period.
 
         A reversal is over within milliseconds: a velocity held over the period of a log would be far off. Midpoint
-        rule, in steps of about `FINE`.
+        rule, in steps of about `SUBSTEP`.
         """
         *elements, deflection = state
-        steps = max(1, round(period / FINE))
+        steps = max(1, round(period / SUBSTEP))
         duration, friction = period / steps, friction_under_load(drive.friction, seen.load)
         lightness = 1.0 / drive.plant.mass
 
@@ -237,7 +240,7 @@ class PreslidingHysteresis(TableEffect):
             elements, bristle, velocity, impulse, travel = carry
             stiffness = friction.stiffness.towards(bristle)
             levels = once(friction.levels(velocity))
-            at = friction.under_level(levels.towards(velocity), velocity, bristle)
+            at = friction.coefficients_at_level(levels.towards(velocity), velocity, bristle)
             more = held(levels, elements) - stiffness * bristle
             resisting = stiffness * bristle + at.damping * (velocity - at.rate * bristle) + self.share * more
             mean = once(velocity + (pushed - resisting) * (0.5 * duration * lightness))
@@ -255,14 +258,16 @@ class PreslidingHysteresis(TableEffect):
             return (ahead, bent, velocity, impulse + duration * more, travel), None
 
         drag = friction.viscous.towards(seen.velocity) + drive.plant.damping.towards(seen.velocity)
-        pushed = seen.force + seen.pushes(drive) + seen.lacking - drag * seen.velocity  # by all but the bristle
+        pushed = (
+            seen.force + seen.external_force(drive) + seen.disturbance - drag * seen.velocity
+        )  # by all but the bristle
         zero = jnp.zeros_like(seen.velocity)
         begin = (tuple(elements), deflection, seen.velocity, zero, zero)
         (stretched, bent, _, impulse, travel), _ = lax.scan(body, begin, None, length=steps)
         shift = (0.5 * period * impulse - travel) * lightness
         return (*stretched, bent), Acts(force=-self.share * impulse / period, shift=self.share * shift)
 
-    def along(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
+    def state_after_travel(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
         """What stretches the elements and bends the bristle is the travel; no force has to be known."""
         *elements, deflection = state
         at = friction_under_load(drive.friction, seen.load).at(travel / period, deflection)

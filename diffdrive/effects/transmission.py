@@ -44,7 +44,7 @@ class Screw(NamedTuple):
     motor_share: Scalar
     table_friction: Scalar
 
-    def looseness(self, drive: Drive, force: Scalar) -> Scalar:
+    def lost_motion(self, drive: Drive, force: Scalar) -> Scalar:
         """How far (m) the motor may be off under a force (N) of its own, or held by friction."""
         reduced = self.motor_share * (1.0 - self.motor_share) * drive.plant.mass
         stiffness = reduced * (2.0 * jnp.pi * self.frequency) ** 2
@@ -58,10 +58,10 @@ class MotorState(NamedTuple):
     The table's is not that of a rigid drive: the screw carries what friction holds.
     """
 
-    against: Oscillator
+    relative: Oscillator
     bristle: Scalar
-    swing: Scalar  # m/s^2, of the deflection
-    rising: Scalar  # m/s^2, of the table
+    relative_acceleration: Scalar  # m/s^2, of the deflection
+    table_acceleration: Scalar  # m/s^2, of the table
 
     @classmethod
     def at_rest(cls) -> "MotorState":
@@ -117,7 +117,11 @@ def _period(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: f
     parts = 1 if seen.ripple is None else len(seen.ripple)
     count = parts * _substeps(period / parts)
     h = period / count
-    pushed, friction, damping = seen.pushes(drive), friction_under_load(drive.friction, seen.load), drive.plant.damping
+    pushed, friction, damping = (
+        seen.external_force(drive),
+        friction_under_load(drive.friction, seen.load),
+        drive.plant.damping,
+    )
     # by products: divisions cost as much as the rest of the balance
     per_motor, per_share = 1.0 / (s * mass), 1.0 / (1.0 - s)
     per_table = per_share / mass
@@ -187,22 +191,22 @@ def step_screw_with_sensitivities(
 
     nothing = jax.tree.map(jnp.zeros_like, way.begin)
     one = jnp.ones_like(seen.velocity)
-    still, rest = nothing.motor, nothing.motor.against
+    still, rest = nothing.motor, nothing.motor.relative
     tangents = (
         nothing._replace(velocity=one),
         nothing._replace(bristle=one),
-        nothing._replace(motor=still._replace(against=rest._replace(deflection=one))),
-        nothing._replace(motor=still._replace(against=rest._replace(rate=one))),
+        nothing._replace(motor=still._replace(relative=rest._replace(deflection=one))),
+        nothing._replace(motor=still._replace(relative=rest._replace(rate=one))),
     )
     (pair, tangents), _ = lax.scan(body, (way.begin, tangents), way.ripple, length=way.count)
-    answers = tuple(Sensitivity(*one.motor.against, *one.acts(drive.plant.mass, period)) for one in tangents)
+    answers = tuple(Sensitivity(*one.motor.relative, *one.acts(drive.plant.mass, period)) for one in tangents)
     return (*way.end(pair, drive, period), answers)
 
 
 class Transmission(TableEffect):
     """Between motor and table: the motor's force reaches the table through it."""
 
-    place: ClassVar[StepOrder] = StepOrder.BETWEEN
+    order: ClassVar[StepOrder] = StepOrder.TRANSMISSION
 
     @property
     @abc.abstractmethod
@@ -228,7 +232,7 @@ class Transmission(TableEffect):
         """Free within a dead zone, an oscillator in contact, which lasts as long as it pushes."""
         return step_screw(self.screw, state, seen, drive, period)
 
-    def step_along(
+    def step_with_sensitivities(
         self, state: Any, seen: Seen, drive: Drive, period: float
     ) -> tuple[Any, Acts, tuple[Sensitivity, ...]]:
         """`step`, and its answers to the table's velocity and bristle, and to the motor's deflection and its rate."""

@@ -32,11 +32,11 @@ from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.observers.load_estimator import FixedLoad
 from diffdrive.support.resources import require_memory
 
-SETTLING = 0.3  # s of the motion after which filters have found their gains
-HELD = ("covariance", "count", "known", "started")  # no part of a small motion about the steady one
+SETTLING_TIME = 0.3  # s of the motion after which filters have found their gains
+FROZEN = ("covariance", "count", "known", "started")  # no part of a small motion about the steady one
 BALANCING = 8  # sweeps
 MATRICES = 4  # of a loop that are in memory at once: itself, and what solving needs
-APART = 1e-12  # cosine below which left and right eigenvectors tell no derivative: a multiple mode
+MIN_COSINE = 1e-12  # cosine below which left and right eigenvectors tell no derivative: a multiple mode
 
 
 class OperatingPoint(NamedTuple):
@@ -55,7 +55,7 @@ class OpenLoop(eqx.Module):
     period: float = eqx.field(static=True)  # s
 
     @property
-    def closed(self) -> Float[Array, "n n"]:
+    def closed_loop(self) -> Float[Array, "n n"]:
         """The loop's own matrix, when the force asked for acts."""
         return self.a + jnp.outer(self.b, self.c)
 
@@ -68,7 +68,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
     """
     drive = acting.with_machine_effects(drive, drive.effects)
     settled = _settled(drive, controller, sampling, at)
-    held = (*HELD, "load") if _load_is_assumed(controller) else HELD
+    held = (*FROZEN, "load") if _load_is_assumed(controller) else FROZEN
     moving, rebuild = _moving(settled, held)
     _require_room(moving.size, 1)
     reference = Reference(settled.plant.position, at.velocity, 0.0)
@@ -97,7 +97,7 @@ def _steady_force(drive: Drive, at: OperatingPoint) -> Scalar:
 
 
 def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: OperatingPoint) -> LoopState:
-    """The loop after `SETTLING` of the steady motion, with what the controller made of watching it."""
+    """The loop after `SETTLING_TIME` of the steady motion, with what the controller made of watching it."""
     force, velocity = _steady_force(drive, at), at.velocity
     begin = initial_state(drive, controller, jnp.zeros(()))
     level = stribeck_level(drive.friction, velocity, at.load)
@@ -114,7 +114,7 @@ def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: Opera
         reference = Reference(position, velocity, 0.0)
         return controller.step(inside, reference, position, force, sampling.period)[0], None
 
-    count = max(2, round(SETTLING * sampling.rate))
+    count = max(2, round(SETTLING_TIME * sampling.rate))
     way = velocity * sampling.period * jnp.arange(count)
     inside, _ = lax.scan(body, inside, way)
     table = plant.PlantState(velocity * sampling.period * count, velocity + 0.0 * force, deflection + 0.0 * force)
@@ -211,12 +211,14 @@ def growth_rate(loop: OpenLoop) -> Scalar:
 
     Differentiable once, where one mode or one oscillation leads: d(eigenvalue) = l dA r / (l r), by its eigenvectors.
     """
-    matrix = loop.closed
+    matrix = loop.closed_loop
     fixed = lax.stop_gradient(matrix)
     values, left, right = lax.linalg.eig(fixed)
     leads = jnp.argmax(jnp.abs(values))
     value, left, right = values[leads], jnp.conj(left[:, leads]), right[:, leads]
     along = left @ right
-    share = jnp.where(jnp.abs(along) > APART, 1.0, 0.0) / jnp.where(jnp.abs(along) > APART, along * value, 1.0)
+    share = jnp.where(jnp.abs(along) > MIN_COSINE, 1.0, 0.0) / jnp.where(
+        jnp.abs(along) > MIN_COSINE, along * value, 1.0
+    )
     moved = jnp.real(share * (left @ (matrix - fixed) @ right))
     return (jnp.log(jnp.abs(value)) + moved) / loop.period

@@ -18,16 +18,18 @@ from jaxtyping import Array, Bool, Complex, Float
 from diffdrive.loop.linearise import OpenLoop, Response, growth_rate, response
 from diffdrive.model.parameters import Scalar
 
-LOWEST = 0.5  # Hz
-PER_DECADE = 60
+LOWEST_FREQUENCY = 0.5  # Hz
+POINTS_PER_DECADE = 60
 REFINEMENTS, SUBDIVISIONS = 6, 8
-NEUTRAL = 0.2  # 1/s: what grows no faster (a load that is not seen at rest) is not called unstable
+NEUTRAL_GROWTH = 0.2  # 1/s: what grows no faster (a load that is not seen at rest) is not called unstable
 
 
 class Margins(NamedTuple):
     """How far a loop is from instability. Gains are factors, not decibels."""
 
-    growth: Scalar  # 1/s, of the slowest decaying motion; above `NEUTRAL` the loop is unstable, and the rest void
+    growth: (
+        Scalar  # 1/s, of the slowest decaying motion; above `NEUTRAL_GROWTH` the loop is unstable, and the rest void
+    )
     gain_up: Scalar  # factor by which the gain may rise
     gain_down: Scalar  # factor by which the gain may fall, above 1
     phase: Scalar  # rad
@@ -36,9 +38,9 @@ class Margins(NamedTuple):
 
 
 def frequency_grid(rate: float) -> Float[np.ndarray, " f"]:
-    """Where margins are looked for (Hz): from `LOWEST` to half the control rate, where a response is real."""
+    """Where margins are looked for (Hz): from `LOWEST_FREQUENCY` to half the control rate, where a response is real."""
     highest = 0.4999 * rate
-    grid = np.geomspace(LOWEST, highest, int(PER_DECADE * np.log10(highest / LOWEST)))
+    grid = np.geomspace(LOWEST_FREQUENCY, highest, int(POINTS_PER_DECADE * np.log10(highest / LOWEST_FREQUENCY)))
     return np.append(grid, 0.5 * rate)
 
 

@@ -37,7 +37,7 @@ from diffdrive.model.parameters import (
     in_precision_of,
     require_double_precision,
 )
-from diffdrive.motion.load import Ramp, require_resolved, validated_load
+from diffdrive.motion.load import Ramp, require_resolved_friction, validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.once import once
 from diffdrive.numerics.pipeline import require_shorter
@@ -46,7 +46,11 @@ from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.messages import short_repr
 from diffdrive.support.resources import require_memory
 
-GIVEN, KEPT, DOUBLE = 8, 14, 8  # arrays over the samples of a run, those over the kept ones, and bytes of a number
+INPUT_ARRAYS, OUTPUT_ARRAYS, DOUBLE = (
+    8,
+    14,
+    8,
+)  # arrays over the samples of a run, those over the kept ones, and bytes of a number
 
 
 class Inputs(NamedTuple):
@@ -109,7 +113,7 @@ def step_machine(
     machine = acting.with_friction_offset(drive, acts)
     steps = acting.plant_substeps(effects, sampling)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, steps)
-    shift = acts.shift + acting.slope_displacement(drive, push.tilt, sampling.period)
+    shift = acts.shift + acting.slope_displacement(drive, push.slope, sampling.period)
     return moved._replace(position=moved.position + shift), carried, machine
 
 
@@ -150,15 +154,19 @@ def step(
 rematerialised = partial(jax.checkpoint, prevent_cse=False)
 
 
-def _scanned(body: Callable[[Any, Any], tuple[Any, Any]], begin: Any, inputs: Any, kept: int) -> tuple[Any, Any]:
-    """`lax.scan` that in reverse mode keeps the carry of each `kept`-th step and computes the steps between again."""
-    if kept == 1:
+def _scanned(
+    body: Callable[[Any, Any], tuple[Any, Any]], begin: Any, inputs: Any, checkpoint_every: int
+) -> tuple[Any, Any]:
+    """`lax.scan` that in reverse mode keeps each `checkpoint_every`-th carry and computes the steps between again."""
+    if checkpoint_every == 1:
         return lax.scan(rematerialised(body), begin, inputs)
-    if not isinstance(kept, int) or kept < 1:
-        raise ParameterError(f"kept must be a whole number from 1 on, got {kept!r}")
-    whole = len(jax.tree.leaves(inputs)[0]) // kept * kept
-    chunks = jax.tree.map(lambda signal: signal[:whole].reshape(-1, kept, *signal.shape[1:]), inputs)
-    state, frames = lax.scan(rematerialised(lambda state, at: lax.scan(body, state, at, unroll=kept)), begin, chunks)
+    if not isinstance(checkpoint_every, int) or checkpoint_every < 1:
+        raise ParameterError(f"kept must be a whole number from 1 on, got {checkpoint_every!r}")
+    whole = len(jax.tree.leaves(inputs)[0]) // checkpoint_every * checkpoint_every
+    chunks = jax.tree.map(lambda signal: signal[:whole].reshape(-1, checkpoint_every, *signal.shape[1:]), inputs)
+    state, frames = lax.scan(
+        rematerialised(lambda state, at: lax.scan(body, state, at, unroll=checkpoint_every)), begin, chunks
+    )
     frames = jax.tree.map(lambda signal: signal.reshape(whole, *signal.shape[2:]), frames)
     if whole == len(jax.tree.leaves(inputs)[0]):
         return state, frames
@@ -174,13 +182,13 @@ def rollout(
     key: Array | None = None,
     every: int = 1,
     begin: LoopState | None = None,
-    kept: int = 1,
+    checkpoint_every: int = 1,
 ) -> Frame:
     """Roll the loop over `inputs` ([n] each) and record each `every`-th frame: arrays of shape [n // every].
 
     Pure, for use under `jit`, `vmap`, `grad` and `jacfwd`. `key` seeds the sensor noise; without one there is none.
     `begin` is the state to begin from (see `initial_state`); by default at rest where the reference begins. In reverse
-    mode the state of each `kept`-th step is kept: 2 takes half the memory of 1, and longer to compile
+    mode the state of each `checkpoint_every`-th step is kept: 2 takes half the memory of 1, and longer to compile
     (docs/method/numerics.md).
     """
     require_double_precision()
@@ -191,12 +199,12 @@ def rollout(
 
     begin = initial_state(drive, controller, inputs.reference.position[0]) if begin is None else begin
     if every == 1:
-        return _scanned(body, begin, inputs, kept)[1]
+        return _scanned(body, begin, inputs, checkpoint_every)[1]
 
     def block(state: LoopState, chunk: Inputs) -> tuple[LoopState, Frame]:
         state, frame = rematerialised(body)(state, jax.tree.map(lambda signal: signal[0], chunk))
         rest = jax.tree.map(lambda signal: signal[1:], chunk)
-        state, _ = _scanned(lambda s, at: (body(s, at)[0], None), state, rest, kept)
+        state, _ = _scanned(lambda s, at: (body(s, at)[0], None), state, rest, checkpoint_every)
         return state, frame
 
     blocks = len(inputs.load) // every
@@ -212,7 +220,7 @@ class Costs(NamedTuple):
     command_noise: Scalar  # N, RMS of the command's sample-to-sample change over sqrt 2
     load_error: Scalar | None  # N, RMS of the estimated minus the true load; None where no load is estimated
     saturated: Scalar  # share of the samples at which the command exceeded the force limit
-    steps_finite: Scalar  # how many control steps passed before the tracking error left `reach`, or was not finite
+    steps_finite: Scalar  # how many control steps passed before the tracking error left its bound, or was not finite
 
 
 def running_costs(
@@ -223,14 +231,14 @@ def running_costs(
     sampling: Sampling,
     key: Array | None = None,
     ramp: Ramp | None = None,
-    kept: int = 1,
-    reach: Scalar = 1.0,
+    checkpoint_every: int = 1,
+    divergence_bound: Scalar = 1.0,
 ) -> Costs:
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
 
-    `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `kept`: as `rollout`.
-    A loop has diverged whose tracking error is beyond `reach` (m; `run.divergence_bound`). It runs in the precision of
-    the arrays that it is given, all of one kind; its sums are always double.
+    `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `checkpoint_every`: as
+    in `rollout`. A loop whose tracking error is beyond `divergence_bound` (m; see `run.divergence_bound`) has diverged.
+    It runs in the precision of its input arrays, all of one kind; its sums are always double.
 
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
@@ -257,7 +265,8 @@ def running_costs(
             change + follows * jump**2,
             missed + count * astray**2 if known else None,
             limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
-            finite + jnp.where((jnp.abs(error) <= reach) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
+            finite
+            + jnp.where((jnp.abs(error) <= divergence_bound) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
         )
         return (state, frame.command, sums), None
 
@@ -269,7 +278,7 @@ def running_costs(
     missed = None if estimate is None or estimate.load is None else zero
     sums = (zero, zero, zero, missed, zero, jnp.zeros((), jnp.uint32))
     (_, _, (square, largest, change, missed, limited, finite)), _ = _scanned(
-        body, (begin, still, sums), (inputs, counts), kept
+        body, (begin, still, sums), (inputs, counts), checkpoint_every
     )
     total = jnp.sum(counts)
     # reciprocals, once: of a division by the same number in every lane the compiler makes one at its whim
@@ -327,12 +336,12 @@ def simulate(
     require_memory(
         ParameterError,
         f"a run of {len(motion.time)} samples",
-        DOUBLE * len(motion.time) * (GIVEN + KEPT / every),
+        DOUBLE * len(motion.time) * (INPUT_ARRAYS + OUTPUT_ARRAYS / every),
         "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
     )
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = validated_load(drive, loads, motion.time)
-    require_resolved(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
+    require_resolved_friction(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
     possible.require_feasible(drive, possible.motion_envelope(motion.position, motion.velocity, loads, sampling.period))
     for problem in convergence_warnings(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)

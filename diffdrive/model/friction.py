@@ -60,9 +60,9 @@ class LoadedFriction(NamedTuple):
 
     def at(self, velocity: Scalar, deflection: Scalar) -> LuGreCoefficients:
         """The coefficients of eq. (4) at this velocity and bristle deflection."""
-        return self.under_level(self.level(velocity), velocity, deflection)
+        return self.coefficients_at_level(self.level(velocity), velocity, deflection)
 
-    def under_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> LuGreCoefficients:
+    def coefficients_at_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> LuGreCoefficients:
         """The same with a friction level (N) that is known already."""
         stiffness = self.stiffness.towards(deflection)
         return LuGreCoefficients(
@@ -75,18 +75,18 @@ class LoadedFriction(NamedTuple):
 
     def level(self, velocity: Scalar) -> Scalar:
         """Friction level g(v), N."""
-        stribeck = self.gap.towards(velocity) * self.falling(jnp.abs(velocity) * self.halvings.towards(velocity))
+        stribeck = self.gap.towards(velocity) * self.remaining_gap(jnp.abs(velocity) * self.halvings.towards(velocity))
         return self.coulomb.towards(velocity) + stribeck
 
     def levels(self, velocity: Scalar) -> Directional:
         """Friction level g, N, at this speed in either direction."""
         speed = jnp.abs(velocity)
         return Directional(
-            self.coulomb.positive + self.gap.positive * self.falling(speed * self.halvings.positive),
-            self.coulomb.negative + self.gap.negative * self.falling(speed * self.halvings.negative),
+            self.coulomb.positive + self.gap.positive * self.remaining_gap(speed * self.halvings.positive),
+            self.coulomb.negative + self.gap.negative * self.remaining_gap(speed * self.halvings.negative),
         )
 
-    def falling(self, speeds: Scalar) -> Scalar:
+    def remaining_gap(self, speeds: Scalar) -> Scalar:
         """The share of the gap that is left at a speed times `halvings`."""
         return exp2_neg(speeds if self.exponent is None else LOG2_E * bounded_power(speeds, self.exponent))
 
@@ -152,7 +152,7 @@ def relaxation_map(stiffness: Scalar, level: Scalar, velocity: Scalar, duration:
     """`deflection_after` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
     level, bent = once((nan_unless_positive(level), duration * stiffness * jnp.abs(velocity)))
     fade = relaxation(bent, level)
-    share = reciprocal(fade.whole)
+    share = reciprocal(fade.common_denominator)
     return once((fade.end * share, duration * fade.mean * share * velocity))
 
 

@@ -19,9 +19,9 @@ from diffdrive.errors import ParameterError, PrecisionError
 from diffdrive.support.messages import short_repr
 from diffdrive.support.units import in_unit
 
-LONGEST_SUBSTEP, ITS_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
+LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
 # s: the integrator is of second order, and here its error is the rounding of a position of a metre
-FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / ITS_ERROR))
+FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / SUBSTEP_ERROR))
 ROUNDING = 1e-6  # of a width over which something is smoothed: what the rounding of numbers may make of it
 Scalar = Float[Array, ""] | float
 Tree = TypeVar("Tree")
@@ -46,7 +46,7 @@ class Quantity(NamedTuple):
         highs = [bound for bound in (self.below, self.at_most) if bound is not None]
         return max(lows, default=-np.inf), min(highs, default=np.inf)
 
-    def broken_by(self, numbers: Any) -> list[str]:
+    def violated_bounds(self, numbers: Any) -> list[str]:
         """The bounds that not all of these numbers keep, in words."""
         bounds = (
             ("above", self.above, np.greater),
@@ -290,7 +290,7 @@ def check(module: Any, path: str = "") -> None:
                 problems.append(f"{name}{where} must be finite, got {_told(numbers)}")
                 continue
             problems += [
-                f"{name}{where} must be {bound}, got {_told(numbers)}" for bound in declared.broken_by(numbers)
+                f"{name}{where} must be {bound}, got {_told(numbers)}" for bound in declared.violated_bounds(numbers)
             ]
     if problems:
         raise ParameterError("; ".join(problems))

@@ -90,11 +90,11 @@ def _balance(table: _Table, slip: Scalar, deflection: Scalar) -> _Balance:
     level, bent = once((nan_unless_positive(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip))))
     fade = relaxation(bent, level)
     yielding = stiffness * fade.mean_of_mean + damping * fade.mean
-    resisting = table.resistance.towards(slip) * fade.whole + yielding
+    resisting = table.resistance.towards(slip) * fade.common_denominator + yielding
     holding = (stiffness * fade.mean - damping * fade.gone) * (1.0 / table.step)
     holding, per_resistance = once((holding, reciprocal(resisting)))
-    share = reciprocal(fade.whole)
-    return _Balance(fade.whole, holding, per_resistance, fade.end * share, table.step * fade.mean * share)
+    share = reciprocal(fade.common_denominator)
+    return _Balance(fade.common_denominator, holding, per_resistance, fade.end * share, table.step * fade.mean * share)
 
 
 class _Way(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive.errors import MotionError
 from diffdrive.motion.motion import Motion, require_samples
-from diffdrive.motion.size import guarded_arithmetic, require_resolved, require_room
+from diffdrive.motion.size import guarded_arithmetic, require_motion_memory, require_resolved_positions
 
 
 def _positive(motion: str, **values: float) -> None:
@@ -34,7 +34,7 @@ def _dwell(motion: str, dwell: float) -> list[tuple[float, float, float]]:
 
 def _grid(name: str, duration: float, rate: float, *, pieces: int = 0, waves: int = 0) -> np.ndarray:
     _positive("time grid", duration=duration, rate=rate)
-    require_room(name, duration, rate, pieces=pieces, waves=waves)
+    require_motion_memory(name, duration, rate, pieces=pieces, waves=waves)
     samples = round(duration * rate)
     if samples < 2:
         raise MotionError(f"a motion of {duration:g} s at {rate:g} Hz has fewer than three samples: make it longer")
@@ -79,7 +79,7 @@ def _integrated(
     s = time - since
     position = x0 + s * (v0 + s * (a0 / 2 + s * j0 / 6))
     velocity = v0 + s * (a0 + s * j0 / 2)
-    require_resolved(name, position, velocity)
+    require_resolved_positions(name, position, velocity)
     return Motion(time, position, velocity, a0 + s * j0, name)
 
 
@@ -115,7 +115,7 @@ def triangular(
             "stroke, or slow the motion"
         )
     with guarded_arithmetic("triangular motion"):
-        require_room("triangular motion", duration, rate, pieces=2 * int(duration / apart))
+        require_motion_memory("triangular motion", duration, rate, pieces=2 * int(duration / apart))
     pieces = [(rounding / 2, acceleration, 0.0), (max(first - rounding, 0.0), 0.0, 0.0)]
     direction, elapsed = 1.0, first - rounding / 2
     while elapsed < duration:
@@ -177,7 +177,9 @@ def _to_and_fro(
     rest = _dwell(name, dwell)
     with guarded_arithmetic(name):
         cycle = rest + stroke(distance) + rest + stroke(-distance)
-        require_room(name, repeats * sum(length for length, _, _ in cycle), rate, pieces=int(repeats) * len(cycle))
+        require_motion_memory(
+            name, repeats * sum(length for length, _, _ in cycle), rate, pieces=int(repeats) * len(cycle)
+        )
     return _pieces(name, cycle * int(repeats) + rest, rate, start)
 
 
@@ -255,7 +257,7 @@ def _waves(
         position = start + (place - place[0])
         velocity = np.cos(angle) @ (amplitude * omega)
         acceleration = -np.sin(angle) @ (amplitude * omega**2)
-    require_resolved(name, position, velocity)
+    require_resolved_positions(name, position, velocity)
     return Motion(time, position, velocity, acceleration, name)
 
 
@@ -287,7 +289,7 @@ def chirp(
         position = start + amplitude * (1.0 - wave[0])
         velocity = -amplitude * wave[1] * omega
         acceleration = amplitude * (wave[0] * omega**2 - wave[1] * 2 * np.pi * slope)
-    require_resolved("chirp", position, velocity)
+    require_resolved_positions("chirp", position, velocity)
     return Motion(time, position, velocity, acceleration, "chirp")
 
 

@@ -80,7 +80,7 @@ def material_removal(
     return GRAVITY * mass
 
 
-def require_resolved(drive: Drive, highest: Scalar, fastest: float, sampling: Sampling) -> None:
+def require_resolved_friction(drive: Drive, highest: Scalar, fastest: float, sampling: Sampling) -> None:
     """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion.
 
     `highest` is the load (N), `fastest` the speed (m/s); drive and load are numbers, or arrays over machines. A force F

@@ -10,16 +10,16 @@ from diffdrive.support.resources import format_count, require_memory
 
 # Bytes at the worst moment of making a motion (tests/test_motion_size.py measures them): arrays of doubles for each
 # sample, beside these some for each wave of a multisine, and what a piece of constant jerk takes in a list.
-ARRAYS, ARRAYS_A_WAVE, DOUBLE, PIECE = 15, 2, 8, 280
+ARRAYS_PER_SAMPLE, ARRAYS_PER_WAVE, DOUBLE_BYTES, PIECE_BYTES = 15, 2, 8, 280
 
 
-def require_room(name: str, duration: float, rate: float, *, pieces: int = 0, waves: int = 0) -> None:
+def require_motion_memory(name: str, duration: float, rate: float, *, pieces: int = 0, waves: int = 0) -> None:
     """Raise `MotionError` where a motion of `duration` (s) at `rate` (Hz) does not fit into memory.
 
     `pieces` are those of constant jerk, `waves` the sines that are added.
     """
     samples = duration * rate
-    needed = samples * DOUBLE * (ARRAYS + ARRAYS_A_WAVE * waves) + PIECE * pieces
+    needed = samples * DOUBLE_BYTES * (ARRAYS_PER_SAMPLE + ARRAYS_PER_WAVE * waves) + PIECE_BYTES * pieces
     require_memory(
         MotionError,
         f"{name}: {duration:.6g} s at {rate:g} Hz are {format_count(round(samples))} samples, which",
@@ -41,7 +41,7 @@ def guarded_arithmetic(name: str) -> Iterator[None]:
         ) from None
 
 
-def require_resolved(name: str, position: np.ndarray, velocity: np.ndarray) -> None:
+def require_resolved_positions(name: str, position: np.ndarray, velocity: np.ndarray) -> None:
     """Raise `MotionError` where the motion is lost in the rounding of its own positions (m), as from 1e300 m on."""
     travel, farthest = float(np.ptp(position)), float(np.max(np.abs(position)))
     # so that no more than a per mille of the motion is rounding

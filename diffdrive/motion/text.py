@@ -20,7 +20,7 @@ from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import shortened
 from diffdrive.support.units import to_si
 
-SAME_RATE = 1e-6  # relative: what units and rounding make of one rate
+RATE_TOLERANCE = 1e-6  # relative: what units and rounding make of one rate
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
     "constant_speed": motion.constant_speed,
@@ -74,7 +74,7 @@ def number(text: str, unit: str, where: str) -> float:
 def require_same_rate(where: str, other: Axis, believed: Axis) -> None:
     """Raises `ParameterError` for a machine or controller of another control rate: its delays are told in samples."""
     mine, theirs = other.sampling.rate, believed.sampling.rate
-    if abs(mine / theirs - 1.0) > SAME_RATE:
+    if abs(mine / theirs - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
             f"{where}: is sampled at {mine:.10g} Hz, the drive file at {theirs:.10g} Hz: delays are told in samples: "
             "make the rates equal"
@@ -114,18 +114,18 @@ class Recipe:
     """A motion or a load as a line of text tells it: the function that makes it, and its settings in SI units."""
 
     kind: str
-    make: Callable[..., Any]
+    builder: Callable[..., Any]
     units: dict[str, str]
     settings: dict[str, Any]
 
-    def made(self, *grid: np.ndarray, **more: float) -> Any:
+    def build(self, *grid: np.ndarray, **more: float) -> Any:
         """A load on a grid of times, or a motion at a `rate`; settings that are given here replace its own."""
-        return self.make(*grid, **self.settings | more)
+        return self.builder(*grid, **self.settings | more)
 
     def numbers(self) -> dict[str, tuple[str, float]]:
         """The settings that are one number which may take any value, with unit and value; defaults are among them."""
         found = {}
-        for name, parameter in inspect.signature(self.make).parameters.items():
+        for name, parameter in inspect.signature(self.builder).parameters.items():
             value = self.settings.get(name, parameter.default)
             if name in self.units and isinstance(value, int | float) and parameter.annotation is not int:
                 found[name] = (self.units[name], float(value))
@@ -170,7 +170,7 @@ def parse_motion(text: str, rate: float) -> Motion:
     """A motion from its recipe, or from a CSV file (`motion_file`)."""
     recipe = motion_recipe(text)
     if recipe is not None:
-        return recipe.made(rate=rate)
+        return recipe.build(rate=rate)
     path = Path(text)
     if not path.is_file():
         raise MotionError(f"--motion: '{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
@@ -180,7 +180,7 @@ def parse_motion(text: str, rate: float) -> Motion:
 def parse_load(text: str, time: np.ndarray) -> np.ndarray:
     """A load from its recipe, or from a number (N)."""
     recipe = load_recipe(text)
-    return load.constant(time, number(text, "N", "--load")) if recipe is None else recipe.made(time)
+    return load.constant(time, number(text, "N", "--load")) if recipe is None else recipe.build(time)
 
 
 def require_choice(option: str, what: str, given: str, known: Iterable[str]) -> None:

@@ -18,10 +18,10 @@ from diffdrive.model.parameters import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import polynomial
 
-FARTHEST = 670.0  # exp(-670) is 1e-291: as good as nothing, and still a normal number
-FARTHEST_SINGLE = 70.0  # the same for a float: exp(-70) is 4e-31
-LEAST_BASE = 1e-12  # below it a power is none
-MOST_RAISED = 40.0  # two to this is as much as a power is told
+MAX_ARGUMENT = 670.0  # exp(-670) is 1e-291: as good as nothing, and still a normal number
+MAX_ARGUMENT_SINGLE = 70.0  # the same for a float: exp(-70) is 4e-31
+MIN_BASE = 1e-12  # below it a power is none
+MAX_LOG2_POWER = 40.0  # two to this is as much as a power is told
 LOG2_E, LN2 = math.log2(math.e), math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first has 20 trailing zero bits
 _LN2_HIGH_SINGLE, _LN2_LOW_SINGLE = 0.693359375, -2.12194440e-4  # the first has 14 trailing zero bits
@@ -61,7 +61,7 @@ def exp_neg_parts(x: Scalar) -> ExpNegParts:
     """exp(-x) with its parts; its derivatives are the caller's."""
     single = _single(x)
     high, low = (_LN2_HIGH_SINGLE, _LN2_LOW_SINGLE) if single else (_LN2_HIGH, _LN2_LOW)
-    x = jnp.minimum(x, FARTHEST_SINGLE if single else FARTHEST)
+    x = jnp.minimum(x, MAX_ARGUMENT_SINGLE if single else MAX_ARGUMENT)
     shifted, n = _nearest(x * LOG2_E)
     r = (n * high - x) + n * low
     r2, near, far = _series(r)
@@ -71,12 +71,12 @@ def exp_neg_parts(x: Scalar) -> ExpNegParts:
 
 @jax.custom_jvp
 def exp2_neg(y: Scalar) -> Scalar:
-    """2^-y in the precision of y, from -`MOST_RAISED` on; NaN stays NaN. Any order of derivative.
+    """2^-y in the precision of y, from -`MAX_LOG2_POWER` on; NaN stays NaN. Any order of derivative.
 
     A lane by itself waits for each result. So y is told from n by a subtraction, its bound is kept last, and 2^-n
     multiplies the parts of the polynomial while the rest of it is under way.
     """
-    most = (FARTHEST_SINGLE if _single(y) else FARTHEST) * LOG2_E
+    most = (MAX_ARGUMENT_SINGLE if _single(y) else MAX_ARGUMENT) * LOG2_E
     shifted, n = _nearest(y)
     scale, r = _power(shifted), (n - y) * LN2
     r2, near, far = _series(r)
@@ -94,18 +94,18 @@ def _halving_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Sca
 @jax.custom_jvp
 def bounded_power(y: Scalar, power: Scalar) -> Scalar:
     """y^power of y >= 0, at most 2^40, with slopes that are finite at y = 0 also where the power is below one."""
-    told = y >= LEAST_BASE  # and no NaN, which stays one
-    above = jnp.minimum(power * _log2(jnp.where(told, y, 1.0)), MOST_RAISED)
+    told = y >= MIN_BASE  # and no NaN, which stays one
+    above = jnp.minimum(power * _log2(jnp.where(told, y, 1.0)), MAX_LOG2_POWER)
     return jnp.where(told, exp2_neg(-above), 0.0 * y)
 
 
 @bounded_power.defjvp
 def _raised_slope(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
     (y, power), (along_y, along_power) = primals, tangents
-    small = y < LEAST_BASE
+    small = y < MIN_BASE
     safe = jnp.where(small, 1.0, y)  # keeps the branch not taken, and its derivative, finite
     end = bounded_power(y, power)
-    told = jnp.where(small | (end >= 2.0**MOST_RAISED), 0.0, end)
+    told = jnp.where(small | (end >= 2.0**MAX_LOG2_POWER), 0.0, end)
     # XLA's logarithm, since a second derivative needs the slope of it
     end, by_y, by_power = once((end, told * power / safe, told * jnp.log(safe)))
     return end, by_y * along_y + by_power * along_power

@@ -33,7 +33,7 @@ NEAR = 0.05
 class Relaxation(NamedTuple):
     """Shares of `whole`, of which they are the numerators; x = top / bottom."""
 
-    whole: Scalar
+    common_denominator: Scalar
     end: Scalar  # exp(-x)
     gone: Scalar  # 1 - exp(-x)
     mean: Scalar  # (1 - exp(-x)) / x

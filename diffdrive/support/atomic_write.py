@@ -8,15 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-FULL = (errno.ENOSPC, errno.EDQUOT)  # no room is left
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT)  # no room is left
 # how the names of temporary files begin and end: hidden, and with no extension of a result, so that whoever looks for
 # results passes over them
-TEMPORARY, ENDING = ".diffdrive-", ".tmp"
+PREFIX, SUFFIX = ".diffdrive-", ".tmp"
 
 
 def temporary_beside(path: Path) -> Path:
     """A name beside `path` that no other write has."""
-    return path.with_name(f"{TEMPORARY}{secrets.token_hex(8)}{ENDING}")
+    return path.with_name(f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}")
 
 
 @contextlib.contextmanager
@@ -51,5 +51,5 @@ def write_text(path: str | Path, text: str) -> None:
 
 def remove_temporary(folder: Path) -> None:
     """Remove what writes left behind whose processes were killed; only where no other process writes to `folder`."""
-    for path in folder.glob(f"{TEMPORARY}*{ENDING}"):
+    for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         path.unlink(missing_ok=True)

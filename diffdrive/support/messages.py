@@ -6,11 +6,11 @@ import unicodedata
 from collections.abc import Collection
 from typing import Any
 
-MOST_LISTED = 30  # names; of more, the nearest ones say more than the first
+MAX_LISTED = 30  # names; of more, the nearest ones say more than the first
 NEAREST = 5
-LONGEST = 60  # characters of one name or value
+MAX_LENGTH = 60  # characters of one name or value
 
-_REPR = reprlib.Repr(maxlevel=3, maxlist=6, maxdict=4, maxstring=LONGEST, maxlong=40, maxother=LONGEST)
+_REPR = reprlib.Repr(maxlevel=3, maxlist=6, maxdict=4, maxstring=MAX_LENGTH, maxlong=40, maxother=MAX_LENGTH)
 
 
 def printable(text: str) -> str:
@@ -33,17 +33,17 @@ def _written_out(character: str) -> str:
 
 def short_repr(value: Any) -> str:
     """`repr` of a value, shortened: a list of a thousand lists, or a number of 400 digits, is known by its ends."""
-    return shortened(_REPR.repr(value), 2 * LONGEST)
+    return shortened(_REPR.repr(value), 2 * MAX_LENGTH)
 
 
-def shortened(text: str, longest: int = LONGEST) -> str:
+def shortened(text: str, longest: int = MAX_LENGTH) -> str:
     """A text with its middle left out where it is long."""
     return text if len(text) <= longest else f"{text[: longest - 20]}...{text[-17:]}"
 
 
 def quoted_names(names: Collection[str], wanted: str = "", what: str = "names") -> str:
     """Names in quotes, all of them where they are few; of many how many there are, and those near `wanted`."""
-    if len(names) <= MOST_LISTED:
+    if len(names) <= MAX_LISTED:
         return ", ".join(f"'{shortened(name)}'" for name in names)
     near = difflib.get_close_matches(wanted, names, n=NEAREST)
     if near:

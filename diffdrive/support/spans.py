@@ -3,11 +3,11 @@
 import math
 from collections.abc import Sequence
 
-SHOWN = 2  # digits of half an interval's width (GUM, 7.2.6)
-WITHOUT = 4  # digits of a number without an interval
-MOST = 8  # digits of any number
-FIXED = (1e-4, 1e7)  # written without a power of ten
-SMALLER = {
+INTERVAL_DIGITS = 2  # digits of half an interval's width (GUM, 7.2.6)
+PLAIN_DIGITS = 4  # digits of a number without an interval
+MAX_DIGITS = 8  # digits of any number
+FIXED_RANGE = (1e-4, 1e7)  # written without a power of ten
+SUBMULTIPLES = {
     "m": ((1e-4, 1e6, "um"), (1.0, 1e3, "mm")),
     "m/s": ((1.0, 1e3, "mm/s"),),
     "s": ((1e-4, 1e6, "us"), (0.1, 1e3, "ms")),
@@ -19,13 +19,13 @@ Span = tuple[float, float | None, float | None]  # a number, and its interval wh
 def format_span(span: Span) -> tuple[str, str, str]:
     """The number and the ends of its interval, all to the same place; "-" for an end that is not known."""
     value, low, high = span
-    half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{SHOWN - 1}e}")
+    half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{INTERVAL_DIGITS - 1}e}")
     if value is None or not (math.isfinite(value) and 0.0 < half < math.inf):
-        at, low_said, high_said = ("-" if one is None else f"{one:.{WITHOUT}g}" for one in span)
+        at, low_said, high_said = ("-" if one is None else f"{one:.{PLAIN_DIGITS}g}" for one in span)
         return at, low_said, high_said
     largest = max(abs(one) for one in span if one is not None)
-    last = max(_place(half) - SHOWN + 1, _place(largest) - MOST + 1)
-    fixed = FIXED[0] <= largest < FIXED[1]
+    last = max(_place(half) - INTERVAL_DIGITS + 1, _place(largest) - MAX_DIGITS + 1)
+    fixed = FIXED_RANGE[0] <= largest < FIXED_RANGE[1]
     at, low_said, high_said = ("-" if one is None else _to_place(one, last, fixed) for one in span)
     return at, low_said, high_said
 
@@ -41,7 +41,7 @@ def format_spans(spans: Sequence[Span], unit: str) -> str:
 def rescaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:
     """The same in millimetres, micrometres or milliseconds where the largest is small for its unit."""
     largest = max((abs(one) for span in spans for one in span if one is not None), default=0.0)
-    for below, factor, smaller in SMALLER.get(unit, ()):
+    for below, factor, smaller in SUBMULTIPLES.get(unit, ()):
         if 0.0 < largest < below:
             return [tuple(None if one is None else factor * one for one in span) for span in spans], smaller  # type: ignore[misc]
     return spans, unit

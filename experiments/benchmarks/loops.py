@@ -118,7 +118,7 @@ def costs(drive: Drive, controller: Controller, given: Inputs, sampling: Samplin
 
     def of(drive: Drive, controller: Controller, factor: Any) -> Any:
         now = given._replace(load=factor * given.load)
-        return running_costs(drive, controller, now, counts, sampling, kept=kept).rms
+        return running_costs(drive, controller, now, counts, sampling, checkpoint_every=kept).rms
 
     return of
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from diffdrive.support.atomic_write import FULL
+from diffdrive.support.atomic_write import NO_SPACE
 from diffdrive.support.messages import printable
 from experiments.cli.drives import drives
 from experiments.cli.ending import INTERRUPTED, out_of, watched
@@ -81,7 +81,7 @@ def _expected(error: Console) -> None:
         error.print(f"error: {problem}", style="red", soft_wrap=True)
         sys.exit(2)
     except OSError as problem:
-        if problem.errno not in FULL:
+        if problem.errno not in NO_SPACE:
             raise
         error.print(
             "error: no room is left on the disk: make some, or name another folder; what was written so far stays, and "

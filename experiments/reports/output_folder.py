@@ -9,7 +9,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from diffdrive.errors import ParameterError
-from diffdrive.support.atomic_write import FULL, remove_temporary, temporary_beside
+from diffdrive.support.atomic_write import NO_SPACE, remove_temporary, temporary_beside
 
 LOCK = ".diffdrive.lock"
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)  # of file systems that know none
@@ -70,7 +70,7 @@ class OutputFolder:
                 f"--out {self.path}: another run is writing to this folder; wait until it has ended, or name another"
             ) from None
         except OSError as problem:
-            if problem.errno in FULL:
+            if problem.errno in NO_SPACE:
                 raise
             if problem.errno not in NO_LOCKS:  # it may be another user's
                 raise self._unwritable(problem) from None
@@ -151,7 +151,7 @@ class ReservedFile:
                 self._temporary, self._size = None, 0
                 return k
             except OSError as problem:
-                if problem.errno not in FULL or k == len(texts) - 1:
+                if problem.errno not in NO_SPACE or k == len(texts) - 1:
                     self.discard()
                     raise
         raise ValueError("no text to write")

@@ -89,11 +89,11 @@ def exposure(
                 table.friction,
                 load,
                 pushed,
-                lacking=table.lacking,
+                disturbance=table.lacking,
             )
             states, acts = acting.table_action(effects, states, seen, machine, period)
             scale = acting.scale_error(effects, table.position)
-            shift = acts.shift + sum(acting.slope_displacement(machine, push.tilt, period / parts) for push in pushes)
+            shift = acts.shift + sum(acting.slope_displacement(machine, push.slope, period / parts) for push in pushes)
             beside = pushed + acts.force
             one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
             return states, Exposure(*(value + 0.0 * force for value in one), ripple)

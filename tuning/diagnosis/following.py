@@ -105,10 +105,13 @@ def _begun(
     def step(states: Any, at: Any) -> tuple[Any, Any]:
         count, acts, load, table, travel = at
         seen, machine = acts.seen(count * period, table, load), acting.with_friction_offset(drive, acts)
-        ahead = (one.along(state, seen, travel, machine, period) for one, state in zip(lasting, states, strict=True))
+        ahead = (
+            one.state_after_travel(state, seen, travel, machine, period)
+            for one, state in zip(lasting, states, strict=True)
+        )
         return tuple(ahead), states
 
-    lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.remembers)
+    lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.has_memory)
     count, travel = jnp.arange(len(load), dtype=load.dtype), jnp.diff(course.position, append=course.position[-1:])
     along = lax.scan(step, acting.initial_states(lasting, under.force[0]), (count, under, load, course, travel))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))

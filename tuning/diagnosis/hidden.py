@@ -32,7 +32,7 @@ def unknown(effects: Effects, drive: Drive, force: Scalar) -> tuple[Scalar, ...]
     which = screw_of(effects)
     if which is None:
         return ()
-    return (effects[which].screw.looseness(drive, force) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
+    return (effects[which].screw.lost_motion(drive, force) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
 
 
 def jolted(effects: Effects, jolt: Scalar) -> tuple[Scalar, ...]:
@@ -44,7 +44,7 @@ def jolted(effects: Effects, jolt: Scalar) -> tuple[Scalar, ...]:
 def read(effects: Effects, states: States) -> tuple[Scalar, ...]:
     """Deflection (m) and rate (m/s) of the motor against the table."""
     which = screw_of(effects)
-    return () if which is None else tuple(states[which].against)
+    return () if which is None else tuple(states[which].relative)
 
 
 def regained(
@@ -56,7 +56,7 @@ def regained(
     which = screw_of(effects)
     if which is None:
         return ()
-    side, (deflection, rate) = effects[which].screw.looseness(drive, force), motor
+    side, (deflection, rate) = effects[which].screw.lost_motion(drive, force), motor
     return jnp.where(lost, jnp.clip(deflection, -side, side), deflection), jnp.where(lost, 0.0, rate)
 
 
@@ -66,7 +66,7 @@ def written(effects: Effects, states: States, found: tuple[Scalar, ...]) -> Stat
     if which is None:
         return states
     motor = states[which]
-    motor = motor._replace(against=type(motor.against)(*found))
+    motor = motor._replace(relative=type(motor.relative)(*found))
     return (*states[:which], motor, *states[which + 1 :])
 
 
@@ -80,7 +80,7 @@ def stepped(
         return states, acts, ()
     others, theirs = ((*some[:which], *some[which + 1 :]) for some in (effects, states))
     theirs, acts, before = acting.table_action_in_order(others, theirs, seen, drive, period)
-    motor, own, answers = effects[which].step_along(states[which], *before, period)
+    motor, own, answers = effects[which].step_with_sensitivities(states[which], *before, period)
     return (*theirs[:which], motor, *theirs[which:]), acts.plus(own), answers
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.forces import EDGE, FrameVibration, ProcessForce
+from diffdrive.effects.forces import EDGE_TIME, FrameVibration, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
 from tuning.diagnosis.calibration import NAMES
@@ -63,7 +63,7 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
         wide = NORMAL * np.hypot(spread[k], trusted * _whole(one, u))
         value, low, high = one.value(u), one.value(u - wide), one.value(u + wide)
         if candidate.effect in (AppliedLoad, ProcessForce) and name in ("start", "end") and log is not None:
-            edge = float(values_of.get("edge", np.full(log + 1, EDGE))[log])
+            edge = float(values_of.get("edge", np.full(log + 1, EDGE_TIME))[log])
             low, high = _through_rests(fitted, log, low - 0.5 * edge, high + 0.5 * edge)
         if candidate.effect is LoopDelay:
             value, low, high = (fitted.model.logged.thinning * number for number in (value, low, high))

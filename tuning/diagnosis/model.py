@@ -166,7 +166,7 @@ class Model:
             fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(member.candidate.effect)}
             if member.candidate.effect is LoopDelay:
                 continue
-            if any(fields[one.name].broken_by(values[one.name]) for one in member.candidate.parameters):
+            if any(fields[one.name].violated_bounds(values[one.name]) for one in member.candidate.parameters):
                 return False
             if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts):
                 return False

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop
-from diffdrive.loop.margins import NEUTRAL, Margins, margins
+from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from diffdrive.observers.convergence import convergence_gain, innovation_load_observer
@@ -89,8 +89,8 @@ class Constraints(eqx.Module):
     def of_loop(self, controller: Controller) -> dict[str, Float[Array, " p"]]:
         """Requirements on the loop alone, by name: no simulation is needed."""
         found, limits = self.margins(controller), self.limits
-        grows = (found.growth - NEUTRAL) / UNSTABLE
-        stable = found.growth < NEUTRAL
+        grows = (found.growth - NEUTRAL_GROWTH) / UNSTABLE
+        stable = found.growth < NEUTRAL_GROWTH
 
         def asked(excess: Array, at_most: Array | float) -> Array:
             # an unstable loop has no margins: it misses them by as much as a loop at the brink of instability

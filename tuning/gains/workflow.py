@@ -13,7 +13,7 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
-from diffdrive.loop.margins import NEUTRAL, Margins
+from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Friction, Sampling, as_arrays
 from diffdrive.motion.motion import Motion
@@ -229,7 +229,7 @@ class WorstMargins(NamedTuple):
         gain = float(np.min([np.min(margins.gain_up), np.min(margins.gain_down)]))
         return cls(
             20.0 * float(np.log10(gain)), float(np.degrees(np.min(margins.phase))),
-            float(np.max(margins.sensitivity)), bool(np.max(margins.growth) < NEUTRAL),
+            float(np.max(margins.sensitivity)), bool(np.max(margins.growth) < NEUTRAL_GROWTH),
         )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.runtime import arithmetic
+from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.atomic_write import atomic_write, remove_temporary
 from tuning.store.edition import edition
 from tuning.store.store import Arrays, digest
@@ -22,7 +22,7 @@ class KeptParts:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.found = 0  # parts that were there
-        self._of = digest(edition(), arithmetic())
+        self._of = digest(edition(), arithmetic_signature())
         self._lock = threading.Lock()
         remove_temporary(folder)  # of a run that was killed as it wrote
 

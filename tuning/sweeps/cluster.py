@@ -11,7 +11,7 @@ from concurrent.futures import CancelledError
 from typing import Any
 
 from diffdrive.errors import ParameterError
-from diffdrive.support.atomic_write import FULL
+from diffdrive.support.atomic_write import NO_SPACE
 from tuning.sweeps.parts import Computed, Engine, Say
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.spec import SweepSpec, to_text
@@ -91,7 +91,7 @@ def on_cluster(asked: SweepSpec, address: str) -> Engine:
             try:
                 yield from parts()
             except (CancelledError, OSError) as problem:
-                if isinstance(problem, OSError) and problem.errno in FULL:
+                if isinstance(problem, OSError) and problem.errno in NO_SPACE:
                     raise  # of this machine's disk: nobody is lost
                 raise ParameterError(
                     f"{where} is lost ({problem}); the parts that were done are kept: the same command goes on there"

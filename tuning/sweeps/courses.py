@@ -79,8 +79,8 @@ class Courses:
             for of in ("motion.", "load.")
         )
         if recipe is not None and of_motion:
-            motion = recipe.made(rate=self.rate, **of_motion)
-        loads = parse_load(self.load, motion.time) if self._load is None else self._load.made(motion.time, **of_load)
+            motion = recipe.build(rate=self.rate, **of_motion)
+        loads = parse_load(self.load, motion.time) if self._load is None else self._load.build(motion.time, **of_load)
         return MachineCourse(motion, loads)
 
 

@@ -51,7 +51,9 @@ def _costs(
             drive = eqx.combine(lane.drive, fixed)
             own = course if lane.course is None else lane.course
             inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
-            return running_costs(drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, reach=own.reach)
+            return running_costs(
+                drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, divergence_bound=own.reach
+            )
 
         return jax.lax.map(one, lanes, batch_size=block(lanes.course is not None))
 

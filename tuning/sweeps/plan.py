@@ -19,10 +19,10 @@ from diffdrive.effects.possible import limits_envelope, motion_envelope, require
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.simulate import Costs
 from diffdrive.model.parameters import Drive, require_double_precision
-from diffdrive.motion.load import Ramp, require_resolved
+from diffdrive.motion.load import Ramp, require_resolved_friction
 from diffdrive.motion.motion import Motion, require_within
-from diffdrive.motion.text import SAME_RATE, Recipe, load_recipe, parse_load, require_longer_than
-from diffdrive.runtime import arithmetic
+from diffdrive.motion.text import RATE_TOLERANCE, Recipe, load_recipe, parse_load, require_longer_than
+from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import edition
 from tuning.sweeps.courses import Courses, MachineCourse, at_corners, for_all, for_each, of_a_course, settings
@@ -89,7 +89,7 @@ class SweepPlan:
             if not plan._varies("motion"):  # else none of the machines may run that one
                 require_within(motion, axis.limits)
                 require_longer_than(plan.settle, name, motion)
-            if abs(motion.rate / axis.sampling.rate - 1.0) > SAME_RATE:
+            if abs(motion.rate / axis.sampling.rate - 1.0) > RATE_TOLERANCE:
                 raise ParameterError(
                     f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
                     "make them equal"
@@ -153,7 +153,7 @@ class SweepPlan:
         require_feasible(machine, self._envelope)
         highest = self._highest + ramp.load + np.maximum(ramp.change, 0.0)
         try:
-            require_resolved(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
+            require_resolved_friction(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
         except MotionError as problem:
             raise ParameterError(str(problem)) from None
         return machine, ramp
@@ -329,7 +329,7 @@ class SweepPlan:
             ).encode()
         )
         asked = [
-            arithmetic(),
+            arithmetic_signature(),
             self.method,
             self.seed,
             self.samples,

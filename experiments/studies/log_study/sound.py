@@ -148,7 +148,7 @@ def _motor_deflection(drive: Drive, controller: Controller, inputs: Inputs, samp
     drive = acting.with_machine_effects(drive, drive.effects)
 
     def body(state: Any, at: Inputs) -> tuple[Any, Any]:
-        return step(drive, controller, sampling, key, state, at)[0], state.effects[0].against.deflection
+        return step(drive, controller, sampling, key, state, at)[0], state.effects[0].relative.deflection
 
     return lax.scan(body, initial_state(drive, controller, inputs.reference.position[0]), inputs)[1]
 

@@ -165,7 +165,7 @@ def test_a_command_is_limited_before_it_is_late_or_lags(behind):
     found = acting.actuator_output(effects, states, jnp.asarray(1000.0), 1e-3)[1]
     expected = behind.step(alone, jnp.asarray(100.0), 1e-3)[1]
     assert found.mean == pytest.approx(expected.mean)
-    assert found.tilt == pytest.approx(expected.tilt)
+    assert found.slope == pytest.approx(expected.slope)
 
 
 @pytest.mark.parametrize(("gain", "own", "most"), [(1.0, None, 50.0), (-0.5, None, 200.0), (-0.5, 150.0, 150.0)])
@@ -254,7 +254,7 @@ def test_a_ripple_of_the_force_moves_the_motor_within_its_gap():
 
     def deflected(force, ripple):
         seen = acting.seen_by(bare, 0.0, 0.0, 0.0, 0.0, force, 0.0, 0.0)._replace(ripple=ripple)
-        return effect.step(effect.init(), seen, bare, period)[0].against
+        return effect.step(effect.init(), seen, bare, period)[0].relative
 
     level, rippled = deflected(5.0, None), deflected(5.0, ripple)
     part = period / len(ripple)

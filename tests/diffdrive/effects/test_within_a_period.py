@@ -165,7 +165,7 @@ def test_elements_stretch_alike_by_forces_and_by_a_known_travel(rate, allowed):
             acting.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
         )
         moved = moved._replace(position=moved.position + acts.shift)
-        other = effect.along(other, seen, moved.position - table.position, drive, period)
+        other = effect.state_after_travel(other, seen, moved.position - table.position, drive, period)
         return (moved, ahead, other), (jnp.stack(ahead), jnp.stack(other))
 
     begin = (at_rest(0.0), effect.init(), effect.init())
@@ -234,8 +234,8 @@ def test_a_force_that_something_else_holds_moves_nothing(effect):
     """An observer that finds the table at rest although it is pushed: no element is stretched, and the contact ages."""
     drive, period = as_arrays(DRIVE), 5e-4
     seen = acting.seen_by(drive, 0.0, 0.0, 0.0, 0.0, 20.0, 0.0, LOAD)
-    pushes = seen.pushes(drive)
-    state, acts = effect.step(effect.init(), seen._replace(lacking=-20.0 - pushes), drive, period)
+    pushes = seen.external_force(drive)
+    state, acts = effect.step(effect.init(), seen._replace(disturbance=-20.0 - pushes), drive, period)
     still, none = effect.step(effect.init(), seen._replace(force=-pushes), drive, period)
     np.testing.assert_allclose(state, still, rtol=1e-12, atol=1e-15)
     assert float(acts.force) == float(none.force) == 0.0

@@ -211,7 +211,7 @@ def by_the_gain(kept, every):
 
     def cost(kp):
         tuned = eqx.tree_at(lambda c: c.tracking.gains.kp, controller, kp)
-        frames = rollout(drive, tuned, inputs, Sampling(substeps=1), jax.random.key(0), every, kept=kept)
+        frames = rollout(drive, tuned, inputs, Sampling(substeps=1), jax.random.key(0), every, checkpoint_every=kept)
         wanted = inputs.reference.position[: len(frames.position) * every : every]
         return metrics.rms(wanted - frames.position)
 

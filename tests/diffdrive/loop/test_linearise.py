@@ -228,7 +228,7 @@ def shifts_by_covariances(name, point):
 def test_covariances_move_no_mode_where_the_model_is_exact(name, point):
     """With all that a control step carries, and elsewhere on the table's way, the modes are those of the loop."""
     modes, moved = shifts_by_covariances(name, point)
-    expected = np.linalg.eigvals(loop_of(name, point).closed)
+    expected = np.linalg.eigvals(loop_of(name, point).closed_loop)
     for mode in expected[np.abs(expected) > 0.05]:  # a delay's zeros are multiple: no solver finds them to 1e-6
         assert np.min(np.abs(modes - mode)) < 1e-6
     assert np.max(np.abs(moved)) < 1e-6

@@ -12,7 +12,7 @@ import pytest
 from diffdrive.controllers import PD, Reference
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
-from diffdrive.loop.margins import NEUTRAL, Margins, margins
+from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.simulate import Inputs, initial_state, rollout
 from diffdrive.model.friction import steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Plant, Sampling, as_arrays
@@ -106,7 +106,7 @@ def test_phase_margins_are_those_of_the_notes():
 def test_growth_is_that_of_the_spectral_radius(name):
     for point in range(len(VELOCITIES)):
         loop = loop_of(name, point)
-        radius = np.max(np.abs(np.linalg.eigvals(loop.closed)))
+        radius = np.max(np.abs(np.linalg.eigvals(loop.closed_loop)))
         np.testing.assert_allclose(growth(loop), np.log(radius) / PERIOD, rtol=1e-6, atol=1e-4)
 
 
@@ -282,8 +282,8 @@ def test_an_unstable_loop_is_called_so():
     """The paper's PD with a hundred times its gains, and any loop at standstill: a bristle is neutral there."""
     loop = loop_of("PD", 4)
     assert margins_at("PD", 4).growth < 0.0
-    assert growth(with_gain(loop, 100.0)) > 100.0 * NEUTRAL
-    assert abs(growth(loop_of("PD+FC+LS", 0))) < 1e-3 * NEUTRAL
+    assert growth(with_gain(loop, 100.0)) > 100.0 * NEUTRAL_GROWTH
+    assert abs(growth(loop_of("PD+FC+LS", 0))) < 1e-3 * NEUTRAL_GROWTH
 
 
 def test_an_oscillation_that_leads_has_its_derivative():
@@ -308,7 +308,7 @@ def test_a_gain_margin_at_half_the_control_rate():
     up, _ = gains_that_hold(loop)
     assert up < 2.0
     np.testing.assert_allclose(jax.jit(margins)(loop).gain_up, up, rtol=1e-5)
-    modes = np.linalg.eigvals(with_gain(loop, up).closed)
+    modes = np.linalg.eigvals(with_gain(loop, up).closed_loop)
     np.testing.assert_allclose(modes[np.argmax(np.abs(modes))], -1.0, rtol=1e-5)
 
 

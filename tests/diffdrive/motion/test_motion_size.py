@@ -51,7 +51,7 @@ def test_a_strange_setting_makes_a_sound_motion_or_one_line(name, key, value, li
     began = time.perf_counter()
     made, said = None, ""
     try:
-        made = recipe.made(**{"rate": RATE, key: asked})
+        made = recipe.build(**{"rate": RATE, key: asked})
     except MotionError as problem:
         said = str(problem)
     assert time.perf_counter() - began < SECONDS
@@ -62,7 +62,7 @@ def test_a_strange_setting_makes_a_sound_motion_or_one_line(name, key, value, li
         return
     assert isinstance(made, Motion)
     assert all(np.all(np.isfinite(one)) for one in (made.position, made.velocity, made.acceleration))
-    assert len(made.time) * 8 * motion_size.ARRAYS < 60e6
+    assert len(made.time) * 8 * motion_size.ARRAYS_PER_SAMPLE < 60e6
 
 
 @pytest.mark.parametrize(("name", "text"), SENSIBLE.items())
@@ -70,9 +70,9 @@ def test_a_motion_takes_the_memory_that_is_reckoned_with(name, text, monkeypatch
     reckoned = []
     monkeypatch.setattr(motion_size, "require_memory", lambda *asked: reckoned.append(asked[2]))
     long = {"duration": 5.0} if "duration" in text else {"dwell": 1.0}
-    motion_recipe(f"{name}:{text}").made(rate=1000.0)  # what is imported once counts for nothing
+    motion_recipe(f"{name}:{text}").build(rate=1000.0)  # what is imported once counts for nothing
     tracemalloc.start()
-    motion_recipe(f"{name}:{text}").made(rate=20_000.0, **long)
+    motion_recipe(f"{name}:{text}").build(rate=20_000.0, **long)
     taken = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert 0.5 * reckoned[-1] < taken < 1.1 * reckoned[-1]
@@ -100,4 +100,4 @@ def test_a_motion_takes_the_memory_that_is_reckoned_with(name, text, monkeypatch
 )
 def test_what_a_motion_would_take_is_said(text, says, little_memory):
     with pytest.raises(MotionError, match=says):
-        motion_recipe(text).made(rate=RATE)
+        motion_recipe(text).build(rate=RATE)

@@ -22,7 +22,9 @@ levels = st.floats(1e-3, 1e5)
 def test_means_are_those_of_what_is_left(top, bottom):
     """m1 = (1 - e) / x and m2 = (1 - m1) / x, from stick to any traverse: nothing cancels."""
     found = relaxation(jnp.asarray(top), jnp.asarray(bottom))
-    whole, end, mean, mean_of_mean = (float(one) for one in (found.whole, found.end, found.mean, found.mean_of_mean))
+    whole, end, mean, mean_of_mean = (
+        float(one) for one in (found.common_denominator, found.end, found.mean, found.mean_of_mean)
+    )
     x = top / bottom
     assert 0.0 <= end / whole <= 1.0
     assert 0.0 < mean_of_mean / whole <= 0.5 * (1.0 + 1e-15)
@@ -34,7 +36,7 @@ def test_means_are_those_of_what_is_left(top, bottom):
 @pytest.mark.parametrize("x", [0.0, 1e-12, 1e-6, 1e-3, 0.03, 0.1, 0.3])
 def test_it_is_the_exponential_to_the_fifth_order(x):
     found = relaxation(jnp.asarray(70.0 * x), jnp.asarray(70.0))
-    off = float(found.end / found.whole) / np.exp(-x) - 1.0
+    off = float(found.end / found.common_denominator) / np.exp(-x) - 1.0
     assert abs(off - x**5 / 120.0) < 0.35 * x**6 + 1e-15  # the first term left out, and what follows it
 
 
@@ -73,7 +75,7 @@ def test_slopes_of_first_and_second_order_are_those_of_differences(at, part):
 
     def ratio(pair):
         found = relaxation(pair[0], pair[1])
-        return found[part] * reciprocal(found.whole)
+        return found[part] * reciprocal(found.common_denominator)
 
     size = max(at)
     at, step = jnp.asarray(at), 1e-5 * size
@@ -93,7 +95,7 @@ def test_there_are_derivatives_of_higher_orders():
 
     def end(x):
         found = relaxation(x, jnp.asarray(1.0))
-        return found.end * reciprocal(found.whole)
+        return found.end * reciprocal(found.common_denominator)
 
     slope = end
     for order in range(1, 6):
@@ -108,7 +110,7 @@ def test_single_precision_holds_for_stiff_bristles_and_small_levels(top, bottom)
 
     def mean(top, bottom):
         found = relaxation(top, bottom)
-        return found.mean * reciprocal(found.whole)
+        return found.mean * reciprocal(found.common_denominator)
 
     def all_of(kind):
         at = (jnp.asarray(top, kind), jnp.asarray(bottom, kind))

@@ -13,7 +13,14 @@ import diffdrive
 from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.errors import LogError
 from diffdrive.logs import write_log
-from diffdrive.support.atomic_write import FULL, TEMPORARY, atomic_write, remove_temporary, temporary_beside, write_text
+from diffdrive.support.atomic_write import (
+    NO_SPACE,
+    PREFIX,
+    atomic_write,
+    remove_temporary,
+    temporary_beside,
+    write_text,
+)
 from experiments.reports.report import Report, new_figure
 from tests.support.small_disk import imagined
 from tests.support.sound_log import DRIVE, SOUND
@@ -81,7 +88,7 @@ def test_a_link_stays_a_link_and_permissions_are_those_of_any_new_file(tmp_path)
 
 
 def test_what_a_killed_process_left_goes_and_nothing_else(tmp_path):
-    for name in (temporary_beside(tmp_path / "run.csv").name, f"{TEMPORARY}4567.tmp", "run.csv", ".hidden"):
+    for name in (temporary_beside(tmp_path / "run.csv").name, f"{PREFIX}4567.tmp", "run.csv", ".hidden"):
         (tmp_path / name).write_text("")
     assert [path.name for path in tmp_path.glob("*.csv")] == ["run.csv"]  # pathlib's pattern takes hidden files, too
     remove_temporary(tmp_path)
@@ -128,7 +135,7 @@ def test_a_full_disk_leaves_the_file_as_it_was(name, share, tmp_path, monkeypatc
         imagined(full, int(share * size))
         with pytest.raises((OSError, LogError), match="No space left on device") as problem:
             write(path)
-    assert isinstance(problem.value, LogError) or problem.value.errno in FULL
+    assert isinstance(problem.value, LogError) or problem.value.errno in NO_SPACE
     assert path.read_bytes() == before
     assert names(tmp_path) == [name]
     write(path)  # and is there again when there is room

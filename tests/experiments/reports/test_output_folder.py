@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive.errors import ParameterError
-from diffdrive.support.atomic_write import TEMPORARY
+from diffdrive.support.atomic_write import PREFIX
 from experiments.cli.main import app
 from experiments.reports.output_folder import NO_LOCKS, OutputFolder, ReservedFile
 from experiments.reports.report import RESULT, Report
@@ -108,7 +108,7 @@ def test_of_many_at_once_one_has_the_folder(tmp_path):
 
 
 def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkeypatch):
-    stale = tmp_path / f"{TEMPORARY}of_another_run.tmp"
+    stale = tmp_path / f"{PREFIX}of_another_run.tmp"
     stale.write_text("")
 
     def unknown(*_, **__):

@@ -45,15 +45,15 @@ def test_answers_of_motor_and_table_are_those_of_differences(screw, at):
 
     def after(values):
         velocity, bristle, deflection, rate = values
-        motor = MotorState.at_rest()._replace(against=Oscillator(deflection, rate))
+        motor = MotorState.at_rest()._replace(relative=Oscillator(deflection, rate))
         motor, acts = effect.step(motor, seen(velocity, bristle), drive, period)
-        return jnp.stack([*motor.against, acts.force, acts.shift])
+        return jnp.stack([*motor.relative, acts.force, acts.shift])
 
     here = np.array(at)
     velocity, bristle, deflection, rate = (jnp.asarray(value) for value in at)
-    motor = MotorState.at_rest()._replace(against=Oscillator(deflection, rate))
-    ahead, acts, answers = effect.step_along(motor, seen(velocity, bristle), drive, period)
-    np.testing.assert_allclose(after(here), jnp.stack([*ahead.against, acts.force, acts.shift]), rtol=1e-12)
+    motor = MotorState.at_rest()._replace(relative=Oscillator(deflection, rate))
+    ahead, acts, answers = effect.step_with_sensitivities(motor, seen(velocity, bristle), drive, period)
+    np.testing.assert_allclose(after(here), jnp.stack([*ahead.relative, acts.force, acts.shift]), rtol=1e-12)
     for k, h in enumerate((1e-9, 1e-12, 1e-12, 1e-9)):
         step = h * np.eye(4)[k]
         slope = (after(here + step) - after(here - step)) / (2.0 * h)
@@ -68,13 +68,13 @@ def test_one_loop_answers_as_the_derivative_of_the_step_does():
 
     def after(values):
         velocity, bristle, deflection, rate = values
-        motor = MotorState.at_rest()._replace(against=Oscillator(deflection, rate))
+        motor = MotorState.at_rest()._replace(relative=Oscillator(deflection, rate))
         motor, acts = effect.step(motor, seen(velocity, bristle), drive, 5e-4)
-        return jnp.stack([*motor.against, acts.force, acts.shift])
+        return jnp.stack([*motor.relative, acts.force, acts.shift])
 
     here = jnp.array([0.02, 1.5e-6, 4.2e-6, 2e-3])
-    motor = MotorState.at_rest()._replace(against=Oscillator(here[2], here[3]))
-    answers = effect.step_along(motor, seen(here[0], here[1]), drive, 5e-4)[2]
+    motor = MotorState.at_rest()._replace(relative=Oscillator(here[2], here[3]))
+    answers = effect.step_with_sensitivities(motor, seen(here[0], here[1]), drive, 5e-4)[2]
     np.testing.assert_allclose(jnp.stack([jnp.stack([*one]) for one in answers], axis=1), jax.jacfwd(after)(here))
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diffdrive.effects.forces import EDGE, ConstantForce, ProcessForce
+from diffdrive.effects.forces import EDGE_TIME, ConstantForce, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell
 from diffdrive.effects.transmission import Backlash
 from tuning.diagnosis.calibration import NAMES
@@ -88,8 +88,8 @@ def test_a_process_sets_in_over_a_while_and_unseen_while_the_table_sticks():
     velocity[1, 1000:1509] = 0.0
     start, cosine = (Parameter(name, 1.51, 1e-4, session=True) for name in ("start", "cosine"))
     lows, highs = parameters(fitted(candidate=Candidate(ProcessForce, (start,)), velocity=velocity), 0)["start"][1]
-    assert (lows[0], highs[0]) == pytest.approx((1.51 - 0.5 * EDGE, 1.51 + 0.5 * EDGE), abs=1e-4)
-    assert (lows[1], highs[1]) == pytest.approx((1.0, 1.51 + 0.5 * EDGE), abs=2e-3)
+    assert (lows[0], highs[0]) == pytest.approx((1.51 - 0.5 * EDGE_TIME, 1.51 + 0.5 * EDGE_TIME), abs=1e-4)
+    assert (lows[1], highs[1]) == pytest.approx((1.0, 1.51 + 0.5 * EDGE_TIME), abs=2e-3)
     amplitudes = parameters(fitted(candidate=Candidate(ProcessForce, (cosine,)), velocity=velocity), 0)["cosine"]
     assert np.ptp(amplitudes[1]) < 1e-3  # it is no time
 

@@ -13,7 +13,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
-from diffdrive.runtime import arithmetic
+from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.atomic_write import temporary_beside
 from experiments.studies.paper import scenario as paper
 from tuning.sweeps.parts import here, missing, path_of, run
@@ -133,9 +133,9 @@ def test_what_a_motion_is_judged_by_is_the_most_load_that_varies(vary):
 
 
 def test_where_numpy_has_no_vectors_of_its_own_there_are_none_to_name(monkeypatch):
-    named = arithmetic()
+    named = arithmetic_signature()
     monkeypatch.setattr("diffdrive.runtime.np.show_config", lambda mode: {})
-    assert set(arithmetic()) < set(named)
+    assert set(arithmetic_signature()) < set(named)
 
 
 def test_a_motion_of_another_rate_is_refused():
