@@ -21,7 +21,7 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import build_controller, controller_table
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.effects.possible import limits_envelope, require_feasible
+from diffdrive.effects.feasibility import limits_envelope, require_feasible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import mapping_tables, parse_mapping

@@ -9,7 +9,7 @@ from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.oscillator import Oscillator, discretise
 from diffdrive.model.friction import friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive, Scalar, quantity
-from diffdrive.numerics.turning import MAX_TURNS, cosine_sine, double_angle, triple_angle
+from diffdrive.numerics.trigonometry import MAX_TURNS, cosine_sine, double_angle, triple_angle
 
 EDGE_TIME = 5e-3  # s, over which a process force sets in and ends
 

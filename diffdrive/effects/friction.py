@@ -14,7 +14,7 @@ from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation
-from diffdrive.numerics.turning import cosine_sine
+from diffdrive.numerics.trigonometry import cosine_sine
 
 STROKE_POINTS, POINTS_PER_WAVE = (
     4096,

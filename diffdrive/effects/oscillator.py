@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from diffdrive.model.parameters import Scalar
 from diffdrive.numerics.exponential import exp_neg
-from diffdrive.numerics.turning import cosine_sine
+from diffdrive.numerics.trigonometry import cosine_sine
 
 
 class Oscillator(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from diffdrive.effects.base import Envelope, ScaleEffect
 from diffdrive.effects.forces import too_many_turns
 from diffdrive.model.parameters import Drive, Scalar, quantity
-from diffdrive.numerics.turning import cosine_sine, double_angle
+from diffdrive.numerics.trigonometry import cosine_sine, double_angle
 
 
 def _backwards(linear: Any, height: Any, period: Any, within: Envelope) -> str | None:

@@ -22,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Complex, Float
 
 from diffdrive.controllers import Controller, FrictionCompensation, Reference
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.base import Push
 from diffdrive.errors import ParameterError
 from diffdrive.loop.simulate import LoopState, initial_state, step_machine
@@ -66,7 +66,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
     Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are those that it has settled
     to; that they too depend on its state is of second order where its innovation vanishes, and is left out.
     """
-    drive = acting.with_machine_effects(drive, drive.effects)
+    drive = stages.with_machine_effects(drive, drive.effects)
     settled = _settled(drive, controller, sampling, at)
     held = (*FROZEN, "load") if _load_is_assumed(controller) else FROZEN
     moving, rebuild = _moving(settled, held)
@@ -75,13 +75,13 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: Oper
 
     def step(moving: Array, force: Scalar) -> tuple[Array, Scalar]:
         state = rebuild(moving)
-        shown = state.plant.position + acting.scale_error(drive.effects, state.plant.position)
+        shown = state.plant.position + stages.scale_error(drive.effects, state.plant.position)
         measured = sensor.measure(drive.sensor, shown, None)
         inside, command = controller.step(
             state.controller, reference, measured, state.actuator.applied, sampling.period
         )
         asked = actuator.step(drive.actuator, state.actuator, command.force)
-        carried, applied = acting.actuator_output(drive.effects, state.effects, asked.applied, sampling.period)
+        carried, applied = stages.actuator_output(drive.effects, state.effects, asked.applied, sampling.period)
         table, carried, _ = step_machine(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
         return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied.mean
 
@@ -127,14 +127,14 @@ def _carried(
     drive: Drive, sampling: Sampling, at: OperatingPoint, table: plant.PlantState, force: Scalar, count: int
 ) -> tuple[Any, ...]:
     """The effects after as long a steady motion."""
-    begin = acting.initial_states(drive.effects, force)
+    begin = stages.initial_states(drive.effects, force)
     if not drive.effects:
         return begin
 
     def body(carried: Any, k: Scalar) -> tuple[Any, None]:
         position = at.velocity * sampling.period * k
-        seen = acting.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, at.load)
-        return acting.table_action(drive.effects, carried, seen, drive, sampling.period)[0], None
+        seen = stages.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, at.load)
+        return stages.table_action(drive.effects, carried, seen, drive, sampling.period)[0], None
 
     return lax.scan(body, begin, jnp.arange(1.0, count + 1.0))[0]
 

@@ -20,7 +20,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.effects import acting, possible
+from diffdrive.effects import feasibility, stages
 from diffdrive.effects.base import Effect, Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.loop.metrics import safe_sqrt
@@ -90,7 +90,7 @@ def initial_state(drive: Drive, controller: Controller, position: Scalar) -> Loo
         actuator.init(drive.actuator),
         controller.init(position),
         jnp.zeros((), jnp.uint32),
-        acting.initial_states(drive.effects, jnp.zeros(())),
+        stages.initial_states(drive.effects, jnp.zeros(())),
     )
     return in_precision_of(position, state)
 
@@ -107,13 +107,13 @@ def step_machine(
     if not effects:
         return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), (), drive
     time = sampling.period * state.count
-    seen = acting.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
-    carried, acts = acting.table_action(effects, state.effects, seen, drive, sampling.period)
+    seen = stages.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
+    carried, acts = stages.table_action(effects, state.effects, seen, drive, sampling.period)
     carried, acts = once((carried, acts))
-    machine = acting.with_friction_offset(drive, acts)
-    steps = acting.plant_substeps(effects, sampling)
+    machine = stages.with_friction_offset(drive, acts)
+    steps = stages.plant_substeps(effects, sampling)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, steps)
-    shift = acts.shift + acting.slope_displacement(drive, push.slope, sampling.period)
+    shift = acts.shift + stages.slope_displacement(drive, push.slope, sampling.period)
     return moved._replace(position=moved.position + shift), carried, machine
 
 
@@ -122,7 +122,7 @@ def step(
 ) -> tuple[LoopState, Frame]:
     """One control period of the closed loop of a drive that has its machine effects in it."""
     table = state.plant
-    scale_position = table.position + acting.scale_error(drive.effects, table.position)
+    scale_position = table.position + stages.scale_error(drive.effects, table.position)
     normal = None
     if key is not None:  # the same noise in either precision
         drawn = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
@@ -133,7 +133,7 @@ def step(
     )
     controller_state, command = once((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
-    carried, applied = acting.actuator_output(drive.effects, state.effects, drive_state.applied, sampling.period)
+    carried, applied = stages.actuator_output(drive.effects, state.effects, drive_state.applied, sampling.period)
     before = state._replace(effects=carried)
     moved, carried, bent = step_machine(drive, sampling, before, applied, inputs.disturbance, inputs.load)
     bristle = lugre_coefficients(bent.friction, table.velocity, table.bristle, inputs.load)
@@ -192,7 +192,7 @@ def rollout(
     (docs/method/numerics.md).
     """
     require_double_precision()
-    drive = acting.with_machine_effects(drive, drive.effects)
+    drive = stages.with_machine_effects(drive, drive.effects)
 
     def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
         return step(drive, controller, sampling, key, state, at)
@@ -243,8 +243,8 @@ def running_costs(
     Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
     """
     require_double_precision()
-    drive = acting.with_machine_effects(drive, drive.effects)
-    limit = acting.force_limit(drive)
+    drive = stages.with_machine_effects(drive, drive.effects)
+    limit = stages.force_limit(drive)
     limit = jnp.inf if limit is None else limit
 
     def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
@@ -342,7 +342,9 @@ def simulate(
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
     loads = validated_load(drive, loads, motion.time)
     require_resolved_friction(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
-    possible.require_feasible(drive, possible.motion_envelope(motion.position, motion.velocity, loads, sampling.period))
+    feasibility.require_feasible(
+        drive, feasibility.motion_envelope(motion.position, motion.velocity, loads, sampling.period)
+    )
     for problem in convergence_warnings(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
     if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
@@ -352,7 +354,7 @@ def simulate(
 
     def of(machine: Drive) -> tuple[Run, float | None]:
         frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, every)
-        limit = acting.force_limit(machine)
+        limit = stages.force_limit(machine)
         return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
 
     def sound_without(effects: Sequence[Effect]) -> bool:

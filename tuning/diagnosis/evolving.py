@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.effects.acting import Effects
+from diffdrive.effects.stages import Effects
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive
 from tuning.diagnosis.calibration import NAMES

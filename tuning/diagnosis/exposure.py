@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.base import Effect, Seen
 from diffdrive.model.actuator import saturate
@@ -52,7 +52,7 @@ class Course(NamedTuple):
 
 def altered(drive: Drive, effects: tuple[Effect, ...]) -> Drive:
     """The drive with the effects that are other parameters; those are the same in every lane."""
-    return acting.with_machine_effects(drive, jax.tree.map(lambda leaf: leaf[0], effects))
+    return stages.with_machine_effects(drive, jax.tree.map(lambda leaf: leaf[0], effects))
 
 
 def exposure(
@@ -76,7 +76,7 @@ def exposure(
             count, table, forces, pushed, load = at
             pushes = []
             for k in range(parts):
-                states, push = acting.actuator_output(effects, states, forces[k], period / parts)
+                states, push = stages.actuator_output(effects, states, forces[k], period / parts)
                 pushes.append(push)
             force = sum(push.mean for push in pushes) / parts
             ripple = jnp.stack([push.mean - force for push in pushes]) if parts > 1 else None
@@ -91,16 +91,16 @@ def exposure(
                 pushed,
                 disturbance=table.lacking,
             )
-            states, acts = acting.table_action(effects, states, seen, machine, period)
-            scale = acting.scale_error(effects, table.position)
-            shift = acts.shift + sum(acting.slope_displacement(machine, push.slope, period / parts) for push in pushes)
+            states, acts = stages.table_action(effects, states, seen, machine, period)
+            scale = stages.scale_error(effects, table.position)
+            shift = acts.shift + sum(stages.slope_displacement(machine, push.slope, period / parts) for push in pushes)
             beside = pushed + acts.force
             one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
             return states, Exposure(*(value + 0.0 * force for value in one), ripple)
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
         signals = (count, course, asked, lane.disturbance, lane.load)
-        return lax.scan(step, acting.initial_states(effects, asked[0, 0]), signals)[1]
+        return lax.scan(step, stages.initial_states(effects, asked[0, 0]), signals)[1]
 
     return lax.map(lambda each: one(*each), (lanes, course, effects, starts))
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffdrive.effects.acting import Effects
+from diffdrive.effects.stages import Effects
 from diffdrive.model.parameters import Drive
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.curvature import limited, log_volume, solved

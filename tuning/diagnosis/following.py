@@ -19,7 +19,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.base import Effect, TableEffect
 from diffdrive.model import plant
 from diffdrive.model.friction import coulomb
@@ -100,11 +100,11 @@ def _begun(
 
     What forgets within a segment's lead begins at rest; the others are where following `course` brings them.
     """
-    rest = acting.initial_states(coupled, under.force[0])
+    rest = stages.initial_states(coupled, under.force[0])
 
     def step(states: Any, at: Any) -> tuple[Any, Any]:
         count, acts, load, table, travel = at
-        seen, machine = acts.seen(count * period, table, load), acting.with_friction_offset(drive, acts)
+        seen, machine = acts.seen(count * period, table, load), stages.with_friction_offset(drive, acts)
         ahead = (
             one.state_after_travel(state, seen, travel, machine, period)
             for one, state in zip(lasting, states, strict=True)
@@ -113,7 +113,7 @@ def _begun(
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.has_memory)
     count, travel = jnp.arange(len(load), dtype=load.dtype), jnp.diff(course.position, append=course.position[-1:])
-    along = lax.scan(step, acting.initial_states(lasting, under.force[0]), (count, under, load, course, travel))[1]
+    along = lax.scan(step, stages.initial_states(lasting, under.force[0]), (count, under, load, course, travel))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
     return tuple(
         next(found) if effect in lasting else jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, state)
@@ -165,15 +165,15 @@ def follow(
         state, covariance = once((state, covariance))
         position, velocity, deflection, lacking, *motor = state
         effects = hidden.written(coupled, effects, tuple(motor))
-        machine = acting.with_friction_offset(drive, acts)
-        resisting = acting.resistance(machine, velocity, deflection, load)
+        machine = stages.with_friction_offset(drive, acts)
+        resisting = stages.resistance(machine, velocity, deflection, load)
         now, answers = Course(position, velocity, deflection, resisting, lacking), ()
         if coupled:
             seen = acts.seen(time, now, load)
             effects, more, answers = hidden.stepped(coupled, effects, seen, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
             acts = Exposure(*both, acts.scale, acts.beside, None if shielded else acts.ripple)
-            machine = acting.with_friction_offset(drive, acts)
+            machine = stages.with_friction_offset(drive, acts)
 
         nil = jnp.zeros_like(velocity)
         ways = hidden.ways(nil, answers)
@@ -204,7 +204,7 @@ def follow(
     def begun(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
         begins = pieces.samples[:, 0]
         if course is None:
-            rest = acting.initial_states(coupled, acts.force[0])
+            rest = stages.initial_states(coupled, acts.force[0])
             return jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
         return _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
 
@@ -245,7 +245,7 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
         v, z, machine, force, coulomb, gap, viscous = args
         acts = Exposure(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
-        bent = acting.with_friction_offset(with_numbers(drive, machine), acts)
+        bent = stages.with_friction_offset(with_numbers(drive, machine), acts)
         return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))
 
     def at(sample: Any) -> Any:

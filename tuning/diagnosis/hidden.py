@@ -8,9 +8,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from diffdrive.effects import acting
-from diffdrive.effects.acting import Effects
+from diffdrive.effects import stages
 from diffdrive.effects.base import Acts, Seen
+from diffdrive.effects.stages import Effects
 from diffdrive.effects.transmission import Sensitivity, Transmission
 from diffdrive.model import plant
 from diffdrive.model.parameters import Drive, Scalar
@@ -76,10 +76,10 @@ def stepped(
     """What acts on the table, and how that answers its velocity and bristle and, where one is hidden, the motor."""
     which = screw_of(effects)
     if which is None:
-        states, acts = acting.table_action(effects, states, seen, drive, period)
+        states, acts = stages.table_action(effects, states, seen, drive, period)
         return states, acts, ()
     others, theirs = ((*some[:which], *some[which + 1 :]) for some in (effects, states))
-    theirs, acts, before = acting.table_action_in_order(others, theirs, seen, drive, period)
+    theirs, acts, before = stages.table_action_in_order(others, theirs, seen, drive, period)
     motor, own, answers = effects[which].step_with_sensitivities(states[which], *before, period)
     return (*theirs[:which], motor, *theirs[which:]), acts.plus(own), answers
 

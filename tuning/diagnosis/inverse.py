@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.base import Acts
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, as_arrays
@@ -52,7 +52,7 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     position, load = jnp.asarray(source.position), jnp.asarray(source.load)
     signals = (position, jnp.asarray(command), jnp.asarray(source.force - command), load, jnp.ones_like(load))
     lanes = Lanes(*(one[None] for one in signals), velocity=velocity[:1])
-    machine = acting.with_machine_effects(own, effects)
+    machine = stages.with_machine_effects(own, effects)
     period = 1.0 / source.rate
     rigid = friction_along(machine, velocity, load, period)
     seen = Course(position, velocity, rigid.bristle, rigid.friction, jnp.zeros_like(velocity))

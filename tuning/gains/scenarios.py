@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.effects.acting import force_limit
+from diffdrive.effects.stages import force_limit
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
 from diffdrive.loop.smooth import smooth

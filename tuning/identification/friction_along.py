@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.effects.acting import with_friction_offset
 from diffdrive.effects.base import Acts
+from diffdrive.effects.stages import with_friction_offset
 from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Scalar
 

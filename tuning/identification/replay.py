@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.run import Status
@@ -95,7 +95,7 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
         return controller.step(state, *sample, force, period)[0], None
 
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
-    effects = acting.initial_states(drive.effects, force)
+    effects = stages.initial_states(drive.effects, force)
     return LoopState(
         moving(drive, at.lanes), steady_state(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
     )

@@ -15,7 +15,7 @@ import pyarrow as pa
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Envelope
-from diffdrive.effects.possible import limits_envelope, motion_envelope, require_feasible
+from diffdrive.effects.feasibility import limits_envelope, motion_envelope, require_feasible
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.simulate import Costs
 from diffdrive.model.parameters import Drive, require_double_precision

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from diffdrive.effects.acting import force_limit
+from diffdrive.effects.stages import force_limit
 from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.simulate import loop_inputs, rollout

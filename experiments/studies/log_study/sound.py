@@ -12,7 +12,7 @@ from jax import lax
 from diffdrive import motion
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.logs.log import Log
 from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.simulate import Inputs, initial_state, loop_inputs, rollout, step
@@ -145,7 +145,7 @@ def simulate_log(
 @eqx.filter_jit
 def _motor_deflection(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
     """The motor against the table (m), of a drive whose first effect is its transmission."""
-    drive = acting.with_machine_effects(drive, drive.effects)
+    drive = stages.with_machine_effects(drive, drive.effects)
 
     def body(state: Any, at: Inputs) -> tuple[Any, Any]:
         return step(drive, controller, sampling, key, state, at)[0], state.effects[0].relative.deflection

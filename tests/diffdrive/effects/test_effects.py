@@ -13,7 +13,7 @@ import scipy.integrate
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, ForceGain, ForceLimit, LoopDelay
 from diffdrive.effects.base import Seen
 from diffdrive.effects.catalogue import EFFECTS
@@ -152,17 +152,17 @@ def test_a_delay_moves_a_ramp(delay):
 
 def test_the_force_is_scaled_before_it_is_limited_whatever_the_order():
     for effects in ((ForceGain(-0.2), ForceLimit(100.0)), (ForceLimit(100.0), ForceGain(-0.2))):
-        states = acting.initial_states(effects, jnp.zeros(()))
-        assert acting.actuator_output(effects, states, jnp.asarray(110.0), 1e-3)[1].mean == pytest.approx(88.0)
-        assert acting.actuator_output(effects, states, jnp.asarray(200.0), 1e-3)[1].mean == pytest.approx(100.0)
+        states = stages.initial_states(effects, jnp.zeros(()))
+        assert stages.actuator_output(effects, states, jnp.asarray(110.0), 1e-3)[1].mean == pytest.approx(88.0)
+        assert stages.actuator_output(effects, states, jnp.asarray(200.0), 1e-3)[1].mean == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize("behind", [LoopDelay(0.5), ActuatorLag(2e-3)])
 def test_a_command_is_limited_before_it_is_late_or_lags(behind):
     """Behind them only the mean of a period would be."""
     effects = (behind, ForceLimit(100.0))
-    states, (alone,) = acting.initial_states(effects, jnp.zeros(())), acting.initial_states((behind,), jnp.zeros(()))
-    found = acting.actuator_output(effects, states, jnp.asarray(1000.0), 1e-3)[1]
+    states, (alone,) = stages.initial_states(effects, jnp.zeros(())), stages.initial_states((behind,), jnp.zeros(()))
+    found = stages.actuator_output(effects, states, jnp.asarray(1000.0), 1e-3)[1]
     expected = behind.step(alone, jnp.asarray(100.0), 1e-3)[1]
     assert found.mean == pytest.approx(expected.mean)
     assert found.slope == pytest.approx(expected.slope)
@@ -172,8 +172,8 @@ def test_a_command_is_limited_before_it_is_late_or_lags(behind):
 def test_saturation_is_told_of_the_command(gain, own, most):
     limited = dataclasses.replace(DRIVE, actuator=dataclasses.replace(DRIVE.actuator, force_limit=own))
     drive = dataclasses.replace(limited, effects=(ForceGain(gain), ForceLimit(100.0)))
-    assert float(acting.force_limit(drive)) == pytest.approx(most)
-    assert acting.force_limit(dataclasses.replace(DRIVE, effects=(ForceGain(gain),))) is None
+    assert float(stages.force_limit(drive)) == pytest.approx(most)
+    assert stages.force_limit(dataclasses.replace(DRIVE, effects=(ForceGain(gain),))) is None
 
 
 def test_the_friction_recorded_is_that_which_acts():
@@ -253,7 +253,7 @@ def test_a_ripple_of_the_force_moves_the_motor_within_its_gap():
     ripple = jnp.asarray([9.0, -4.0, 6.0, -8.0, -3.0])
 
     def deflected(force, ripple):
-        seen = acting.seen_by(bare, 0.0, 0.0, 0.0, 0.0, force, 0.0, 0.0)._replace(ripple=ripple)
+        seen = stages.seen_by(bare, 0.0, 0.0, 0.0, 0.0, force, 0.0, 0.0)._replace(ripple=ripple)
         return effect.step(effect.init(), seen, bare, period)[0].relative
 
     level, rippled = deflected(5.0, None), deflected(5.0, ripple)
@@ -289,11 +289,11 @@ def test_a_vibrating_frame_is_two_bodies():
 
     def body(carry, k):
         table, states = carry
-        seen = acting.seen_by(machine, k * period, *table, force, 0.0, 0.0)
-        states, acts = acting.table_action(machine.effects, states, seen, machine, period)
+        seen = stages.seen_by(machine, k * period, *table, force, 0.0, 0.0)
+        states, acts = stages.table_action(machine.effects, states, seen, machine, period)
         return (advance(machine, table, force + acts.force, 0.0, period, 40), states), None
 
-    begin = (at_rest(0.0), acting.initial_states(machine.effects, 0.0))
+    begin = (at_rest(0.0), stages.initial_states(machine.effects, 0.0))
     (table, _), _ = jax.lax.scan(body, begin, jnp.arange(round(0.3 * RATE), dtype=float))
     assert float(table.position) == pytest.approx(found.y[0, -1] - found.y[2, -1], rel=2e-3)
 

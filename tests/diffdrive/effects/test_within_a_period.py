@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.forces import ConstantForce, FrameVibration
 from diffdrive.effects.friction import ELEMENTS, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
@@ -122,14 +122,14 @@ def driven(drive, rate, forces):
 
     def body(carry, force):
         table, states = carry
-        seen = acting.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
-        states, acts = acting.table_action(drive.effects, states, seen, drive, period)
+        seen = stages.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
+        states, acts = stages.table_action(drive.effects, states, seen, drive, period)
         moved = advance(
-            acting.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
+            stages.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
         )
         return (moved._replace(position=moved.position + acts.shift), states), table.position
 
-    begin = (at_rest(0.0), acting.initial_states(drive.effects, 0.0))
+    begin = (at_rest(0.0), stages.initial_states(drive.effects, 0.0))
     return np.asarray(jax.lax.scan(body, jax.tree.map(jnp.asarray, begin), jnp.asarray(forces))[1])
 
 
@@ -159,10 +159,10 @@ def test_elements_stretch_alike_by_forces_and_by_a_known_travel(rate, allowed):
 
     def body(carry, force):
         table, state, other = carry
-        seen = acting.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
+        seen = stages.seen_by(drive, 0.0, *table, force, 0.0, LOAD)
         ahead, acts = effect.step(state, seen, drive, period)
         moved = advance(
-            acting.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
+            stages.with_friction_offset(drive, acts), table, force + acts.force, LOAD, period, round(period / 1e-5)
         )
         moved = moved._replace(position=moved.position + acts.shift)
         other = effect.state_after_travel(other, seen, moved.position - table.position, drive, period)
@@ -233,7 +233,7 @@ def test_a_constant_force_is_the_same_beside_the_drive_and_in_it(effect):
 def test_a_force_that_something_else_holds_moves_nothing(effect):
     """An observer that finds the table at rest although it is pushed: no element is stretched, and the contact ages."""
     drive, period = as_arrays(DRIVE), 5e-4
-    seen = acting.seen_by(drive, 0.0, 0.0, 0.0, 0.0, 20.0, 0.0, LOAD)
+    seen = stages.seen_by(drive, 0.0, 0.0, 0.0, 0.0, 20.0, 0.0, LOAD)
     pushes = seen.external_force(drive)
     state, acts = effect.step(effect.init(), seen._replace(disturbance=-20.0 - pushes), drive, period)
     still, none = effect.step(effect.init(), seen._replace(force=-pushes), drive, period)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive.numerics.turning import cosine_sine, double_angle, triple_angle
+from diffdrive.numerics.trigonometry import cosine_sine, double_angle, triple_angle
 
 COMPILED = jax.jit(cosine_sine)
 

@@ -13,7 +13,7 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.base import Envelope
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.effects.possible import require_feasible
+from diffdrive.effects.feasibility import require_feasible
 from diffdrive.errors import DriveFileError, MotionError, ParameterError
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling, quantities

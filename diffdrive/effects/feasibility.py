@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from diffdrive.effects import acting
+from diffdrive.effects import stages
 from diffdrive.effects.base import Envelope, MachineEffect
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive, Sampling
@@ -43,7 +43,7 @@ def require_feasible(drive: Drive, within: Envelope) -> None:
             machine = effect.alter(machine)
             if problem := _broken(machine, within.load):
                 raise ParameterError(f"effects.{effect.name}: with it {problem}")
-        machine = acting.with_machine_effects(drive, drive.effects)
+        machine = stages.with_machine_effects(drive, drive.effects)
         for effect in drive.effects:
             if problem := effect.problem(machine, within):
                 raise ParameterError(f"effects.{effect.name}: {problem}")
