@@ -9,13 +9,13 @@ from scipy.ndimage import median_filter
 from diffdrive.axis import Axis
 from diffdrive.logs.checks.dynamics import inverse_dynamics
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import noise_of
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, scale
+from diffdrive.logs.checks.grid import noise_std
+from diffdrive.logs.checks.statistics import longest_piece, robust_std, sampling_period
 from diffdrive.logs.log import Log, Signal
 
 WINDOW = 0.2  # s: what is usual is that of the samples around
 WINDOW_OF_REST = 2.0  # s: what a controller leaves of the command changes as slowly as what it remembers
-UNUSUAL = 12.0  # standard deviations of the samples around; a reversal's jerk reaches 10
+UNUSUAL_STDS = 12.0  # standard deviations of the samples around; a reversal's jerk reaches 10
 LARGE = 0.1  # of the command's range
 EDGE = 1  # samples within which a burst begins and ends
 SHORTEST = 3  # samples: fewer are outliers
@@ -31,14 +31,14 @@ class Burst(NamedTuple):
     force: float
 
 
-def bursts(command: Signal, step: float, window: float = WINDOW) -> list[Burst]:
+def find_bursts(command: Signal, step: float, window: float = WINDOW) -> list[Burst]:
     """Stretches of the command far from what the samples before and after, over `window` (s), make likely."""
     length = max(5, 2 * int(window / step / 2) + 1)
     if len(command) < 3 * length:
         return []
-    rest = command - _usual(command, length)
-    around = np.maximum(_usual(np.abs(rest), length) * 1.4826, 0.02 * scale(command))
-    unusual = (np.abs(rest) > UNUSUAL * around) & (np.abs(rest) > LARGE * float(np.ptp(command)))
+    rest = command - _running_median(command, length)
+    around = np.maximum(_running_median(np.abs(rest), length) * 1.4826, 0.02 * robust_std(command))
+    unusual = (np.abs(rest) > UNUSUAL_STDS * around) & (np.abs(rest) > LARGE * float(np.ptp(command)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unusual.astype(int), [0]])))
     found = [Burst(int(a), int(b), float(np.mean(rest[a:b]))) for a, b in edges.reshape(-1, 2)]
     found = [one for one in found if SHORTEST <= one.stop - one.start < length]
@@ -51,7 +51,7 @@ def _is_switched(command: Signal, at: int, burst: Burst) -> bool:
     return float(np.max(np.abs(np.diff(around)), initial=0.0)) > 0.5 * abs(burst.force)
 
 
-def _usual(signal: Signal, length: int) -> Signal:
+def _running_median(signal: Signal, length: int) -> Signal:
     """Running median over `length` samples, from fifty of them."""
     thin = max(1, length // 50)
     coarse = median_filter(signal[::thin], size=max(5, length // thin), mode="nearest")
@@ -60,12 +60,12 @@ def _usual(signal: Signal, length: int) -> Signal:
 
 def unexplained(log: Log, description: Axis | None, given: Signal | None = None) -> Iterator[Finding]:
     """Bursts that the controller did not give, where that is known (`given`), else those that the table ignores."""
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     position, command = log.position[piece], log.command[piece]
     if given is None:
-        found = bursts(command, step)
+        found = find_bursts(command, step)
     else:
-        found = bursts(command - given[piece], step, min(WINDOW_OF_REST, len(command) * step / 4))
+        found = find_bursts(command - given[piece], step, min(WINDOW_OF_REST, len(command) * step / 4))
         found = [one for one in found if abs(one.force) > LARGE * float(np.ptp(command))]
     mass = _mass(position, command, step, description)
     silent = [] if mass is None else [one for one in found if _is_ignored(one, position, step, mass)]
@@ -100,7 +100,7 @@ def _is_ignored(burst: Burst, position: Signal, step: float, mass: float) -> boo
     at = np.arange(before, burst.start + 1)
     line = np.polynomial.Polynomial.fit(at, position[before : burst.start + 1], 1)
     moved = float(position[after] - line(after))
-    return abs(expected) > MOVED * noise_of(position) and abs(moved / expected) < IGNORED
+    return abs(expected) > MOVED * noise_std(position) and abs(moved / expected) < IGNORED
 
 
 def _mass(position: Signal, command: Signal, step: float, description: Axis | None) -> float | None:

@@ -6,10 +6,10 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.logs.checks.dynamics import inverse_dynamics
-from diffdrive.logs.checks.explanation import CERTAIN, SAMPLES_PER_INDEPENDENT
+from diffdrive.logs.checks.explanation import DECISIVE, SAMPLES_PER_INDEPENDENT
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import longest_piece, mean_step
-from diffdrive.logs.checks.stuck import atom, clipped
+from diffdrive.logs.checks.statistics import longest_piece, sampling_period
+from diffdrive.logs.checks.stuck import clipped_samples, samples_at_extreme
 from diffdrive.logs.log import Log, Signal
 
 RECORDER = "log it over a wider range, or leave these samples out"
@@ -20,12 +20,12 @@ def clipped_command(log: Log, description: Axis | None, given: Signal | None) ->
     limit = None if description is None else description.drive.actuator.force_limit
     moves = log.position if log.reference is None else log.reference
     for at in (float(np.max(log.command)), float(np.min(log.command))):
-        there = atom(log.command, at)
+        there = samples_at_extreme(log.command, at)
         # at rest a command may well stand still at its extreme: the weight of a vertical axis
         if there is None or np.ptp(moves[there]) < 0.01 * np.ptp(moves):
             continue
         known = limit is not None and abs(abs(at) / float(limit) - 1) < 1e-3
-        recorded = _recorded(log, description, given)
+        recorded = _is_recorders_limit(log, description, given)
         amplifier = f"set actuator.force_limit = {abs(at):.6g} N"
         where = ""
         if known:
@@ -45,18 +45,18 @@ def clipped_command(log: Log, description: Axis | None, given: Signal | None) ->
         )
 
 
-def _recorded(log: Log, description: Axis | None, given: Signal | None) -> bool | None:
+def _is_recorders_limit(log: Log, description: Axis | None, given: Signal | None) -> bool | None:
     """Whether the table moves as by the controller's whole command; None where the balance of forces does not tell."""
     if given is None or description is None:
         return None
-    whole = np.where(clipped(log.command), given, log.command)
+    whole = np.where(clipped_samples(log.command), given, log.command)
     piece, load = longest_piece(log), log.load
     beside = 0.0 if log.disturbance is None else log.disturbance
     by_whole, by_logged = (
         inverse_dynamics(
             log.position[piece],
             (force + beside)[piece],
-            mean_step(log),
+            sampling_period(log),
             description.drive,
             0.0 if load is None else load[piece],
         )
@@ -66,4 +66,4 @@ def _recorded(log: Log, description: Axis | None, given: Signal | None) -> bool 
         return None
     independent = (piece.stop - piece.start) / SAMPLES_PER_INDEPENDENT
     nats = independent * float(np.log(by_logged.misfit / by_whole.misfit))
-    return None if abs(nats) < CERTAIN else nats > 0
+    return None if abs(nats) < DECISIVE else nats > 0

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.logs.checks.factors import name_in_brackets
+from diffdrive.logs.checks.factors import unit_error_text
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import mean_step
+from diffdrive.logs.checks.statistics import sampling_period
 from diffdrive.logs.log import Log
 
 # A quartz keeps a few 1e-6; a step that is off by more was rounded, or comes from another clock.
@@ -34,7 +34,7 @@ def order(log: Log) -> Iterator[Finding]:
 
 def gaps(log: Log) -> Iterator[Finding]:
     """Missing samples that the stamps show, listed in `gaps` or not."""
-    steps, step = np.diff(log.time), mean_step(log)
+    steps, step = np.diff(log.time), sampling_period(log)
     listed = np.zeros(len(steps), bool)
     listed[[k - 1 for k in log.gaps]] = True
     lost = steps[listed] - step
@@ -61,7 +61,7 @@ def gaps(log: Log) -> Iterator[Finding]:
 
 def stamps(log: Log) -> Iterator[Finding]:
     """Rounded or scattered stamps, whose single differences are no time step."""
-    steps, step = np.diff(log.time), mean_step(log)
+    steps, step = np.diff(log.time), sampling_period(log)
     regular = steps[steps < 1.5 * step]
     off = float(np.max(np.abs(regular - step)))
     drift = 1e3 * off / step * log.duration
@@ -99,7 +99,7 @@ def is_decimated(periods: float) -> bool:
 
 def rate(log: Log, description: Axis) -> Iterator[Finding]:
     """The log's rate against that of the drive file."""
-    steps, step = np.diff(log.time), mean_step(log)
+    steps, step = np.diff(log.time), sampling_period(log)
     stated = description.sampling.rate
     off = 1.0 / (step * stated) - 1.0
     regular = steps[steps < 1.5 * step]
@@ -118,7 +118,7 @@ def rate(log: Log, description: Axis) -> Iterator[Finding]:
             "fatal",
             "time",
             f"the log is sampled at {1 / step:.6g} Hz, {1 / (step * stated):.4g} times the drive file's {stated:g} Hz"
-            + name_in_brackets(step * stated),
+            + unit_error_text(step * stated),
             "correct sampling.rate, or the unit of the time column",
             "rate",
         )

@@ -5,21 +5,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, robust_fit
+from diffdrive.logs.checks.statistics import longest_piece, robust_fit, sampling_period
 from diffdrive.logs.log import Log, Signal
 
 # Relative difference up to which two channels are one computation: rounding of text with seven digits, no noise.
 COMPUTED = 1e-6
 
 
-def _same(mine: Signal, theirs: Signal) -> bool:
+def _is_copy(mine: Signal, theirs: Signal) -> bool:
     size = float(np.std(theirs))
     return size > 0 and float(np.max(np.abs(mine - theirs))) <= COMPUTED * size
 
 
 def copies(log: Log) -> Iterator[Finding]:
     """Position that is the reference, motor position that is the position."""
-    if log.reference is not None and _same(log.position, log.reference):
+    if log.reference is not None and _is_copy(log.position, log.reference):
         yield Finding(
             "fatal",
             "position",
@@ -27,7 +27,7 @@ def copies(log: Log) -> Iterator[Finding]:
             "one of them is a copy: log the measured position and the set-point",
             "duplicate",
         )
-    if log.motor_position is not None and _same(log.motor_position, log.position):
+    if log.motor_position is not None and _is_copy(log.motor_position, log.position):
         yield Finding(
             "warning",
             "motor_position",
@@ -41,7 +41,7 @@ def velocity(log: Log) -> Iterator[Finding]:
     """Velocity that is a difference quotient of the position."""
     if log.velocity is None:
         return
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     position, given = log.position[piece], log.velocity[piece]
     backward = np.diff(position, prepend=position[0]) / step
     quotients = {
@@ -53,7 +53,7 @@ def velocity(log: Log) -> Iterator[Finding]:
         # the time step may be that of rounded stamps: compare up to a factor near 1
         if np.std(quotient) > 0 and np.std(given) > 0:
             ratio = float(np.dot(given, quotient) / np.dot(quotient, quotient))
-            if abs(ratio - 1) < 1e-3 and _same(given[2:-2], ratio * quotient[2:-2]):
+            if abs(ratio - 1) < 1e-3 and _is_copy(given[2:-2], ratio * quotient[2:-2]):
                 yield Finding(
                     "note",
                     "velocity",
@@ -84,7 +84,7 @@ def feedforward(log: Log) -> Iterator[Finding]:
     """Command that is a function of the reference alone, without any feedback in it."""
     if log.reference is None or np.std(log.command) == 0 or np.std(log.reference) == 0:
         return
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     reference = log.reference[piece]
     speed = np.gradient(reference, step)
     acceleration = np.gradient(speed, step)

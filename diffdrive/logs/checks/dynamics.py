@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from diffdrive.logs.checks.statistics import SMOOTHING, Signal, derivative, smoothed, window
+from diffdrive.logs.checks.statistics import SMOOTHING, Signal, derivative, smooth_signal, window_length
 from diffdrive.model.parameters import Directional, Drive
 
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.
@@ -29,7 +29,7 @@ ACCURACY = (
 BLOCK = 0.2  # s: forces that a model leaves out last as long as an acceleration does
 
 
-class Estimate(NamedTuple):
+class DynamicsEstimate(NamedTuple):
     """A ratio to the nominal value (or a value in SI units), and its standard deviation."""
 
     value: float
@@ -57,14 +57,14 @@ class Estimate(NamedTuple):
         return self.value >= -2 * self.std
 
 
-class Dynamics(NamedTuple):
+class DynamicsFit(NamedTuple):
     """What the sliding samples ask for; `friction` is the mean of both directions, which no constant force touches."""
 
-    mass: Estimate
-    friction: Estimate  # Coulomb, mean of both directions
-    positive: Estimate  # Coulomb, in this direction alone: a constant force is part of it
-    negative: Estimate
-    viscous: Estimate
+    mass: DynamicsEstimate
+    friction: DynamicsEstimate  # Coulomb, mean of both directions
+    positive: DynamicsEstimate  # Coulomb, in this direction alone: a constant force is part of it
+    negative: DynamicsEstimate
+    viscous: DynamicsEstimate
     misfit: float  # RMS of what is left, over the RMS of the force
 
     @property
@@ -81,8 +81,8 @@ class Dynamics(NamedTuple):
         parts = (self.mass, self.friction, self.viscous)
         impossible = sum(0.5 * (one.value / one.std) ** 2 for one in parts[:2] if not one.positive)
         known = [one for one in parts if 2 * one.std < max(1.0, one.value)]
-        nominal = sum(_squared(one, NOMINAL_STD) for one in known)
-        other = CHANGED + sum(_squared(one, CHANGED_STD) + np.log(CHANGED_STD / NOMINAL_STD) for one in known)
+        nominal = sum(_neg_log_prior(one, NOMINAL_STD) for one in known)
+        other = CHANGED + sum(_neg_log_prior(one, CHANGED_STD) + np.log(CHANGED_STD / NOMINAL_STD) for one in known)
         return float(impossible + min(nominal, other))
 
     @property
@@ -101,7 +101,7 @@ class Dynamics(NamedTuple):
         return any(one.value > 2 * one.std and abs(np.log(one.value)) > 2 * NOMINAL_STD for one in self[:4])
 
 
-def _squared(one: Estimate, std: float) -> float:
+def _neg_log_prior(one: DynamicsEstimate, std: float) -> float:
     """Of a value that may be zero, that of the largest that it may have."""
     value = max(one.value, 2 * one.std, 1e-12)
     return float(0.5 * np.log(value) ** 2 / (std**2 + (one.std / value) ** 2))
@@ -114,27 +114,27 @@ def inverse_dynamics(
     drive: Drive | None = None,
     load: Signal | float = 0.0,
     without: np.ndarray | None = None,
-) -> Dynamics | None:
+) -> DynamicsFit | None:
     """Mass and friction that a motion asks for; None where the table does not slide both ways.
 
     `position` (m) and `force` (N) at samples `step` (s) apart; `load` (N) lies on the guides. Samples near those of
     the mask `without` do not count. With a drive, ratios to its nominal values; without, kg, N and N s/m.
     """
     weight = 0.0 if drive is None else float(drive.plant.constant_force)
-    motion, given = smoothed(position, step), derivative(force + weight, step, 0)
+    motion, given = smooth_signal(position, step), derivative(force + weight, step, 0)
     speed = motion.rate
     sliding = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
     if without is not None and without.any():
-        sliding &= ~binary_dilation(without, iterations=window(1.0 / step, SMOOTHING) // 2)
+        sliding &= ~binary_dilation(without, iterations=window_length(1.0 / step, SMOOTHING) // 2)
     ahead = speed > 0
     if min(np.sum(sliding & ahead), np.sum(sliding & ~ahead)) < FEWEST or np.std(given[sliding]) == 0:
         return None
-    inertia, dry, drag = _columns(motion.curvature, speed, drive, load)
+    inertia, dry, drag = _regressors(motion.curvature, speed, drive, load)
     stack = np.column_stack([inertia, np.where(ahead, dry, 0.0), np.where(ahead, 0.0, dry), drag])[sliding]
-    return _solved(stack, given[sliding], sliding, max(1, int(BLOCK / step)))
+    return _weighted_fit(stack, given[sliding], sliding, max(1, int(BLOCK / step)))
 
 
-def _columns(acceleration: Signal, speed: Signal, drive: Drive | None, load: Signal | float) -> tuple[Signal, ...]:
+def _regressors(acceleration: Signal, speed: Signal, drive: Drive | None, load: Signal | float) -> tuple[Signal, ...]:
     """Forces of inertia, dry friction and drag; of one unit each where no drive is given."""
     direction = np.sign(speed)
     if drive is None:
@@ -153,7 +153,7 @@ def _columns(acceleration: Signal, speed: Signal, drive: Drive | None, load: Sig
     return float(drive.plant.mass) * acceleration, dry, drag
 
 
-def _solved(stack: np.ndarray, given: Signal, sliding: np.ndarray, block: int) -> Dynamics:
+def _weighted_fit(stack: np.ndarray, given: Signal, sliding: np.ndarray, block: int) -> DynamicsFit:
     """Least squares with weights against outliers; the deviations count what is left in blocks, as it is no noise."""
     size = float(np.sqrt(np.mean(given**2)))
     # a column without any content, such as no viscous friction, says nothing
@@ -176,9 +176,9 @@ def _solved(stack: np.ndarray, given: Signal, sliding: np.ndarray, block: int) -
     mean = (values[1] + values[2]) / 2
     together = covariance[1:3, 1:3] / np.outer(scales[1:3], scales[1:3])
     spread = max(float(np.sqrt(max(together.sum(), 0.0))) / 2, 1e-9 * abs(float(mean)))
-    one = [Estimate(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
+    one = [DynamicsEstimate(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
     misfit = float(np.sqrt(np.mean(left**2))) / size
-    return Dynamics(one[0], Estimate(float(mean), spread), one[1], one[2], one[3], misfit)
+    return DynamicsFit(one[0], DynamicsEstimate(float(mean), spread), one[1], one[2], one[3], misfit)
 
 
 def _samples_per_independent(left: Signal, sliding: np.ndarray, block: int) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import noise_of
+from diffdrive.logs.checks.grid import noise_std
 from diffdrive.logs.checks.ratios import motor_follows_position
-from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step, robust_fit
+from diffdrive.logs.checks.statistics import derivative, longest_piece, robust_fit, sampling_period
 from diffdrive.logs.log import Log
 
 SLIDING = 0.1  # share of the top speed above which the direction is clear
@@ -20,7 +20,7 @@ def lost_motion(log: Log, description: Axis | None) -> Iterator[Finding]:
     """Motor minus table while it moves forwards against while it moves backwards: play, or wind-up under friction."""
     if log.motor_position is None or any(motor_follows_position(log)):  # in one unit first
         return
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     motor, table = log.motor_position[piece], log.position[piece]
     speed = derivative(table, step, 1)
     moving = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
@@ -32,7 +32,7 @@ def lost_motion(log: Log, description: Axis | None) -> Iterator[Finding]:
     fit = robust_fit([one for one in columns if np.std(one) > 0], (motor - table)[moving])
     lost = 2.0 * float(fit.coefficients[0])
     apart = float(np.median((motor - table)[ahead]) - np.median((motor - table)[moving & ~ahead]))
-    noise = np.hypot(noise_of(motor), noise_of(table))
+    noise = np.hypot(noise_std(motor), noise_std(table))
     if abs(apart) < max(WIND_UP, 10 * noise):
         return
     spread = 1.4826 * float(np.median(np.abs(fit.residual)))

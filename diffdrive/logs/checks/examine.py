@@ -37,56 +37,56 @@ def examine(log: Log, description: Axis | None = None) -> list[Finding]:
     An identification should refuse a log with a `fatal` finding. A finding has a `repair` only where its cause is
     certain and the mended log shows nothing else.
     """
-    findings = _readable(log)
+    findings = _unreadable_findings(log)
     if not findings:
-        findings = _found(log, description)
-        findings = _confirmed(findings, log, description)
+        findings = _all_findings(log, description)
+        findings = _verify_repairs(findings, log, description)
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
 def examine_together(logs: Sequence[Log], description: Axis | None = None) -> list[Finding]:
     """Where several logs of one machine contradict one another: none if each asks for the same mass and friction."""
-    readable = [log for log in logs if not _readable(log)]
+    readable = [log for log in logs if not _unreadable_findings(log)]
     return [*together.contradictions(readable, description)]
 
 
-def _readable(log: Log) -> list[Finding]:
+def _unreadable_findings(log: Log) -> list[Finding]:
     """What forbids any further look."""
     findings = [*outliers.lengths(log)] or [*outliers.finite(log)]
     return findings or [*clock.order(log)]
 
 
-def _found(log: Log, description: Axis | None) -> list[Finding]:
+def _all_findings(log: Log, description: Axis | None) -> list[Finding]:
     """All findings of a readable log: of the log without its overflows, where there are any."""
     resolution = None if description is None else description.drive.sensor.resolution
-    overflows = [*wraps.wrapped(log, resolution), *wraps.wrapped_command(log)]
-    return [*overflows, *_shown(_mended(log, overflows), description)]
+    overflows = [*wraps.wrapped_positions(log, resolution), *wraps.wrapped_command(log)]
+    return [*overflows, *_findings_but_overflows(_repaired(log, overflows), description)]
 
 
-def _mended(log: Log, findings: list[Finding]) -> Log:
+def _repaired(log: Log, findings: list[Finding]) -> Log:
     """The log after all repairs that the findings state."""
     return Repair(tuple(step for one in findings if one.repair is not None for step in one.repair.steps)).apply(log)
 
 
-def _shown(log: Log, description: Axis | None) -> list[Finding]:
+def _findings_but_overflows(log: Log, description: Axis | None) -> list[Finding]:
     """All findings but overflows; what is said of the command comes first, since it has looked at all channels."""
     clocks = [*clock.rate(log, description)] if description is not None else []
     # a channel that stands still where it should move spoils every comparison with the others
     frozen = any(one.channel in ("reference", "position") for one in stuck.frozen_position(log))
-    related, given = ([], None) if frozen else _command(log, description)
+    related, given = ([], None) if frozen else _check_command(log, description)
     steps = tuple(step for one in related if one.repair is not None for step in one.repair.steps)
-    single = _by_themselves(log, description, None if steps else given)
+    single = _single_channel_findings(log, description, None if steps else given)
     if steps:  # what goes with the fault that all channels show together is part of it; the rest counts in true units
         shown = {(one.cause, one.channel) for one in single}
         single = [
             one
-            for one in _by_themselves(Repair(steps).apply(log), description, given)
+            for one in _single_channel_findings(Repair(steps).apply(log), description, given)
             if (one.cause, one.channel) in shown
         ]
-    return [*clocks, *related, *(_in_its_unit(one, related) for one in single if not _is_said(one, related))]
+    return [*clocks, *related, *(_qualify_limit(one, related) for one in single if not _is_covered(one, related))]
 
 
-def _in_its_unit(finding: Finding, related: list[Finding]) -> Finding:
+def _qualify_limit(finding: Finding, related: list[Finding]) -> Finding:
     """What is said of the command's limit, where its unit may be another one than the limit's."""
     unsure = any(one.cause == "gain" and one.repair is None and one.channel == finding.channel for one in related)
     if (finding.cause, finding.channel) != ("clipped", "command") or not unsure:
@@ -97,12 +97,12 @@ def _in_its_unit(finding: Finding, related: list[Finding]) -> Finding:
     )
 
 
-def _by_themselves(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
+def _single_channel_findings(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
     """What single channels show, or two by their ratio; `given` is the controller's own command, where it is known."""
-    return [*_position_unit(log, description), *_signals(log, description, given)]
+    return [*_position_unit_findings(log, description), *_other_findings(log, description, given)]
 
 
-def _is_said(finding: Finding, related: list[Finding]) -> bool:
+def _is_covered(finding: Finding, related: list[Finding]) -> bool:
     """Whether what one channel shows by itself is part of what all show together, and no mended log can tell.
 
     Where there is a mended log, it has told already: this is for what cannot be undone, or has rivals.
@@ -117,18 +117,18 @@ def _is_said(finding: Finding, related: list[Finding]) -> bool:
     )
 
 
-def _confirmed(findings: list[Finding], log: Log, description: Axis | None) -> list[Finding]:
+def _verify_repairs(findings: list[Finding], log: Log, description: Axis | None) -> list[Finding]:
     """The findings, each without its repair if the mended log shows anything that the log does not."""
     if all(one.repair is None for one in findings):
         return findings
-    left = [one for one in _found(_mended(log, findings), description) if one.severity != "note"]
+    left = [one for one in _all_findings(_repaired(log, findings), description) if one.severity != "note"]
     # the log as it was given, its overflows included: what only an unwrapped channel shows speaks against them
     overflows = [one for one in findings if one.cause == "wrapped"]
-    given = [*overflows, *_shown(log, description)] if overflows else findings
-    return [finding if finding.repair is None else _doubted(finding, given, left) for finding in findings]
+    given = [*overflows, *_findings_but_overflows(log, description)] if overflows else findings
+    return [finding if finding.repair is None else _drop_refuted_repair(finding, given, left) for finding in findings]
 
 
-def _doubted(finding: Finding, given: list[Finding], left: list[Finding]) -> Finding:
+def _drop_refuted_repair(finding: Finding, given: list[Finding], left: list[Finding]) -> Finding:
     """The finding, without its repair if what is `left` in the mended log speaks against it.
 
     What the log as it was given shows as well is no rival; but if it is fatal, this mend alone makes no sound log. What
@@ -146,20 +146,21 @@ def _doubted(finding: Finding, given: list[Finding], left: list[Finding]) -> Fin
     if new:
         return replace(
             finding,
-            remedy=f"{finding.remedy}; but the log so mended is not sound ({_list(new)}), so the cause is not certain",
+            remedy=f"{finding.remedy}; but the log so mended is not sound ({_listing(new)}), so the cause is not "
+            "certain",
             rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
             repair=None,
         )
     if unchanged:
-        return replace(finding, remedy=f"{finding.remedy}; besides, {_list(unchanged)}", repair=None)
+        return replace(finding, remedy=f"{finding.remedy}; besides, {_listing(unchanged)}", repair=None)
     return finding
 
 
-def _list(findings: list[Finding]) -> str:
+def _listing(findings: list[Finding]) -> str:
     return "; ".join(f"{one.channel}: {one.message}" for one in findings[:2])
 
 
-def _position_unit(log: Log, description: Axis | None) -> list[Finding]:
+def _position_unit_findings(log: Log, description: Axis | None) -> list[Finding]:
     """Unit and sign of reference and position, from their range, their ratio and their counts."""
     return [
         *ranges.travel(log, description),
@@ -168,7 +169,7 @@ def _position_unit(log: Log, description: Axis | None) -> list[Finding]:
     ]
 
 
-def _signals(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
+def _other_findings(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
     """What single channels show besides; `given` is the controller's own command, where it is known."""
     checks: list[Iterable[Finding]] = [
         clock.gaps(log),
@@ -197,10 +198,10 @@ def _signals(log: Log, description: Axis | None, given: Signal | None) -> list[F
     return [finding for check in checks for finding in check]
 
 
-def _command(log: Log, description: Axis | None) -> command.Judgement:
+def _check_command(log: Log, description: Axis | None) -> command.CommandCheck:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     if np.ptp(log.command) == 0 or np.ptp(log.position) == 0:
-        return command.Judgement([])
+        return command.CommandCheck([])
     if description is None:
-        return command.Judgement([*balance.command_sign(log)])
-    return command.judged(log, description)
+        return command.CommandCheck([*balance.command_sign(log)])
+    return command.check_command(log, description)

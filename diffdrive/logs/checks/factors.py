@@ -19,7 +19,7 @@ FACTORS = {
 }
 
 
-def name_of(ratio: float) -> str | None:
+def unit_error_of(ratio: float) -> str | None:
     """What unit error makes this ratio, to 1 %; either way round; None if none is known."""
     size = abs(ratio)
     if not (0 < size < math.inf):
@@ -30,7 +30,7 @@ def name_of(ratio: float) -> str | None:
     return None
 
 
-def name_in_brackets(ratio: float) -> str:
+def unit_error_text(ratio: float) -> str:
     """The name in brackets, for a sentence, or nothing."""
-    name = name_of(ratio)
+    name = unit_error_of(ratio)
     return f" ({name}?)" if name else ""

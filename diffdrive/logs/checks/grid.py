@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.logs.checks.factors import name_in_brackets
+from diffdrive.logs.checks.factors import unit_error_text
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.ranges import LONGEST
-from diffdrive.logs.checks.statistics import scale
+from diffdrive.logs.checks.statistics import robust_std
 from diffdrive.logs.log import Log, Signal
 
 # Residuals to a grid, in steps: uniform ones have an RMS of 1/sqrt(12) = 0.289; single-precision storage of 0.25 m on
@@ -26,14 +26,14 @@ COARSE_LEVELS = 50
 FEW = 20  # samples for each value, where a signal is a staircase
 
 
-class Grid(NamedTuple):
+class CountGrid(NamedTuple):
     """A grid that the signal lies on: its step, and the RMS distance of the small gaps from it, in steps."""
 
     step: float
     misfit: float
 
 
-def grid_of(signal: Signal) -> Grid | None:
+def fit_count_grid(signal: Signal) -> CountGrid | None:
     """The grid on which the values lie, or None: the step of which all gaps between values are multiples.
 
     At constant speed the gaps are all large, such as 49, 50 and 51 counts; the gaps between these gaps tell the count.
@@ -57,14 +57,14 @@ def grid_of(signal: Signal) -> Grid | None:
         counts = np.maximum(np.round(small / step), 1.0)
         step = float(np.sum(small * counts) / np.sum(counts**2))
     misfit = float(np.sqrt(np.mean((small / step - np.round(small / step)) ** 2)))
-    return Grid(step, misfit) if misfit < ON_GRID else None
+    return CountGrid(step, misfit) if misfit < ON_GRID else None
 
 
-def noise_of(signal: Signal) -> float:
+def noise_std(signal: Signal) -> float:
     """Standard deviation of a signal's noise, from its third differences, which no motion survives, and its counts."""
-    found = grid_of(signal)
+    found = fit_count_grid(signal)
     counts = found.step / np.sqrt(12) if found else 0.0
-    return max(scale(np.diff(signal, 3)) / np.sqrt(20), counts)  # 20 = 1 + 9 + 9 + 1
+    return max(robust_std(np.diff(signal, 3)) / np.sqrt(20), counts)  # 20 = 1 + 9 + 9 + 1
 
 
 def off_grid_share(signal: Signal, step: float) -> float | None:
@@ -87,14 +87,14 @@ def off_grid_share(signal: Signal, step: float) -> float | None:
     return float(np.mean(np.sqrt(np.mean(residual**2, axis=1)) > ON_GRID))
 
 
-def _longest(description: Axis | None) -> float:
+def _longest_travel(description: Axis | None) -> float:
     low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
     return min(1.05 * (high - low), LONGEST)
 
 
 def position_grid(log: Log, description: Axis | None) -> Iterator[Finding]:
     """The position's counts against the drive file's resolution, or whether there are counts at all."""
-    found = grid_of(log.position)
+    found = fit_count_grid(log.position)
     stated = None if description is None else description.drive.sensor.resolution
     if stated is None:
         if found is None:
@@ -122,12 +122,12 @@ def position_grid(log: Log, description: Axis | None) -> Iterator[Finding]:
         return
     ratio = 1.0 if found is None else found.step / stated
     # digits and single precision make fine grids too; a unit is wrong only if the right one makes an axis of it
-    if found is not None and ratio < 0.01 and float(np.ptp(log.position)) / ratio < _longest(description):
+    if found is not None and ratio < 0.01 and float(np.ptp(log.position)) / ratio < _longest_travel(description):
         yield Finding(
             "fatal",
             "position",
             f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
-            f"{stated:g} m{name_in_brackets(ratio)}",
+            f"{stated:g} m{unit_error_text(ratio)}",
             "correct the unit of the position, or sensor.resolution",
             "gain",
         )

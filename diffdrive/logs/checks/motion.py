@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import noise_of
-from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step
+from diffdrive.logs.checks.grid import noise_std
+from diffdrive.logs.checks.statistics import derivative, longest_piece, sampling_period
 from diffdrive.logs.log import Log
 
 SHORT = 1.0  # s of motion: fewer strokes than that hold no more than a handful of reversals
@@ -15,7 +15,7 @@ STROKES = 20  # counts: a travel below is noise
 
 def variety(log: Log) -> Iterator[Finding]:
     """Motion at all, long enough, both ways, at several speeds."""
-    piece, step, noise = longest_piece(log), mean_step(log), noise_of(log.position[longest_piece(log)])
+    piece, step, noise = longest_piece(log), sampling_period(log), noise_std(log.position[longest_piece(log)])
     position = log.position[piece]
     speed = derivative(position, step, 1)
     top = float(np.quantile(np.abs(speed), 0.999))
@@ -61,12 +61,12 @@ def variety(log: Log) -> Iterator[Finding]:
 
 def speed_at(log: Log, first: int = 0) -> float:
     """Speed (m/s) at sample `first`; 0 where the table may rest."""
-    step, longest = mean_step(log), log.position[longest_piece(log)]
+    step, longest = sampling_period(log), log.position[longest_piece(log)]
     top = float(np.quantile(np.abs(derivative(longest, step, 1)), 0.999))
     position = log.position[first:]
     count = max(2, min(len(position) - 1, int(2e-3 / step)))  # 2 ms: an axis gains 10 mm/s in it at 5 m/s^2
     speed = float(position[count] - position[0]) / (count * step)
-    doubt = np.sqrt(2) * noise_of(longest) / (count * step)
+    doubt = np.sqrt(2) * noise_std(longest) / (count * step)
     return speed if abs(speed) > max(0.01 * top, 5 * doubt) else 0.0
 
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import grid_of, noise_of
+from diffdrive.logs.checks.grid import fit_count_grid, noise_std
 from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, longest_piece, robust_fit
-from diffdrive.logs.checks.stuck import clipped
+from diffdrive.logs.checks.stuck import clipped_samples
 from diffdrive.logs.log import CHANNELS, Log, Signal
 
 # Robust standard deviations: heavy tails of real noise reach 8, a reversal's jerk 10.
@@ -53,7 +53,7 @@ def lengths(log: Log) -> Iterator[Finding]:
         )
 
 
-def _bend(signal: Signal) -> Signal:
+def _second_difference(signal: Signal) -> Signal:
     """How far each inner sample lies off the line between its neighbours."""
     return signal[1:-1] - (signal[:-2] + signal[2:]) / 2
 
@@ -69,12 +69,12 @@ def spike_indices(bend: Signal, floor: float) -> np.ndarray:
     large = np.abs(bend) > SPIKE * max(floor, whole, np.finfo(float).tiny)
     large[[0, -1]] = False
     k = np.flatnonzero(large)
-    k = k[np.abs(bend[k]) > SPIKE / NINETY * _around(np.abs(bend), k)]
+    k = k[np.abs(bend[k]) > SPIKE / NINETY * _quantile_around(np.abs(bend), k)]
     returns = (np.abs(bend[k - 1] / bend[k] + 0.5) < 0.2) & (np.abs(bend[k + 1] / bend[k] + 0.5) < 0.2)
     return k[returns]
 
 
-def _around(bend: Signal, places: np.ndarray, reach: int = 50, at_once: int = 10_000) -> Signal:
+def _quantile_around(bend: Signal, places: np.ndarray, reach: int = 50, at_once: int = 10_000) -> Signal:
     """The 90 % quantile of the samples around each of some places, mirrored at the ends."""
     padded = np.pad(bend, min(reach, len(bend) - 1), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, len(padded) - len(bend) + 1)
@@ -83,7 +83,7 @@ def _around(bend: Signal, places: np.ndarray, reach: int = 50, at_once: int = 10
 
 
 def _floor(signal: Signal, share: float) -> float:
-    grid = grid_of(signal)
+    grid = fit_count_grid(signal)
     return max(share * float(np.ptp(np.quantile(signal, [0.01, 0.99]))), grid.step if grid else 0.0)
 
 
@@ -96,11 +96,11 @@ def spikes(log: Log, given: Signal | None = None) -> Iterator[Finding]:
         signal = log.channels.get(name)
         if signal is None or np.ptp(signal) == 0:
             continue
-        bend = _bend(signal)
+        bend = _second_difference(signal)
         floor = _floor(signal, 1e-6)
         if name == "command":
-            bend = _unexplained(log, bend) if given is None else _bend(signal - given)
-            at_limit = clipped(signal)
+            bend = _residual_of_command(log, bend) if given is None else _second_difference(signal - given)
+            at_limit = clipped_samples(signal)
             bend[at_limit[:-2] | at_limit[1:-1] | at_limit[2:]] = 0.0  # no spikes, but where it leaves its limit
             floor = _floor(signal, 1e-3)
         k = spike_indices(bend, floor)
@@ -116,12 +116,12 @@ def spikes(log: Log, given: Signal | None = None) -> Iterator[Finding]:
             )
 
 
-def _unexplained(log: Log, bend: Signal) -> Signal:
+def _residual_of_command(log: Log, bend: Signal) -> Signal:
     """The command's bends less what is linear in the bends of reference and position, now and one sample either side.
 
     A controller turns one flickering count into a spike of its own: kp and kd times the count.
     """
-    causes = [_bend(log.position)] + ([] if log.reference is None else [_bend(log.reference)])
+    causes = [_second_difference(log.position)] + ([] if log.reference is None else [_second_difference(log.reference)])
     columns = [np.roll(cause, s) for cause in causes for s in (-1, 0, 1) if np.ptp(cause) > 0]
     return robust_fit(columns, bend).residual if np.ptp(bend) > 0 else bend
 
@@ -155,7 +155,7 @@ def lost_rows(log: Log) -> Iterator[Finding]:
     # the reference must be smooth around, and the jump that of whole steps
     whole = (np.abs(jump - count) < 0.1) & (scatter < 0.1)
     # and both clear of noise and digits: at a creep every increment is a digit, and any two of them make a jump
-    whole &= np.abs(count * usual) > 5 * max(noise_of(log.reference), noise_of(log.position))
+    whole &= np.abs(count * usual) > 5 * max(noise_std(log.reference), noise_std(log.position))
     listed = np.zeros(len(jump), bool)
     listed[[k - 1 for k in log.gaps]] = True
     listed |= np.diff(log.time) > 1.5 * np.median(np.diff(log.time))  # the stamps show it already

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.logs.checks.factors import name_in_brackets
+from diffdrive.logs.checks.factors import unit_error_text
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import longest_piece, mean_step, top_speed
+from diffdrive.logs.checks.statistics import longest_piece, sampling_period, top_speed
 from diffdrive.logs.log import Log
 
 FASTEST = 10.0  # m/s: linear motors reach 5
@@ -19,7 +19,7 @@ def travel(log: Log, description: Axis | None) -> Iterator[Finding]:
     """Travel and speed of reference and position."""
     low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
     most = np.inf if description is None else description.limits.speed
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     for name in ("position", "reference"):
         signal = log.channels.get(name)
         if signal is None:
@@ -30,7 +30,7 @@ def travel(log: Log, description: Axis | None) -> Iterator[Finding]:
         if np.isfinite(high - low) and reach > 1.05 * (high - low):
             ratio = reach / (high - low)
             problems.append(
-                f"travels {reach:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{name_in_brackets(ratio)}"
+                f"travels {reach:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{unit_error_text(ratio)}"
             )
         elif reach > LONGEST:
             problems.append(f"travels {reach:.4g} m, more than any axis")

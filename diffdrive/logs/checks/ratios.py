@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffdrive.logs.checks.factors import name_in_brackets
+from diffdrive.logs.checks.factors import unit_error_text
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import derivative, longest_piece, mean_step, robust_fit
+from diffdrive.logs.checks.statistics import derivative, longest_piece, robust_fit, sampling_period
 from diffdrive.logs.log import Log, Signal
 
 # Correlation at which two signals are the same motion: a loop that lags by 8 degrees still reaches it.
@@ -41,7 +41,7 @@ def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bo
             "fatal",
             channel,
             f"the {channel} is {ratio:.4g} times the {other}: its sign is reversed"
-            + (name_in_brackets(ratio) if abs(ratio) > UNIT_ERROR or abs(ratio) < 1 / UNIT_ERROR else ""),
+            + (unit_error_text(ratio) if abs(ratio) > UNIT_ERROR or abs(ratio) < 1 / UNIT_ERROR else ""),
             f"reverse the {channel}, or the {other}",
             "reversed",
         )
@@ -49,7 +49,7 @@ def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bo
         yield Finding(
             "fatal",
             channel,
-            f"the {channel} is {ratio:.4g} times the {other}{name_in_brackets(ratio)}",
+            f"the {channel} is {ratio:.4g} times the {other}{unit_error_text(ratio)}",
             f"correct the unit of the {channel}, or of the {other}",
             "gain",
         )
@@ -74,7 +74,7 @@ def zeros(log: Log) -> Iterator[Finding]:
     """A constant between reference and position that is beyond all that the loop makes of its motion."""
     if log.reference is None:
         return
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     speed = derivative(log.position[piece], step, 1)
     error = (log.reference - log.position)[piece]
     fast = np.abs(speed) > 0.1 * float(np.quantile(np.abs(speed), 0.999))
@@ -102,7 +102,7 @@ def motor_follows_position(log: Log) -> Iterator[Finding]:
 def velocity_is_derivative(log: Log) -> Iterator[Finding]:
     """Velocity against the slope of the position, both smoothed: unit and sign."""
     if log.velocity is not None:
-        piece, step = longest_piece(log), mean_step(log)
+        piece, step = longest_piece(log), sampling_period(log)
         slope = derivative(log.position[piece], step, 1)
         mine = derivative(log.velocity[piece], step, 0)
         yield from _compare("velocity", "position's derivative", mine, slope, False)

@@ -14,12 +14,19 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from diffdrive.axis import Axis
-from diffdrive.logs.checks.bursts import bursts
-from diffdrive.logs.checks.dynamics import Dynamics, inverse_dynamics
+from diffdrive.logs.checks.bursts import find_bursts
+from diffdrive.logs.checks.dynamics import DynamicsFit, inverse_dynamics
 from diffdrive.logs.checks.motion import speed_at
-from diffdrive.logs.checks.replay import SETTLE, Software, is_linear, outputs, remembers_nothing, software_of
-from diffdrive.logs.checks.statistics import Fit, longest_piece, mean_step, robust_fit
-from diffdrive.logs.checks.stuck import clipped
+from diffdrive.logs.checks.replay import (
+    SETTLE,
+    ControllerAndDrive,
+    controller_arrays,
+    controller_commands,
+    is_linear,
+    is_memoryless,
+)
+from diffdrive.logs.checks.statistics import RobustFit, longest_piece, robust_fit, sampling_period
+from diffdrive.logs.checks.stuck import clipped_samples
 from diffdrive.logs.log import Log, Signal
 
 LONGEST = 40_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
@@ -29,7 +36,7 @@ LANES = 16  # replays that run side by side: a fixed number, so that one compile
 SHORTEST = 0.5
 
 
-class Signals(NamedTuple):
+class LoopSignals(NamedTuple):
     """The part of a log that the controller connects, [n] each, at samples `period` (s) apart."""
 
     reference: Signal  # the position itself where none was logged
@@ -39,7 +46,7 @@ class Signals(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Relation:
+class ControllerRelation:
     """A drive file's controller put to a stretch of a log; `late`: judged by its later half, its past forgotten."""
 
     description: Axis
@@ -48,16 +55,16 @@ class Relation:
     late: bool = False
 
     @property
-    def logged(self) -> Signals:
+    def logged(self) -> LoopSignals:
         """The stretch as it was logged."""
         log, piece = self.log, self.piece
         reference = log.position if log.reference is None else log.reference
-        return Signals(reference[piece], log.position[piece], log.command[piece], mean_step(log))
+        return LoopSignals(reference[piece], log.position[piece], log.command[piece], sampling_period(log))
 
     @cached_property
-    def software(self) -> Software:
+    def software(self) -> ControllerAndDrive:
         """What is put to the log."""
-        return software_of(self.description)
+        return controller_arrays(self.description)
 
     @property
     def disturbance(self) -> Signal | None:
@@ -65,7 +72,7 @@ class Relation:
         whole = self.log.disturbance
         return None if whole is None or np.std(whole[self.piece]) == 0 else whole[self.piece]
 
-    def outputs(self, cases: Sequence[Signals]) -> list[Signal]:
+    def outputs(self, cases: Sequence[LoopSignals]) -> list[Signal]:
         """The controller's command (N) for each, all of one length and period.
 
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
@@ -78,13 +85,13 @@ class Relation:
             some = list(cases[first : first + LANES])
             count = len(some)
             some += [some[-1]] * (0 if count == 1 else LANES - count)
-            command = outputs(
+            command = controller_commands(
                 self.software,
-                _between(np.stack([one.reference for one in some]), slower),
-                _between(np.stack([one.position for one in some]), slower),
+                _upsample(np.stack([one.reference for one in some]), slower),
+                _upsample(np.stack([one.position for one in some]), slower),
                 some[0].period / slower,
                 speed,
-                _between(some[0].command, slower) if fed else None,
+                _upsample(some[0].command, slower) if fed else None,
             )
             given += list(command[:count, ::slower])
         return given
@@ -98,17 +105,17 @@ class Relation:
     def not_the_controllers(self) -> np.ndarray:
         """Samples at which the command is not the controller's: at a limit, or in a burst."""
         command = self.log.command[self.piece]
-        found = clipped(self.log.command)[self.piece]
-        for one in bursts(command, mean_step(self.log)):
+        found = clipped_samples(self.log.command)[self.piece]
+        for one in find_bursts(command, sampling_period(self.log)):
             found[max(0, one.start - 2) : one.stop + 2] = True
         return found
 
-    def fit(self, command: Signal, *columns: Signal) -> Fit:
+    def fit(self, command: Signal, *columns: Signal) -> RobustFit:
         """The command as a combination of columns, the known disturbance and a constant, in this order."""
         known = [] if self.disturbance is None else [self.judged(self.disturbance)]
         return robust_fit([*(self.judged(column) for column in columns), *known], self.judged(command))
 
-    def dynamics(self, signals: Signals) -> Dynamics | None:
+    def dynamics(self, signals: LoopSignals) -> DynamicsFit | None:
         """The inverse dynamics of mended signals."""
         log, piece = self.log, self.piece
         load = 0.0 if log.load is None else log.load[piece]
@@ -117,7 +124,7 @@ class Relation:
             signals.position, force, signals.period, self.description.drive, load, self.not_the_controllers
         )
 
-    def plain(self) -> tuple[Signal, Fit] | None:
+    def plain(self) -> tuple[Signal, RobustFit] | None:
         """The controller's command for the log as it is, and the logged one by it; None where it gives nothing."""
         given = self.judged(self.logged.command)
         if len(given) < FEWEST or np.std(given) == 0:
@@ -128,7 +135,7 @@ class Relation:
         return output, self.fit(self.logged.command, output)
 
 
-def _between(signals: np.ndarray, parts: int) -> np.ndarray:
+def _upsample(signals: np.ndarray, parts: int) -> np.ndarray:
     """Signals [..., n] with so many samples for each of theirs, by a cubic spline through theirs."""
     if parts == 1:
         return signals
@@ -136,11 +143,11 @@ def _between(signals: np.ndarray, parts: int) -> np.ndarray:
     return CubicSpline(at, signals, axis=-1)(np.arange((len(at) - 1) * parts + 1) / parts)
 
 
-def relation_of(log: Log, description: Axis) -> Relation | None:
+def controller_relation(log: Log, description: Axis) -> ControllerRelation | None:
     """The relation over the log's most varied stretch; None without a reference, at another rate, or if too short."""
-    piece, step = longest_piece(log), mean_step(log)
+    piece, step = longest_piece(log), sampling_period(log)
     count = piece.stop - piece.start
-    forgets = remembers_nothing(description.controller)
+    forgets = is_memoryless(description.controller)
     if log.reference is None or count < 20 * SETTLE or (not forgets and count * step < SHORTEST):
         return None
-    return Relation(description, log, piece)
+    return ControllerRelation(description, log, piece)

@@ -8,7 +8,7 @@ import numpy as np
 from diffdrive.logs.log import Log, Signal
 
 
-def shifted(signal: Signal, samples: float) -> Signal:
+def shift_signal(signal: Signal, samples: float) -> Signal:
     """The signal some samples later (negative: earlier), between samples by interpolation, its end values repeated."""
     at = np.arange(len(signal)) - samples
     if samples == round(samples):
@@ -16,7 +16,7 @@ def shifted(signal: Signal, samples: float) -> Signal:
     return np.interp(at, np.arange(len(signal)), signal)
 
 
-class Step(abc.ABC):
+class RepairStep(abc.ABC):
     """One elementary repair."""
 
     @abc.abstractmethod
@@ -24,11 +24,11 @@ class Step(abc.ABC):
         """The log after it."""
 
 
-def _with(log: Log, channel: str, signal: Signal | None) -> Log:
+def _with_channel(log: Log, channel: str, signal: Signal | None) -> Log:
     return replace(log, **{channel: signal})  # type: ignore[arg-type]
 
 
-def _require(log: Log, channel: str) -> Signal:
+def _require_channel(log: Log, channel: str) -> Signal:
     signal = log.channels.get(channel)
     if signal is None:
         raise KeyError(f"{log.name} has no {channel}")
@@ -36,67 +36,69 @@ def _require(log: Log, channel: str) -> Signal:
 
 
 @dataclass(frozen=True)
-class Scale(Step):
+class ScaleChannel(RepairStep):
     """Multiply a channel; of `time`, its distance from the first sample."""
 
     channel: str
     factor: float
 
     def apply(self, log: Log) -> Log:
-        signal = _require(log, self.channel)
+        signal = _require_channel(log, self.channel)
         origin = float(signal[0]) if self.channel == "time" else 0.0
-        return _with(log, self.channel, origin + self.factor * (signal - origin))
+        return _with_channel(log, self.channel, origin + self.factor * (signal - origin))
 
 
 @dataclass(frozen=True)
-class Add(Step):
+class AddToChannel(RepairStep):
     """Add a constant to a channel."""
 
     channel: str
     amount: float
 
     def apply(self, log: Log) -> Log:
-        return _with(log, self.channel, _require(log, self.channel) + self.amount)
+        return _with_channel(log, self.channel, _require_channel(log, self.channel) + self.amount)
 
 
 @dataclass(frozen=True)
-class Shift(Step):
+class ShiftChannel(RepairStep):
     """Move a channel by some samples: positive later."""
 
     channel: str
     samples: float
 
     def apply(self, log: Log) -> Log:
-        return _with(log, self.channel, shifted(_require(log, self.channel), self.samples))
+        return _with_channel(log, self.channel, shift_signal(_require_channel(log, self.channel), self.samples))
 
 
 @dataclass(frozen=True)
-class Swap(Step):
+class SwapChannels(RepairStep):
     """Exchange two channels."""
 
     one: str
     other: str
 
     def apply(self, log: Log) -> Log:
-        return replace(log, **{self.one: _require(log, self.other), self.other: _require(log, self.one)})
+        return replace(
+            log, **{self.one: _require_channel(log, self.other), self.other: _require_channel(log, self.one)}
+        )
 
 
 @dataclass(frozen=True)
-class Unwrap(Step):
+class UnwrapChannel(RepairStep):
     """Take out the jumps of a counter that overflows."""
 
     channel: str
     span: float  # of the counter, in the channel's unit
 
     def apply(self, log: Log) -> Log:
-        return _with(log, self.channel, np.unwrap(_require(log, self.channel), period=self.span))
+        return _with_channel(log, self.channel, np.unwrap(_require_channel(log, self.channel), period=self.span))
 
 
 @dataclass(frozen=True)
 class Repair:
     """Steps that undo a fault of a log, the first to be done first."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[RepairStep, ...]
 
     def apply(self, log: Log) -> Log:
         """The mended log; raises `KeyError` where the log has not the channel."""

@@ -19,7 +19,7 @@ SETTLE = 10  # samples until differences over the controller's past are those of
 
 
 @eqx.filter_jit
-def _outputs(
+def _controller_commands(
     controller: Controller, drive: Drive, references: Reference, positions: Any, speed: Any, given: Any, period: Any
 ) -> Any:
     def one(reference: Reference, position: Any) -> Any:
@@ -30,13 +30,13 @@ def _outputs(
             acted = command.force if given is None else at[2]
             return (state, actuator.step(drive.actuator, acting, acted)), command.force
 
-        begin = (_begun(controller, position[0], speed), actuator.init(drive.actuator))
+        begin = (_initial_state(controller, position[0], speed), actuator.init(drive.actuator))
         return lax.scan(body, begin, (reference, position, given))[1]
 
     return jax.vmap(one)(references, positions)
 
 
-def _begun(controller: Controller, position: Any, speed: Any) -> Any:
+def _initial_state(controller: Controller, position: Any, speed: Any) -> Any:
     """The controller's state at a speed (m/s). An observer begun at rest would take the motion for a blow."""
     state = controller.init(position)
     if not isinstance(controller, FrictionCompensation):
@@ -47,17 +47,17 @@ def _begun(controller: Controller, position: Any, speed: Any) -> Any:
     return state._replace(observer=observed._replace(x=(position, speed, sliding)))
 
 
-Software = tuple[Controller, Drive]
+ControllerAndDrive = tuple[Controller, Drive]
 
 
-def software_of(description: Axis) -> Software:
+def controller_arrays(description: Axis) -> ControllerAndDrive:
     """The controller and the drive whose actuator it knows, as arrays."""
     require_double_precision()
     return as_arrays((description.controller, description.drive))
 
 
-def outputs(
-    software: Software,
+def controller_commands(
+    software: ControllerAndDrive,
     references: np.ndarray,
     positions: np.ndarray,
     period: float,
@@ -84,10 +84,10 @@ def outputs(
     positions = np.pad(positions, pad, mode="edge")
     given = None if given is None else np.pad(given, (0, width - count), mode="edge")
     signals = as_arrays((reference, positions, np.asarray(speed), given, np.asarray(period)))
-    return np.asarray(_outputs(*software, *signals))[:, :count]
+    return np.asarray(_controller_commands(*software, *signals))[:, :count]
 
 
-def remembers_nothing(controller: Controller) -> bool:
+def is_memoryless(controller: Controller) -> bool:
     """Whether its output rests on the last samples alone: no integral and no observer to settle first."""
     return isinstance(controller, PD) or (isinstance(controller, Cascade) and float(controller.ki) == 0)
 

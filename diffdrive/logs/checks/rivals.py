@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Sequence
 
-from diffdrive.logs.checks.explanation import Explanation, Fault, alike
+from diffdrive.logs.checks.explanation import ChannelFault, LogExplanation, are_equivalent
 from diffdrive.logs.checks.finding import CAUSES
 
 
-def causes_of(best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
+def causes_of(best: LogExplanation, rivals: Sequence[LogExplanation]) -> tuple[str, ...]:
     """The causes of the rivals: those that the best explanation does not name, or of which it names another amount."""
     found = []
     for one in rivals:
@@ -14,21 +14,24 @@ def causes_of(best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ..
         if more:
             found += [cause for cause, _ in more]
         elif one.causes == best.causes:
-            found += [fault.cause for fault in _other_amounts(best, one)]
+            found += [fault.cause for fault in _faults_of_other_size(best, one)]
         else:
             found += [] if one.faults else ["nothing"]
     return tuple(dict.fromkeys(found))
 
 
-def told(
-    best: Explanation, rivals: Sequence[Explanation], mend: Callable[[Fault], str], nothing: str = "nothing at all"
+def rivals_text(
+    best: LogExplanation,
+    rivals: Sequence[LogExplanation],
+    mend: Callable[[ChannelFault], str],
+    nothing: str = "nothing at all",
 ) -> str:
     """The rivals as the end of a sentence, empty where there are none; `mend` says what undoes a fault.
 
     `nothing` is what else it is where the log is in order.
     """
     others = sorted({pair for one in rivals for pair in one.causes - best.causes})
-    amounts = [fault for one in rivals if one.causes == best.causes for fault in _other_amounts(best, one)]
+    amounts = [fault for one in rivals if one.causes == best.causes for fault in _faults_of_other_size(best, one)]
     fewer = [one for one in rivals if one.causes < best.causes]
     parts = [f"{channel}: {CAUSES[cause]}" for cause, channel in others]
     parts += [f"another amount ({mend(fault)})" for fault in amounts]
@@ -39,9 +42,9 @@ def told(
     return "; the log does not rule out: " + "; or ".join(parts) if parts else ""
 
 
-def _other_amounts(best: Explanation, rival: Explanation) -> list[Fault]:
+def _faults_of_other_size(best: LogExplanation, rival: LogExplanation) -> list[ChannelFault]:
     return [
         fault
         for fault in rival.faults
-        if not any(alike(fault.steps, one.steps) for one in best.faults if one.cause == fault.cause)
+        if not any(are_equivalent(fault.steps, one.steps) for one in best.faults if one.cause == fault.cause)
     ]

@@ -13,12 +13,12 @@ _ROUNDS = 15  # of Huber's weights, at most
 _ENOUGH = 200_000  # samples: a standard error of 0.2 % of what scatters
 
 
-def scale(values: Signal) -> float:
+def robust_std(values: Signal) -> float:
     """Standard deviation of the bulk of the values, from their median absolute deviation."""
     return SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
 
 
-class Fit(NamedTuple):
+class RobustFit(NamedTuple):
     """Coefficients, and the RMS of the residual without its largest hundredth, over the RMS of y about its mean."""
 
     coefficients: np.ndarray
@@ -26,7 +26,7 @@ class Fit(NamedTuple):
     residual: np.ndarray
 
 
-def robust_fit(columns: list[Signal], y: Signal) -> Fit:
+def robust_fit(columns: list[Signal], y: Signal) -> RobustFit:
     """Fit y by a combination of the columns (Huber's weights); a constant column is appended and comes last.
 
     The error is measured without the worst hundredth of the samples, so that spikes, clipped peaks and reversals do
@@ -56,7 +56,7 @@ def robust_fit(columns: list[Signal], y: Signal) -> Fit:
         weights = 1.0 / np.maximum(np.abs(residual) / width, 1.0)
     residual = y - stack @ solution
     kept = np.partition(np.abs(residual), max(0, int(0.99 * len(residual)) - 1))[: max(1, int(0.99 * len(residual)))]
-    return Fit(solution / scales, float(np.sqrt(np.mean(kept**2))) / max(size, tiny), residual)
+    return RobustFit(solution / scales, float(np.sqrt(np.mean(kept**2))) / max(size, tiny), residual)
 
 
 def percent(share: float) -> str:
@@ -64,7 +64,7 @@ def percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g}"
 
 
-class Run(NamedTuple):
+class EqualStretch(NamedTuple):
     """A stretch of equal samples, [start, stop)."""
 
     start: int
@@ -76,12 +76,12 @@ class Run(NamedTuple):
         return self.stop - self.start
 
 
-def runs_of_equal(values: Signal, at_least: int) -> list[Run]:
+def equal_stretches(values: Signal, at_least: int) -> list[EqualStretch]:
     """Stretches of at least so many samples that are equal to the last bit."""
     edges = np.flatnonzero(np.diff(values) != 0) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(values)]])
     long = stops - starts >= at_least
-    return [Run(int(a), int(b)) for a, b in zip(starts[long], stops[long], strict=True)]
+    return [EqualStretch(int(a), int(b)) for a, b in zip(starts[long], stops[long], strict=True)]
 
 
 def longest_piece(log: Log) -> slice:
@@ -89,7 +89,7 @@ def longest_piece(log: Log) -> slice:
     return max(log.pieces(), key=lambda piece: piece.stop - piece.start)
 
 
-def mean_step(log: Log) -> float:
+def sampling_period(log: Log) -> float:
     """Seconds from sample to sample, the mean over all stretches without a gap: rounding of the stamps averages out."""
     pieces = [log.time[piece] for piece in log.pieces() if piece.stop - piece.start > 1]
     steps = np.concatenate([np.diff(piece) for piece in pieces])
@@ -97,12 +97,12 @@ def mean_step(log: Log) -> float:
     return float(np.mean(regular))
 
 
-def window(rate: float, seconds: float) -> int:
+def window_length(rate: float, seconds: float) -> int:
     """An odd number of samples, at least 5, that spans about so many seconds."""
     return max(5, 2 * int(seconds * rate / 2) + 1)
 
 
-class Smooth(NamedTuple):
+class SmoothedSignal(NamedTuple):
     """A signal without its noise, and its first two derivatives."""
 
     value: Signal
@@ -110,14 +110,14 @@ class Smooth(NamedTuple):
     curvature: Signal  # per s^2
 
 
-def smoothed(signal: Signal, step: float, seconds: float = SMOOTHING) -> Smooth:
+def smooth_signal(signal: Signal, step: float, seconds: float = SMOOTHING) -> SmoothedSignal:
     """The signal and its derivatives by local cubics over `seconds`."""
-    return Smooth(*(derivative(signal, step, order, seconds) for order in range(3)))
+    return SmoothedSignal(*(derivative(signal, step, order, seconds) for order in range(3)))
 
 
 def derivative(signal: Signal, step: float, order: int, seconds: float = SMOOTHING) -> Signal:
     """One derivative of the smoothed signal; order 0 is the signal without its noise."""
-    length = window(1.0 / step, seconds)
+    length = window_length(1.0 / step, seconds)
     if len(signal) <= length:
         length = max(5, 2 * ((len(signal) - 1) // 2) - 1)
     return savgol_filter(signal, length, 3, deriv=order, delta=step)

@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import grid_of
-from diffdrive.logs.checks.statistics import Run, mean_step, runs_of_equal, top_speed
+from diffdrive.logs.checks.grid import fit_count_grid
+from diffdrive.logs.checks.statistics import EqualStretch, equal_stretches, sampling_period, top_speed
 from diffdrive.logs.log import Log, Signal
 
 # Equal samples from which a stretch is looked at; noise on the counts makes a few by chance.
-LONG = 5
+SHORTEST_STRETCH = 5
 # Samples at the extreme level, beside those at the next levels: a sine's crest in counts holds 2.4 times its neighbour.
-ATOM = 5.0
+EXTREME_RATIO = 5.0
 # A tracking error within a standing stretch that the rest of the log nowhere reaches.
 BEYOND = 5.0
 ON_THE_MOVE = 0.1  # of the jump that makes up for a standstill: so far a table that waits does not move
@@ -33,29 +33,29 @@ def constant(log: Log) -> Iterator[Finding]:
             )
 
 
-def atom(signal: Signal, at: float) -> np.ndarray | None:
+def samples_at_extreme(signal: Signal, at: float) -> np.ndarray | None:
     """Samples that sit exactly at an extreme value far more often than at those next to it, or None."""
     values, counts = np.unique(signal, return_counts=True)
     if len(values) < 20:  # a staircase sits at its extremes by design
         return None
     top = counts[-1] if at == values[-1] else counts[0]
     beside = counts[-6:-1] if at == values[-1] else counts[1:6]
-    return signal == at if top >= 20 and top > ATOM * beside.max() else None
+    return signal == at if top >= 20 and top > EXTREME_RATIO * beside.max() else None
 
 
-def clipped(command: Signal) -> np.ndarray:
+def clipped_samples(command: Signal) -> np.ndarray:
     """Samples at which the command sits at an extreme value far more often than next to it."""
     there = np.zeros(len(command), bool)
     for at in (float(np.max(command)), float(np.min(command))):
-        at_level = atom(command, at)
+        at_level = samples_at_extreme(command, at)
         there |= False if at_level is None else at_level
     return there
 
 
-def _standing(log: Log, name: str) -> list[Run]:
+def _standing_stretches(log: Log, name: str) -> list[EqualStretch]:
     """Stretches in which a position stands although the reference goes where it should have followed."""
     signal, reference = log.channels[name], log.reference
-    runs = runs_of_equal(signal, LONG)
+    runs = equal_stretches(signal, SHORTEST_STRETCH)
     if reference is None or name == "reference" or not runs:
         return []
     standing = np.zeros(len(signal), bool)
@@ -73,20 +73,20 @@ def _standing(log: Log, name: str) -> list[Run]:
     ]
 
 
-def _jumping(signal: Signal) -> list[Run]:
+def _stretches_before_jumps(signal: Signal) -> list[EqualStretch]:
     """Stretches at whose end the signal jumps to make up for them, farther than it ever moves in one sample."""
     steps = np.abs(np.diff(signal))
     usual = float(np.quantile(steps, 0.999)) if len(steps) else 0.0
-    grid = grid_of(signal)
+    grid = fit_count_grid(signal)
     least = 3 * max(usual, 3 * grid.step if grid else 0.0)
     return [
         run
-        for run in runs_of_equal(signal, LONG)
+        for run in equal_stretches(signal, SHORTEST_STRETCH)
         if run.stop < len(signal) and run.start > 0 and steps[run.stop - 1] > max(least, 1e-9)
     ]
 
 
-def _moved_on(log: Log, run: Run) -> bool:
+def _table_moved(log: Log, run: EqualStretch) -> bool:
     """Whether the table moved on while the reference stood: a set-point may step, and then the table waits for it.
 
     Either the table is where the reference goes next as it wakes, or it moved that way over the latter half.
@@ -106,9 +106,9 @@ def frozen_position(log: Log) -> Iterator[Finding]:
         signal = log.channels.get(name)
         if signal is None or np.ptp(signal) == 0:
             continue
-        frozen = _standing(log, name) or _jumping(signal)
+        frozen = _standing_stretches(log, name) or _stretches_before_jumps(signal)
         if name == "reference":
-            frozen = [run for run in frozen if _moved_on(log, run)]
+            frozen = [run for run in frozen if _table_moved(log, run)]
         if not frozen:
             continue
         longest = max(frozen, key=lambda run: run.length)
@@ -124,7 +124,7 @@ def frozen_position(log: Log) -> Iterator[Finding]:
                 name,
                 what + f"samples, longest {span}: clipped or frozen",
                 "widen the logger's range, or cut these stretches out and list the gaps",
-                "clipped",
+                "clipped_samples",
             )
         else:
             yield Finding(
@@ -141,15 +141,15 @@ def frozen_command(log: Log) -> Iterator[Finding]:
     steps = np.diff(log.command)
     if np.ptp(log.command) == 0 or np.mean(steps == 0) > 0.5:  # a coarse command stands often
         return
-    fast = top_speed(log.position, mean_step(log))
+    fast = top_speed(log.position, sampling_period(log))
     at_extreme = (float(np.max(log.command)), float(np.min(log.command)))
-    runs = [run for run in runs_of_equal(log.command, LONG) if log.command[run.start] not in at_extreme]
+    runs = [run for run in equal_stretches(log.command, SHORTEST_STRETCH) if log.command[run.start] not in at_extreme]
     lengths = sorted(run.length for run in runs)
     for run in sorted(runs, key=lambda run: -run.length)[:1]:
         travel = float(np.ptp(log.position[run.start : run.stop]))
         # it must outlast the other standing stretches three times, and the table must be on the move meanwhile
         ordinary = lengths[-2] if len(lengths) > 1 else 1
-        if run.length < max(20, 3 * ordinary) or travel < 0.1 * fast * run.length * mean_step(log):
+        if run.length < max(20, 3 * ordinary) or travel < 0.1 * fast * run.length * sampling_period(log):
             continue
         # where the error stands as well, as at a count of the scale a sample, so may the command
         if log.reference is not None:

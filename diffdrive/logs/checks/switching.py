@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.logs.checks.statistics import Fit, robust_fit, scale
+from diffdrive.logs.checks.statistics import RobustFit, robust_fit, robust_std
 from diffdrive.logs.log import Signal
 
 # The two levels must stand clear of what scatters around them, like the bits of a binary signal; and a switch is rare,
@@ -13,16 +13,16 @@ CLEAR = 10.0
 RARE = 0.05
 
 
-class Switched(NamedTuple):
+class SwitchedForce(NamedTuple):
     """The fit of the command by controller and switch, the switch's height in the command's unit, and how it went."""
 
-    fit: Fit
+    fit: RobustFit
     height: float
     changes: int
     share: float  # of the samples, on
 
 
-def switching(command: Signal, output: Signal) -> Switched | None:
+def find_switched_force(command: Signal, output: Signal) -> SwitchedForce | None:
     """The switch, if controller and one switch explain the command.
 
     The increments from sample to sample tell the controller: while the switch stands still they are the controller's
@@ -36,8 +36,8 @@ def switching(command: Signal, output: Signal) -> Switched | None:
     if not 0 < changes < RARE * len(on) or not 0.02 < np.mean(on) < 0.98:
         return None
     levels = float(np.median(rest[on])), float(np.median(rest[~on]))
-    if levels[0] - levels[1] < CLEAR * max(scale(rest[on]), scale(rest[~on])):
+    if levels[0] - levels[1] < CLEAR * max(robust_std(rest[on]), robust_std(rest[~on])):
         return None
     fits = [(state, robust_fit([output, state.astype(float)], command)) for state in (on, ~on)]
     column, fit = min(fits, key=lambda one: abs(one[1].coefficients[-1]))  # off is where the controller alone is seen
-    return Switched(fit, float(fit.coefficients[1]), changes, float(np.mean(column)))
+    return SwitchedForce(fit, float(fit.coefficients[1]), changes, float(np.mean(column)))

@@ -7,29 +7,29 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.logs.checks.balance import nominal_friction
-from diffdrive.logs.checks.dynamics import ACCURACY, Dynamics, Estimate, inverse_dynamics
+from diffdrive.logs.checks.dynamics import ACCURACY, DynamicsEstimate, DynamicsFit, inverse_dynamics
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.statistics import longest_piece, mean_step
+from diffdrive.logs.checks.statistics import longest_piece, sampling_period
 from diffdrive.logs.log import Log
 
 CLEAR = 3.0  # standard deviations
 
 
-class _Seen(NamedTuple):
+class _LogDynamics(NamedTuple):
     log: Log
-    dynamics: Dynamics
+    dynamics: DynamicsFit
 
 
 def contradictions(logs: Sequence[Log], description: Axis | None = None) -> Iterator[Finding]:
     """Mass and friction that two logs of one machine ask for, where they differ by more than both may be off."""
-    seen = [_Seen(log, found) for log in logs if (found := _dynamics(log, description)) is not None]
+    seen = [_LogDynamics(log, found) for log in logs if (found := _dynamics(log, description)) is not None]
     for quantity, what, unit in (("mass", "mass", "kg"), ("friction", "Coulomb friction", "N")):
         known = [(one.log, getattr(one.dynamics, quantity)) for one in seen]
         known = [(log, estimate) for log, estimate in known if estimate.determined and estimate.value > 0]
         if len(known) < 2:
             continue
         (low_log, low), (high_log, high) = (pick(known, key=lambda pair: pair[1].value) for pick in (min, max))
-        if _apart(low, high) <= CLEAR:
+        if _distance(low, high) <= CLEAR:
             continue
         size = _nominal(quantity, description)
         yield Finding(
@@ -44,8 +44,8 @@ def contradictions(logs: Sequence[Log], description: Axis | None = None) -> Iter
         )
 
 
-def _dynamics(log: Log, description: Axis | None) -> Dynamics | None:
-    piece, step = longest_piece(log), mean_step(log)
+def _dynamics(log: Log, description: Axis | None) -> DynamicsFit | None:
+    piece, step = longest_piece(log), sampling_period(log)
     force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
     if np.ptp(force) == 0 or np.ptp(log.position[piece]) == 0:
         return None
@@ -54,7 +54,7 @@ def _dynamics(log: Log, description: Axis | None) -> Dynamics | None:
     return inverse_dynamics(log.position[piece], force, step, drive, load)
 
 
-def _apart(low: Estimate, high: Estimate) -> float:
+def _distance(low: DynamicsEstimate, high: DynamicsEstimate) -> float:
     """Standard deviations between two estimates, the accuracy of both included."""
     relative = np.sqrt(2 * ACCURACY**2 + (low.std / low.value) ** 2 + (high.std / high.value) ** 2)
     return float(np.log(high.value / low.value) / relative)

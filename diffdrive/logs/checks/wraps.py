@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import grid_of, noise_of
-from diffdrive.logs.checks.repair import Add, Repair, Unwrap
+from diffdrive.logs.checks.grid import fit_count_grid, noise_std
+from diffdrive.logs.checks.repair import AddToChannel, Repair, UnwrapChannel
 from diffdrive.logs.log import Log, Signal
 
 # A jump is one only where the channel otherwise moves less than half of it a sample: else it could be either way.
@@ -19,7 +19,7 @@ NARROWEST = 2**8  # counts: no counter is narrower
 WIDTHS = (8, 10, 12, 14, 15, 16, 18, 20, 22, 24, 32)  # bits
 
 
-def span_of(signal: Signal) -> float | None:
+def counter_span(signal: Signal) -> float | None:
     """The span of a counter that overflows within a signal; None where there is none."""
     steps = np.diff(signal)
     size = np.abs(steps)
@@ -35,10 +35,10 @@ def span_of(signal: Signal) -> float | None:
     full = np.ptp(signal) < span * (1 + ALIKE) and np.ptp(signal) > span * (1 - ALIKE)
     meanwhile = max(ALIKE * span, 2 * float(others.max()))
     alike = full and np.all(np.abs(spans - span) < meanwhile)
-    return span if alike and _moves_on(signal, np.flatnonzero(jumps), span) else None
+    return span if alike and _continues_through(signal, np.flatnonzero(jumps), span) else None
 
 
-def _moves_on(signal: Signal, jumps: np.ndarray, span: float) -> bool:
+def _continues_through(signal: Signal, jumps: np.ndarray, span: float) -> bool:
     """Whether the channel without its jumps moves on through them, as a counter does: a step or a flicker rests.
 
     Jumps close to one another are one crossing; to and back is none.
@@ -50,13 +50,13 @@ def _moves_on(signal: Signal, jumps: np.ndarray, span: float) -> bool:
         before, after = max(crossing[0] - NEAR, 0), min(crossing[-1] + 1 + NEAR, len(signal) - 1)
         if abs(net) > 0.5 * span:  # downwards where it counts up
             through.append(-np.sign(net) * (unwrapped[after] - unwrapped[before]))
-    return bool(through) and float(np.median(through)) > max(CLEAR * noise_of(unwrapped), 1e-9 * span)
+    return bool(through) and float(np.median(through)) > max(CLEAR * noise_std(unwrapped), 1e-9 * span)
 
 
-def _belongs(log: Log, name: str, span: float) -> bool:
+def _is_closer_to_partner(log: Log, name: str, span: float) -> bool:
     """Whether the channel is closer to its partner without its jumps: a sawtooth is followed as it is."""
     partner = log.channels.get(_partner(name))
-    if partner is None or span_of(partner) is not None:
+    if partner is None or counter_span(partner) is not None:
         return True
     signal = log.channels[name]
     return float(np.std(np.unwrap(signal, period=span) - partner)) < float(np.std(signal - partner))
@@ -66,33 +66,33 @@ def _partner(name: str) -> str:
     return "position" if name == "reference" else "reference"
 
 
-def wrapped(log: Log, resolution: float | None) -> Iterator[Finding]:
+def wrapped_positions(log: Log, resolution: float | None) -> Iterator[Finding]:
     """Position, reference, motor position or command whose counter overflows; `resolution` (m) is that of the scale."""
     for name in ("reference", "position", "motor_position"):
         signal = log.channels.get(name)
-        span = None if signal is None else span_of(signal)
-        if span is None or not _belongs(log, name, span):
+        span = None if signal is None else counter_span(signal)
+        if span is None or not _is_closer_to_partner(log, name, span):
             continue
         if resolution is not None and span < NARROWEST * resolution:
             continue
-        counts = "" if resolution is None else _bits(span / resolution)
-        span = span if resolution is None else resolution * _whole(span / resolution)
+        counts = "" if resolution is None else _bits_text(span / resolution)
+        span = span if resolution is None else resolution * _whole_counts(span / resolution)
         turns = _turns(log, name, span)
-        steps = (Unwrap(name, span), *((Add(name, turns * span),) if turns else ()))
+        steps = (UnwrapChannel(name, span), *((AddToChannel(name, turns * span),) if turns else ()))
         yield Finding(
             "fatal",
             name,
             f"the {name} jumps by {span:.6g} m and back{counts}: its counter overflows",
             f"add {span:.9g} m at each jump, or log a wider counter",
-            "wrapped",
+            "wrapped_positions",
             repair=Repair(steps),
         )
 
 
 def wrapped_command(log: Log) -> Iterator[Finding]:
     """A command that overflows: by a power of two of its own steps, since a force that is switched jumps as well."""
-    span, steps = span_of(log.command), grid_of(log.command)
-    bits = None if span is None or steps is None else _width(span / steps.step)
+    span, steps = counter_span(log.command), fit_count_grid(log.command)
+    bits = None if span is None or steps is None else _bit_width(span / steps.step)
     if steps is None or bits is None:
         return
     span = 2.0**bits * steps.step
@@ -101,29 +101,29 @@ def wrapped_command(log: Log) -> Iterator[Finding]:
         "command",
         f"the command jumps by {span:.6g} N and back, 2^{bits} of its steps: its integer overflows",
         f"add {span:.9g} N at each jump, or log a wider integer",
-        "wrapped",
-        repair=Repair((Unwrap("command", span),)),
+        "wrapped_positions",
+        repair=Repair((UnwrapChannel("command", span),)),
     )
 
 
 def _turns(log: Log, name: str, span: float) -> int:
     """How many spans the channel lies off its partner, once its jumps are taken out."""
     signal, partner = log.channels[name], log.channels.get(_partner(name))
-    if partner is None or span_of(partner) is not None:
+    if partner is None or counter_span(partner) is not None:
         return 0
     return round(float(np.median(partner - np.unwrap(signal, period=span))) / span)
 
 
-def _bits(counts: float) -> str:
-    bits = _width(counts)
+def _bits_text(counts: float) -> str:
+    bits = _bit_width(counts)
     return "" if bits is None else f", 2^{bits} counts"
 
 
-def _width(counts: float) -> int | None:
+def _bit_width(counts: float) -> int | None:
     return next((bits for bits in WIDTHS if abs(counts / 2**bits - 1) < ALIKE), None)
 
 
-def _whole(counts: float) -> float:
+def _whole_counts(counts: float) -> float:
     """The span in counts: a power of two where it is near one."""
-    bits = _width(counts)
+    bits = _bit_width(counts)
     return float(2**bits) if bits is not None else float(round(counts))

@@ -9,9 +9,9 @@ from diffdrive import motion
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.logs import Log
-from diffdrive.logs.checks.consistency import examined
+from diffdrive.logs.checks.consistency import explain_command
 from diffdrive.logs.checks.examine import examine
-from diffdrive.logs.checks.relation import relation_of
+from diffdrive.logs.checks.relation import controller_relation
 from diffdrive.loop.simulate import simulate
 from experiments.studies.demo import PAPER_DRIVE
 from tests.support.sound_log import FORCE_PER_VOLT, but, complaints, described, logged, matching, moved, without
@@ -126,7 +126,7 @@ def test_a_shift_and_pulses_may_come_together_in_a_long_log():
 
 
 def test_a_log_whose_past_is_unknown_is_judged_by_its_later_half(sine):
-    late = [examined(relation_of(log, TEMPLATE)).relation.late for log in (cut(sine, 5000), sine)]
+    late = [explain_command(controller_relation(log, TEMPLATE)).relation.late for log in (cut(sine, 5000), sine)]
     assert late == [True, False]
     assert matching(examine(cut(sine, 5000), TEMPLATE), "note", "position", "begins in motion")
 
