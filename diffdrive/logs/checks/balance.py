@@ -38,7 +38,7 @@ def check_force_balance(log: Log, description: Axis) -> Iterator[Finding]:
     if dynamics is None or dynamics.misfit > EXPLAINS:
         yield Finding(
             "note",
-            "check_force_balance",
+            "command",
             "the unit of the command cannot be checked: neither the drive file's controller nor its mass and friction "
             "explain it",
             "make sure that it is in newtons on the table",
@@ -69,14 +69,14 @@ def _hypotheses(
     """What may have happened to the log, and its signals without that."""
     now = relation.logged
     yield (), now
-    minus = ChannelFault("reversed", "check_force_balance", {"ratio": -1.0}, (ScaleChannel("command", -1.0),))
+    minus = ChannelFault("reversed", "command", {"ratio": -1.0}, (ScaleChannel("command", -1.0),))
     for signs, sign in (((), 1.0), ((minus,), -1.0)):
         yield signs, now._replace(command=sign * now.command)
         known = [one.value * sign for one in (dynamics.mass, dynamics.friction, dynamics.viscous) if one.determined]
         ratios = [value for value in known if value > 0]
         if ratios:
             ratio = float(np.exp(np.median(np.log(ratios))))
-            unit = ChannelFault("gain", "check_force_balance", {"ratio": ratio}, (ScaleChannel("command", 1 / ratio),))
+            unit = ChannelFault("gain", "command", {"ratio": ratio}, (ScaleChannel("command", 1 / ratio),))
             yield (*signs, unit), now._replace(command=sign * now.command / ratio)
     if dynamics.mass.determined and dynamics.mass.value > 0:
         ratio = dynamics.mass.value
@@ -96,7 +96,7 @@ def _hypotheses(
     if np.min(now.command) >= 0:
         speed = derivative(now.position, now.period, 1)
         yield (
-            (ChannelFault("rectified", "check_force_balance", {}),),
+            (ChannelFault("rectified", "command", {}),),
             now._replace(command=now.command * np.sign(speed)),
         )
 
@@ -208,7 +208,7 @@ def other_machine(found: DynamicsFit | None, description: Axis, rivals: tuple[st
     beyond = "by more than a factor of two " if found.beyond_tolerance else ""
     yield Finding(
         "warning" if found.beyond_tolerance else "note",
-        "check_force_balance",
+        "command",
         f"the log asks for {', '.join(one for one in asked if one)}: {beyond}other than the drive file's",
         "the log of another machine, a load that no column holds, a machine that has changed, or a drive file that is "
         "not its own; several logs of one machine, or its log of another day, decide",
@@ -223,7 +223,7 @@ def _constant_force(found: DynamicsFit, description: Axis) -> Finding:
     newtons = ((found.positive.value - 1.0) * forwards - (found.negative.value - 1.0) * backwards) / 2
     return Finding(
         "warning" if found.beyond_tolerance else "note",
-        "check_force_balance",
+        "command",
         f"mass and mean friction are the drive file's, but beside them the command carries a constant {newtons:.4g} N",
         "an offset of the amplifier or of the logger, or a tilt or weight that plant.constant_force does not state; "
         "friction that differs between the directions would look alike; a log of the axis turned round decides",
@@ -256,7 +256,7 @@ def command_sign(log: Log) -> Iterator[Finding]:
     mass = "" if found.mass.positive else " and inertia"
     yield Finding(
         "fatal",
-        "check_force_balance",
+        "command",
         f"the command pushes against the motion, by {-found.friction.value:.4g} N both ways: its sign is reversed, or "
         f"that of position and reference, or these two are exchanged: friction{mass} would be negative",
         'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '

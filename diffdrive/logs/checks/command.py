@@ -139,11 +139,11 @@ def disturbance_in_command(log: Log, outcome: ConsistencyResult) -> Iterator[Fin
     raw = f" ({inside:.5g} units of the command)" if abs(ratio - 1) > WRONG_UNIT else ""
     yield Finding(
         "warning" if right else "fatal",
-        "disturbance_in_command",
+        "disturbance",
         f"the command contains {newtons:.5g} N per unit of the disturbance{raw}"
         + (": the disturbance is counted twice" if right else ": its scale is wrong, and it is counted twice"),
         "subtract it from the command" + ("" if right else f", and multiply the disturbance by {newtons:.5g}"),
-        "disturbance_in_command",
+        "disturbance",
     )
 
 

@@ -124,7 +124,7 @@ def frozen_position(log: Log) -> Iterator[Finding]:
                 name,
                 what + f"samples, longest {span}: clipped or frozen",
                 "widen the logger's range, or cut these stretches out and list the gaps",
-                "clipped_samples",
+                "clipped",
             )
         else:
             yield Finding(

@@ -84,7 +84,7 @@ def wrapped_positions(log: Log, resolution: float | None) -> Iterator[Finding]:
             name,
             f"the {name} jumps by {span:.6g} m and back{counts}: its counter overflows",
             f"add {span:.9g} m at each jump, or log a wider counter",
-            "wrapped_positions",
+            "wrapped",
             repair=Repair(steps),
         )
 
@@ -101,7 +101,7 @@ def wrapped_command(log: Log) -> Iterator[Finding]:
         "command",
         f"the command jumps by {span:.6g} N and back, 2^{bits} of its steps: its integer overflows",
         f"add {span:.9g} N at each jump, or log a wider integer",
-        "wrapped_positions",
+        "wrapped",
         repair=Repair((UnwrapChannel("command", span),)),
     )
 
