@@ -11,27 +11,34 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-COMMAND = """#!/bin/sh
+TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [page for page in TEXTS if BLOCK.search(page.read_text(encoding="utf-8"))]
+    page
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    if BLOCK.search(page.read_text("utf-8"))
+]
+QUICK = {"README.md", "logs.md", "log-checks.md"}  # the others take more than half a minute of one core
+DIFFDRIVE = """#!/bin/sh
 exec {python} -W error -c 'import sys; from experiments.cli.main import main; sys.argv[0] = "diffdrive"; main()' "$@"
 """
-LONG = pytest.mark.slow  # more than half a minute of one core
 
 
 @pytest.fixture
-def shell(tmp_path, monkeypatch):
-    """An empty folder to work in, and `diffdrive` of this checkout on the path."""
+def empty_folder(tmp_path, monkeypatch):
+    """A folder to work in, with `diffdrive` of this checkout on the path."""
     scripts, folder = tmp_path / "scripts", tmp_path / "empty"
     scripts.mkdir()
     folder.mkdir()
     command = scripts / "diffdrive"
-    command.write_text(COMMAND.format(python=shlex.quote(sys.executable)), encoding="utf-8")
+    command.write_text(DIFFDRIVE.format(python=shlex.quote(sys.executable)), encoding="utf-8")
     command.chmod(0o755)
     monkeypatch.setenv("PATH", f"{scripts}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(folder)
+    return folder
 
 
-def typed(text):
+def run_commands(text):
     """Run what a shell is given; it must end well and warn of nothing."""
     done = subprocess.run(["bash", "-euo", "pipefail", "-c", text], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -41,16 +48,12 @@ def typed(text):
 @pytest.mark.skipif(os.name == "nt", reason="the pages' commands are those of a POSIX shell")
 @pytest.mark.parametrize(
     "page",
-    [
-        "README.md",
-        pytest.param("docs/method/sweeps.md", marks=LONG),
-    ],
+    [pytest.param(page, marks=[] if page.name in QUICK else pytest.mark.slow, id=page.name) for page in PAGES],
 )
-def test_the_blocks_of_a_page_run(page, shell, capsys):
+def test_the_blocks_of_a_page_run_one_after_the_other(page, empty_folder):
     names = {}
-    for kind, text in BLOCK.findall((ROOT / page).read_text(encoding="utf-8")):
-        if kind == "python":
-            exec(compile(text, page, "exec"), names)
+    for language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if language == "python":
+            exec(compile(text, page.name, "exec"), names)
         else:
-            typed(text)
-    assert "um" in capsys.readouterr().out or not names
+            run_commands(text)
