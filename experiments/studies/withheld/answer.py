@@ -2,9 +2,9 @@
 
     python -m experiments.studies.withheld.answer FOLDER OUT WORKERS [WITHOUT.json [attended]]
 
-Cases that have an answer to just this question are left alone, so that an interrupted run goes on. The optional file
-names the cases that are wanted, and for each the effects that are not to be considered. An attended process ends when
-its standard input does.
+Cases that have an answer to the same task are skipped, so that an interrupted run continues. The optional file names
+the cases to diagnose, and for each the effects that are not to be considered. An attended process ends when its
+standard input does.
 """
 
 import hashlib
@@ -40,52 +40,50 @@ BATCH = 10  # cases that a process is given at once, at most
 DiagnosisTask = tuple[Path, Path, tuple[str, ...]]  # the case, where its answer goes, the effects left out
 
 
-def diagnose_case(place: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """What the command says of one case, its checks of the logs and all; it draws nothing, and plans no motion."""
-    description = read_axis(place / "drive.toml")
-    began = time.perf_counter()
-    files = sorted(place.glob("log-*.parquet"))
-    checked = check_logs(description, read_logs(files, description), files=files)
-    found = diagnose_checked(description, checked, without=without)
-    told = result_of(description, checked, found, NO_EXPERIMENT).details
-    return dict(told) | {"seconds": round(time.perf_counter() - began, 1)}
+def diagnose_case(case: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The diagnosis of one case as the command makes it, log checks included, without figures or a next motion."""
+    axis = read_axis(case / "drive.toml")
+    start = time.perf_counter()
+    files = sorted(case.glob("log-*.parquet"))
+    checked = check_logs(axis, read_logs(files, axis), files=files)
+    diagnosis = diagnose_checked(axis, checked, without=without)
+    answer = result_of(axis, checked, diagnosis, NO_EXPERIMENT).details
+    return dict(answer) | {"seconds": round(time.perf_counter() - start, 1)}
 
 
-def _diagnose_batch(questions: Sequence[DiagnosisTask]) -> None:
-    """Write the answers to questions about cases that are alike, and a line about each as soon as it is there."""
-    for place, path, without in questions:
+def _diagnose_batch(tasks: Sequence[DiagnosisTask]) -> None:
+    """Write the answers to tasks whose logs are alike, and print a line about each as soon as it is done."""
+    for case, path, without in tasks:
         try:
-            told = diagnose_case(place, without)
-        except Exception as problem:  # one case that fails is a wrong answer, not the end of the study
-            told = {"verdict": "error", "says": f"{type(problem).__name__}: {problem}", "causes": []}
-        _write_answer(place, path, without, told)
-        found = [one["effect"] for one in told["causes"] if one["found"]]
-        print(f"{place.name} {told['verdict']} {found}", flush=True)
+            answer = diagnose_case(case, without)
+        except Exception as error:  # one case that fails is a wrong answer, not the end of the study
+            answer = {"verdict": "error", "says": f"{type(error).__name__}: {error}", "causes": []}
+        _write_answer(case, path, without, answer)
+        found = [cause["effect"] for cause in answer["causes"] if cause["found"]]
+        print(f"{case.name} {answer['verdict']} {found}", flush=True)
     jax.clear_caches()  # other lengths and rates have other programs: they would pile up
 
 
-def _batches(questions: Sequence[DiagnosisTask]) -> list[list[DiagnosisTask]]:
-    """Questions about logs of nearly the same length side by side: they share their programs, and tracing and compiling
-    these is half of a diagnosis.
-    """
-    alike: dict[int, list[DiagnosisTask]] = {}
-    for one in questions:
-        alike.setdefault(_padded_length(one[0]), []).append(one)
-    longest_first = sorted(alike.items(), reverse=True)
-    return [some[k : k + BATCH] for _, some in longest_first for k in range(0, len(some), BATCH)]
+def _batches(tasks: Sequence[DiagnosisTask]) -> list[list[DiagnosisTask]]:
+    """Tasks grouped by the length of their logs: they share compiled programs, and compiling is half of a diagnosis."""
+    by_length: dict[int, list[DiagnosisTask]] = {}
+    for task in tasks:
+        by_length.setdefault(_padded_length(task[0]), []).append(task)
+    longest_first = sorted(by_length.items(), reverse=True)
+    return [group[k : k + BATCH] for _, group in longest_first for k in range(0, len(group), BATCH)]
 
 
-def _padded_length(place: Path) -> int:
-    """Samples of a case's logs as their programs have them; 0 of what cannot be read, as the diagnosis will say."""
+def _padded_length(case: Path) -> int:
+    """Samples of a case's logs as padded for compilation; 0 where they cannot be read, as the diagnosis will say."""
     try:
-        return max(rounded(parquet.read_metadata(path).num_rows) for path in place.glob("log-*.parquet"))
+        return max(rounded(parquet.read_metadata(path).num_rows) for path in case.glob("log-*.parquet"))
     except (OSError, ValueError):
         return 0
 
 
-def _write_answer(place: Path, path: Path, without: tuple[str, ...], told: dict[str, Any]) -> None:
+def _write_answer(case: Path, path: Path, without: tuple[str, ...], answer: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(told | {"question": task_digest(place, without)}, indent=1) + "\n")
+    write_text(path, json.dumps(answer | {"question": task_digest(case, without)}, indent=1) + "\n")
 
 
 def _start_process() -> None:
@@ -96,78 +94,78 @@ def _start_process() -> None:
 
 def case_folders(folder: Path) -> list[Path]:
     """The cases of `folder`."""
-    return sorted(one.parent for one in folder.glob("*/drive.toml"))
+    return sorted(path.parent for path in folder.glob("*/drive.toml"))
 
 
-def task_digest(place: Path, without: Sequence[str]) -> str:
-    """What tells the question from any other: the drive file, the logs, the effects left out, and who is asked."""
-    text = hashlib.sha256((_edition() + json.dumps(sorted(without))).encode())
-    for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
-        text.update(path.name.encode() + path.read_bytes())
-    return text.hexdigest()
+def task_digest(case: Path, without: Sequence[str]) -> str:
+    """A digest of the task: the drive file, the logs, the excluded effects, and the edition of the code."""
+    digest = hashlib.sha256((_edition() + json.dumps(sorted(without))).encode())
+    for path in (case / "drive.toml", *sorted(case.glob("log-*.parquet"))):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _edition() -> str:
-    """What the diagnosis is made of, and what tells it."""
+    """A digest of the sources of the diagnosis and of this module."""
     return edition(diagnose_case.__module__)
 
 
-def _is_answered(place: Path, path: Path, without: Sequence[str]) -> bool:
+def _is_answered(case: Path, path: Path, without: Sequence[str]) -> bool:
     if not path.exists():
         return False
     answered: str | None = json.loads(path.read_text(encoding="utf-8")).get("question")
-    return answered == task_digest(place, without)
+    return answered == task_digest(case, without)
 
 
 def unanswered(folder: Path, out: Path, without: dict[str, list[str]] | None = None) -> list[Path]:
-    """The cases of `folder`, or those of them that `without` names, whose question has no answer in `out` yet."""
+    """The cases of `folder`, or those of them that `without` names, whose task has no answer in `out` yet."""
     return [
-        one
-        for one in case_folders(folder)
-        if without is None or one.name in without
-        if not _is_answered(one, _answer_path(out, one), (without or {}).get(one.name, ()))
+        case
+        for case in case_folders(folder)
+        if without is None or case.name in without
+        if not _is_answered(case, _answer_path(out, case), (without or {}).get(case.name, ()))
     ]
 
 
-def _answer_path(out: Path, place: Path) -> Path:
-    return out / place.name / "diagnosis.json"
+def _answer_path(out: Path, case: Path) -> Path:
+    return out / case.name / "diagnosis.json"
 
 
 def main(folder: Path, out: Path, workers: int = 1, without: dict[str, list[str]] | None = None) -> None:
-    """Answer every case of `folder`, or those that `without` names, whose question has no answer in `out` yet.
+    """Answer every case of `folder`, or those that `without` names, whose task has no answer in `out` yet.
 
-    Where a process is killed, for want of memory perhaps, the cases that are left are asked one by one, and one that
-    kills its process is an error.
+    Where a process is killed, for want of memory perhaps, the remaining cases are diagnosed one by one; one that kills
+    its process is recorded as an error.
     """
 
-    def leaving(place: Path) -> tuple[str, ...]:
-        return tuple((without or {}).get(place.name, ()))
+    def excluded(case: Path) -> tuple[str, ...]:
+        return tuple((without or {}).get(case.name, ()))
 
     try:
         _diagnose_all(
-            [(place, _answer_path(out, place), leaving(place)) for place in unanswered(folder, out, without)], workers
+            [(case, _answer_path(out, case), excluded(case)) for case in unanswered(folder, out, without)], workers
         )
     except BrokenProcessPool:
-        for place in unanswered(folder, out, without):
-            path = _answer_path(out, place)
+        for case in unanswered(folder, out, without):
+            path = _answer_path(out, case)
             try:
-                _diagnose_all([(place, path, leaving(place))], 1)
-            except BrokenProcessPool as problem:
-                _write_answer(place, path, leaving(place), {"verdict": "error", "says": str(problem), "causes": []})
+                _diagnose_all([(case, path, excluded(case))], 1)
+            except BrokenProcessPool as error:
+                _write_answer(case, path, excluded(case), {"verdict": "error", "says": str(error), "causes": []})
 
 
-def _diagnose_all(questions: Sequence[DiagnosisTask], workers: int) -> None:
-    """Ask each."""
+def _diagnose_all(tasks: Sequence[DiagnosisTask], workers: int) -> None:
+    """Diagnose all tasks in `workers` processes."""
     with processes(workers, _start_process) as pool:
-        for one in as_completed([pool.submit(_diagnose_batch, some) for some in _batches(questions)]):
-            one.result()
+        for future in as_completed([pool.submit(_diagnose_batch, batch) for batch in _batches(tasks)]):
+            future.result()
 
 
 if __name__ == "__main__":
-    for one in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(one, lambda number, _: sys.exit(128 + number))
-    folder, out, workers, *more = sys.argv[1:]
-    if more[1:] == [ATTENDED]:
-        exit_after(lambda: os.read(0, 1))  # of what the process that asks holds open
-    named = json.loads(Path(more[0]).read_text(encoding="utf-8")) if more else None
-    main(Path(folder), Path(out), int(workers), named)
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, lambda number, _: sys.exit(128 + number))
+    folder, out, workers, *options = sys.argv[1:]
+    if options[1:] == [ATTENDED]:
+        exit_after(lambda: os.read(0, 1))  # which the parent process holds open
+    without = json.loads(Path(options[0]).read_text(encoding="utf-8")) if options else None
+    main(Path(folder), Path(out), int(workers), without)

@@ -1,7 +1,7 @@
 """The axes that faults are done to: the paper's, and others that differ from it in size, speed, scale and guides.
 
-Faults are drawn as for the paper's axis and then brought to the axis' own size, dimension by dimension: so what is
-clear on one is about as clear on the other, and the stream of random numbers is the same.
+Faults are drawn for the paper's axis and then scaled to the axis, dimension by dimension: what is clear on one is about
+as clear on the other, and the stream of random numbers is the same.
 """
 
 import dataclasses
@@ -13,16 +13,16 @@ from diffdrive.model.parameters import Directional, Drive, Friction, Plant
 
 
 class StudyAxis(NamedTuple):
-    """An axis as its engineer knows it, and how its numbers compare with those of the paper's."""
+    """An axis as its engineer knows it, and the ratios of its dimensions to those of the paper's."""
 
     drive: Drive  # its sensor's resolution included; noise is drawn
     noise: tuple[float, float]  # m, between which it is drawn
     rates: tuple[float, ...]  # Hz
-    rate_probabilities: tuple[float, ...]  # with which probability each is
+    rate_probabilities: tuple[float, ...]  # of each rate
     bandwidth: tuple[float, float]  # rad/s, of the position loop
     length_ratio: float = 1.0  # strokes and speeds
     force_ratio: float = 1.0  # Coulomb friction
-    load_ratio: float = 1.0  # what on the guides comes to a like share of it
+    load_ratio: float = 1.0  # load on the guides with a like share of the friction
     bristle_ratio: float = 1.0  # distance before sliding
     resolution_ratio: float = 1.0  # the scale's counts
 
@@ -33,7 +33,7 @@ class StudyAxis(NamedTuple):
         return float(self.drive.sensor.resolution)
 
     def sizes(self) -> dict[str, float]:
-        """By what each number of a fault is larger here, by its name; all others are alike on every axis."""
+        """The factor of each fault parameter against the paper's axis, by name; 1 for those that are not named."""
         force, length, bristle = self.force_ratio, self.length_ratio, self.bristle_ratio
         return {
             **dict.fromkeys(

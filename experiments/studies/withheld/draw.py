@@ -9,14 +9,14 @@ from diffdrive.model.parameters import Directional, Drive
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure
-from experiments.studies.withheld.motions import ROOM, draw_inputs
+from experiments.studies.withheld.motions import draw_inputs
 
-MAX_DEVIATION = 0.03  # the most that a true parameter is off nominal, by its logarithm
-MIN_SIZE, MAX_SIZE = 0.3, 4.0  # sizes against that which is clear
+MAX_DEVIATION = 0.03  # of a true parameter from nominal, in its logarithm
+MIN_SIZE, MAX_SIZE = 0.3, 4.0  # a size of 1 is clearly visible
 
 
 class WithheldCase(NamedTuple):
-    """One machine: believed, true, and its two logs' instructions."""
+    """One machine: the nominal drive, the true drive, its faults, and the inputs of its two logs."""
 
     nominal: Drive
     true: Drive
@@ -40,8 +40,9 @@ def _scaled_drive(drive: Drive, factors: dict[str, float]) -> Drive:
         )
 
     friction, plant = drive.friction, drive.plant
-    names = [one for one in vars(friction) if isinstance(getattr(friction, one), Directional)]
-    bent = factors.get("stribeck_exponent", 1.0)
+    names = [field for field in vars(friction) if isinstance(getattr(friction, field), Directional)]
+    exponent_factor = factors.get("stribeck_exponent", 1.0)
+    exponent = friction.stribeck_exponent if exponent_factor == 1.0 else float(friction.exponent) * exponent_factor
     return dataclasses.replace(
         drive,
         plant=dataclasses.replace(
@@ -50,62 +51,62 @@ def _scaled_drive(drive: Drive, factors: dict[str, float]) -> Drive:
         friction=dataclasses.replace(
             friction,
             initial_load=float(friction.initial_load) * factors.get("initial_load", 1.0),
-            stribeck_exponent=friction.stribeck_exponent if bent == 1.0 else float(friction.exponent) * bent,
+            stribeck_exponent=exponent,
             **{name: pair(friction, name) for name in names},
         ),
     )
 
 
-def draw(room: ROOM, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) -> WithheldCase:
+def draw(rng: np.random.Generator, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) -> WithheldCase:
     """A machine with these effects, of sizes drawn at random."""
-    base, apart = axis.drive, room.spawn(1)[0]
-    varied = {name: float(np.exp(room.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
-    varied |= {name: float(np.exp(room.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
-    varied["initial_load"] = float(np.exp(apart.normal(0, 0.2)))
-    nominal = _scaled_drive(base, varied)
+    base, load_rng = axis.drive, rng.spawn(1)[0]
+    factors = {name: float(np.exp(rng.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
+    factors |= {name: float(np.exp(rng.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
+    factors["initial_load"] = float(np.exp(load_rng.normal(0, 0.2)))
+    nominal = _scaled_drive(base, factors)
     nominal = dataclasses.replace(nominal, sensor=dataclasses.replace(base.sensor, noise=0.0))
     names = ("mass", "coulomb_screw+", "coulomb_screw-", "load_coefficient+", "load_coefficient-", "breakaway_gap+",
              "breakaway_gap-", "stribeck_velocity+", "stribeck_velocity-", "viscous+", "viscous-", "damping",
              "bristle_stiffness", "bristle_damping")  # fmt: skip
-    off = {name: float(np.exp(room.choice([-1, 1]) * room.uniform(0.3, 1.0) * MAX_DEVIATION)) for name in names}
-    sizes = np.exp(room.uniform(np.log(MIN_SIZE), np.log(MAX_SIZE), len(effects)))
+    deviations = {name: float(np.exp(rng.choice([-1, 1]) * rng.uniform(0.3, 1.0) * MAX_DEVIATION)) for name in names}
+    sizes = np.exp(rng.uniform(np.log(MIN_SIZE), np.log(MAX_SIZE), len(effects)))
     if len(effects) > 1:
         sizes = np.maximum(sizes, 1.5)
     makers = KNOWN | OUTSIDE | PITFALLS
-    drawn = [makers[name](room, float(size)) for name, size in zip(effects, sizes, strict=True)]
+    drawn = [makers[name](rng, float(size)) for name, size in zip(effects, sizes, strict=True)]
     faults = tuple(_scaled_to_axis(fault, axis) for fault in drawn)
-    true = _scaled_drive(nominal, off)
+    true = _scaled_drive(nominal, deviations)
     for fault in faults:
         true = _scaled_drive(true, fault.drive_factors)
-    rate = float(room.choice(axis.rates, p=axis.rate_probabilities))
-    bandwidth = log_uniform(room, axis.bandwidth)  # rad/s
+    rate = float(rng.choice(axis.rates, p=axis.rate_probabilities))
+    bandwidth = log_uniform(rng, axis.bandwidth)  # rad/s
     kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
-    noise = float(room.uniform(*axis.noise))
-    traces = {name: scale for fault in faults for name, scale in fault.random_scales.items()}
-    way = (rate, noise, traces, axis.length_ratio, axis.load_ratio)
-    logs = draw_inputs(room, apart, *way), draw_inputs(room, apart, *way)
+    noise = float(rng.uniform(*axis.noise))
+    random_scales = {name: scale for fault in faults for name, scale in fault.random_scales.items()}
+    arguments = (rate, noise, random_scales, axis.length_ratio, axis.load_ratio)
+    logs = draw_inputs(rng, load_rng, *arguments), draw_inputs(rng, load_rng, *arguments)
     faults = tuple(_placed(fault, logs) for fault in faults)
     pitfall = any(name in PITFALLS for name in effects)
     return WithheldCase(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
 
 
 def _scaled_to_axis(fault: InjectedFault, axis: StudyAxis) -> InjectedFault:
-    """The fault as large for this axis as it was drawn for the paper's; shares of the way stay shares."""
+    """The fault in the size of this axis rather than of the paper's; shares of the stroke stay shares."""
     sizes = axis.sizes() | {name: 1.0 for effect, name in PLACED.items() if effect == fault.effect}
 
-    def brought(numbers: dict[str, Any]) -> dict[str, Any]:
+    def scaled(numbers: dict[str, Any]) -> dict[str, Any]:
         return {
-            name: tuple(sizes.get(name, 1.0) * one for one in value)
+            name: tuple(sizes.get(name, 1.0) * number for number in value)
             if isinstance(value, tuple)
             else sizes.get(name, 1.0) * value
             for name, value in numbers.items()
         }
 
-    return fault._replace(parameters=brought(fault.parameters), random_scales=brought(fault.random_scales))
+    return fault._replace(parameters=scaled(fault.parameters), random_scales=scaled(fault.random_scales))
 
 
 def _placed(fault: InjectedFault, logs: tuple[MachineInputs, MachineInputs]) -> InjectedFault:
-    """With its place in metres: a share of the longer way of the two logs."""
+    """With its position in metres: a share of the longer stroke of the two logs."""
     name = PLACED.get(fault.effect)
     if name is None:
         return fault
@@ -123,10 +124,10 @@ def without_fault(case: WithheldCase, number: int) -> WithheldCase:
 def log_faults(case: WithheldCase, log: int, peak: float | None = None) -> tuple[FaultParameters, MachineStructure]:
     """Faults of one log; a limit is set below the `peak` (N) of the command without it, and not without a peak."""
     values: dict[str, float] = {}
-    kind: dict[str, bool] = {}
+    structure: dict[str, bool] = {}
     for fault in case.faults:
         values |= {name: value[log] if isinstance(value, tuple) else value for name, value in fault.parameters.items()}
-        kind |= fault.structure
+        structure |= fault.structure
     if values.get("limit", 1.0) < 0.0:
         values["limit"] = 1e9 if peak is None else (1.0 + values["limit"]) * peak
-    return FaultParameters(**values), MachineStructure(**kind)
+    return FaultParameters(**values), MachineStructure(**structure)

@@ -1,4 +1,4 @@
-"""Cases as a user would have them: a drive file and two logs each; what the key says of them is kept elsewhere."""
+"""Cases as a user would have them, a drive file and two logs each; the key to them is written elsewhere."""
 
 import functools
 import hashlib
@@ -32,28 +32,28 @@ from experiments.studies.withheld.truth import true_parameters
 NONE_SHARE, TWO_SHARE, UNKNOWN_SHARE, PITFALL_SHARE = 0.12, 0.12, 0.12, 0.05  # shares of cases
 # a loose screw is an elastic one; and a spring beside a tilt is a spring that is neutral elsewhere
 EQUIVALENT = ({"compliance", "backlash"}, {"constant_force", "position_spring"})
-ATTEMPTS = 10  # at a machine whose loop is stable, and that shows what it has
+ATTEMPTS = 10  # at a machine whose loop is stable and whose effects are visible
 MIN_CHANGE = 1.0  # of the noise of the position: what each of two effects must change of a log
 
 
 def draw_effects(seed: int, count: int) -> list[tuple[str, ...]]:
     """Which effects each case has: every effect of the catalogue in turn, and none, two, and others mixed in."""
-    room = np.random.default_rng([seed, 0])
-    names, pits = list(KNOWN), list(PITFALLS)
+    rng = np.random.default_rng([seed, 0])
+    names, pitfalls = list(KNOWN), list(PITFALLS)
     mixed: list[tuple[str, ...]] = [()] * round(NONE_SHARE * count)
-    mixed += [_draw_pair(room, names) for _ in range(round(TWO_SHARE * count))]
-    mixed += [(str(room.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN_SHARE * count))]
-    left = count - len(mixed)
-    trapped = round(PITFALL_SHARE * count)
-    singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(left - trapped)]
-    cases = [*mixed, *singles, *((pits[k % len(pits)],) for k in range(trapped))]
-    return [tuple(map(str, cases[k])) for k in room.permutation(len(cases))]
+    mixed += [_draw_pair(rng, names) for _ in range(round(TWO_SHARE * count))]
+    mixed += [(str(rng.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN_SHARE * count))]
+    remaining = count - len(mixed)
+    with_pitfall = round(PITFALL_SHARE * count)
+    singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(remaining - with_pitfall)]
+    cases = [*mixed, *singles, *((pitfalls[k % len(pitfalls)],) for k in range(with_pitfall))]
+    return [tuple(map(str, cases[k])) for k in rng.permutation(len(cases))]
 
 
-def _draw_pair(room: np.random.Generator, names: list[str]) -> tuple[str, ...]:
-    """Two effects that a machine can have at once, and that are not one."""
+def _draw_pair(rng: np.random.Generator, names: list[str]) -> tuple[str, ...]:
+    """Two effects that a machine can have at once, and that are not equivalent."""
     while True:
-        pair = tuple(map(str, room.choice(names, 2, replace=False)))
+        pair = tuple(map(str, rng.choice(names, 2, replace=False)))
         if set(pair) not in EQUIVALENT:
             return pair
 
@@ -64,21 +64,21 @@ def _follows(log: Log) -> bool:
 
 
 def _simulate_log(case: WithheldCase, log: int, peak: float | None = None) -> Log:
-    told = case.inputs[log]
-    faults, kind = log_faults(case, log, peak)
-    position, command = run(case.true, faults, kind, case.gains, case.resolution, told, case.rate)
+    inputs = case.inputs[log]
+    faults, structure = log_faults(case, log, peak)
+    position, command = run(case.true, faults, structure, case.gains, case.resolution, inputs, case.rate)
     time = np.arange(len(position)) / case.rate
-    return Log("ab"[log], time, position, command, reference=told.reference, load=told.load)
+    return Log("ab"[log], time, position, command, reference=inputs.reference, load=inputs.load)
 
 
 def _is_visible(case: WithheldCase, logs: list[Log], peak: float | None) -> bool:
-    """Whether each of two effects changes a log: a limit that nothing but noise exceeds is none to be found."""
+    """Whether each of two effects changes a log: a limit that only noise exceeds cannot be found."""
     noise = np.hypot(case.noise, case.resolution / np.sqrt(12.0))
 
     def changes(number: int) -> bool:
         other = without_fault(case, number)
-        gone = (_simulate_log(other, log, peak).position - logs[log].position for log in range(2))
-        return any(np.sqrt(np.mean(np.square(one))) >= MIN_CHANGE * noise for one in gone)
+        differences = (_simulate_log(other, log, peak).position - logs[log].position for log in range(2))
+        return any(np.sqrt(np.mean(np.square(difference))) >= MIN_CHANGE * noise for difference in differences)
 
     return len(case.faults) < 2 or all(changes(number) for number in range(len(case.faults)))
 
@@ -91,7 +91,7 @@ def _simulate_logs(case: WithheldCase) -> tuple[list[Log], float | None]:
 
 
 def key_of(case: WithheldCase, peak: float | None = None) -> dict[str, Any]:
-    """What was done to a machine; `peak` as in `draw.of_log`."""
+    """The key to a machine: its effects and their true parameters; `peak` (N) as in `draw.log_faults`."""
     return {
         "effects": [
             {
@@ -108,7 +108,7 @@ def key_of(case: WithheldCase, peak: float | None = None) -> dict[str, Any]:
 
 
 def generate(
-    folder: Path, parts: Path, seed: int, count: int, on: tuple[StudyAxis, ...] = (AXES["paper"],)
+    folder: Path, parts: Path, seed: int, count: int, drive_axes: tuple[StudyAxis, ...] = (AXES["paper"],)
 ) -> Iterator[str]:
     """Write the cases that are not there yet, and to `parts` what the key says of each; yields the name of each.
 
@@ -118,16 +118,16 @@ def generate(
     parts.mkdir(parents=True, exist_ok=True)
     remove_temporary(parts)
     for number, effects in enumerate(draw_effects(seed, count)):
-        name, axis = f"{number + 1:03d}", on[number % len(on)]
+        name, axis = f"{number + 1:03d}", drive_axes[number % len(drive_axes)]
         drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": source_digest()}
         part = parts / f"{name}.json"
-        there = part.exists() and (folder / name / "drive.toml").exists()
-        if there and json.loads(part.read_text(encoding="utf-8"))["drawn"] != drawn:
+        exists = part.exists() and (folder / name / "drive.toml").exists()
+        if exists and json.loads(part.read_text(encoding="utf-8"))["drawn"] != drawn:
             raise ParameterError(
                 f"{folder.parent}: holds machines of another seed, number or axis, or of other sources; choose another "
                 "folder"
             )
-        if not there:
+        if not exists:
             case, logs, peak = _draw_followable(seed, number, effects, axis)
             write_text(part, json.dumps(key_of(case, peak) | {"drawn": drawn}, indent=1) + "\n")
             _write_case(folder / name, case, logs)
@@ -136,8 +136,10 @@ def generate(
 
 @functools.cache
 def source_digest() -> str:
-    """A digest of what draws and integrates machines: those of two editions are no one study."""
-    parts = [inspect.getsource(one) for one in (axes, draws, faults, machine, motions, truths, sys.modules[__name__])]
+    """A digest of the sources that draw and integrate machines: those of two editions are not one study."""
+    parts = [
+        inspect.getsource(module) for module in (axes, draws, faults, machine, motions, truths, sys.modules[__name__])
+    ]
     parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 
@@ -153,12 +155,12 @@ def _draw_followable(
     raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference or show its effects")
 
 
-def _write_case(place: Path, case: WithheldCase, logs: list[Log]) -> None:
-    place.mkdir(parents=True, exist_ok=True)
-    remove_temporary(place)
+def _write_case(folder: Path, case: WithheldCase, logs: list[Log]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    remove_temporary(folder)
     for log in logs:
-        write_log(place / f"log-{log.name}.parquet", log)
-    write_axis(place / "drive.toml", _nominal_axis(case))  # the last: with it a case is there
+        write_log(folder / f"log-{log.name}.parquet", log)
+    write_axis(folder / "drive.toml", _nominal_axis(case))  # the last: with it a case is there
 
 
 def _nominal_axis(case: WithheldCase) -> Axis:

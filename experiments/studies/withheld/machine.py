@@ -30,7 +30,7 @@ DEAD_TIME_ROUNDING = 5.0  # N, about which an inverter's dead time takes its ful
 
 
 class FaultParameters(NamedTuple):
-    """Everything that may be wrong, neutral by default; SI units."""
+    """The parameters of all faults, neutral by default; SI units."""
 
     extra_load: Scalar = 0.0  # N
     load_start: Scalar = -1.0  # s
@@ -95,7 +95,7 @@ class FaultParameters(NamedTuple):
 
 
 class MachineStructure(NamedTuple):
-    """What changes the equations' form; hashable."""
+    """Which equations the machine has; hashable, so that each structure is compiled once."""
 
     elastic: bool = False
     maxwell: bool = False
@@ -103,7 +103,7 @@ class MachineStructure(NamedTuple):
 
 
 class MachineState(NamedTuple):
-    """All that moves."""
+    """The state of the machine's differential equations."""
 
     x: Scalar  # m, table against base
     v: Scalar
@@ -119,13 +119,13 @@ class MachineState(NamedTuple):
 
 
 class MachineInputs(NamedTuple):
-    """What the machine is told and what happens to it, [n] each."""
+    """Reference, load, noise and disturbances of one log, [n] each."""
 
     reference: Float[Array, " n"]  # m
     load: Float[Array, " n"]  # N
     noise: Float[Array, " n"]  # m
-    push: Float[Array, " n"]  # N, outside the catalogue
-    rub: Float[Array, " n"]  # share of Coulomb friction, outside the catalogue
+    disturbance: Float[Array, " n"]  # N, outside the catalogue
+    friction_share: Float[Array, " n"]  # share of Coulomb friction, outside the catalogue
 
 
 def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
@@ -135,87 +135,93 @@ def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
 def _friction(
     drive: Drive,
     f: FaultParameters,
-    kind: MachineStructure,
+    structure: MachineStructure,
     s: MachineState,
     v: Scalar,
     z: Scalar,
     x: Scalar,
     load: Scalar,
-    rub: Scalar,
+    friction_share: Scalar,
     t: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Friction with damping (N), the bristle's rate (m/s), and the level (N)."""
-    own, speed = drive.friction, jnp.abs(v)
-    put_on = f.extra_load * _window(t, f.load_start, f.load_end, 0.05)
-    place = 1.0 + f.slope * (x - f.middle) + f.wave * jnp.sin(2 * jnp.pi * x / f.wave_period + f.wave_phase) + rub
+    friction, speed = drive.friction, jnp.abs(v)
+    extra_load = f.extra_load * _window(t, f.load_start, f.load_end, 0.05)
+    wave = f.wave * jnp.sin(2 * jnp.pi * x / f.wave_period + f.wave_phase)
+    position_factor = 1.0 + f.slope * (x - f.middle) + wave + friction_share
     warm = jnp.exp(-t / f.drift_time)
     spot = jnp.exp(-0.5 * ((x - f.chip_place) / f.chip_width) ** 2) * jnp.where(t > f.chip_start, 1.0, 0.0)
 
-    def level_of(way: Scalar) -> Scalar:
-        level = own.coulomb_screw.towards(way) + own.load_coefficient.towards(way) * (own.initial_load + load + put_on)
-        level = level * place * (1.0 + f.drift_coulomb * warm) + f.chip * spot
-        gap = own.breakaway_gap.towards(way) * (1.0 + f.growth * jnp.log1p(s.age / f.onset))
-        fast, exponent = speed / own.stribeck_velocity.towards(way), own.stribeck_exponent
+    def level_of(direction: Scalar) -> Scalar:
+        level = friction.coulomb_screw.towards(direction) + friction.load_coefficient.towards(direction) * (
+            friction.initial_load + load + extra_load
+        )
+        level = level * position_factor * (1.0 + f.drift_coulomb * warm) + f.chip * spot
+        gap = friction.breakaway_gap.towards(direction) * (1.0 + f.growth * jnp.log1p(s.age / f.onset))
+        fast, exponent = speed / friction.stribeck_velocity.towards(direction), friction.stribeck_exponent
         return level + gap * jnp.exp(-(fast if exponent is None else fast**exponent))
 
     level = level_of(v)
-    stiff = own.bristle_stiffness.towards(z)
-    rate = v - stiff * z * speed / level
-    viscous = (own.viscous.towards(v) + drive.plant.damping.towards(v)) * (1.0 + f.drift_viscous * warm) * v
-    bend = stiff * z + own.bristle_damping.towards(v) * rate
-    if kind.maxwell:  # each holds with the level of its own direction: a level of the table's would jump where it turns
-        bend = jnp.mean(s.elements * jnp.where(s.elements >= 0.0, level_of(1.0), level_of(-1.0)))
-    return bend + viscous, rate, level
+    stiffness = friction.bristle_stiffness.towards(z)
+    rate = v - stiffness * z * speed / level
+    viscous = (friction.viscous.towards(v) + drive.plant.damping.towards(v)) * (1.0 + f.drift_viscous * warm) * v
+    bristle_force = stiffness * z + friction.bristle_damping.towards(v) * rate
+    if structure.maxwell:
+        # each element yields at the level of its own direction: the table's level would jump where it reverses
+        bristle_force = jnp.mean(s.elements * jnp.where(s.elements >= 0.0, level_of(1.0), level_of(-1.0)))
+    return bristle_force + viscous, rate, level
 
 
-def _rates(t: Scalar, s: MachineState, args: Any, *, kind: MachineStructure) -> MachineState:
-    drive, f, now, later, switch, load, push, rub = args
-    asked = jnp.where(t < switch, now, later)
-    force = s.force if kind.lagging else asked
+def _rates(t: Scalar, s: MachineState, args: Any, *, structure: MachineStructure) -> MachineState:
+    drive, f, now, later, switch, load, disturbance, friction_share = args
+    command = jnp.where(t < switch, now, later)
+    force = s.force if structure.lagging else command
     mass = drive.plant.mass
-    pushes = push + f.constant + drive.plant.constant_force - f.spring * (s.x - f.neutral)
-    pushes = pushes - f.bumper * jnp.maximum(s.x - f.bumper_place, 0.0)
+    external_force = disturbance + f.constant + drive.plant.constant_force - f.spring * (s.x - f.neutral)
+    external_force = external_force - f.bumper * jnp.maximum(s.x - f.bumper_place, 0.0)
     angle = 2 * jnp.pi * s.x / f.cogging_period + f.cogging_phase
-    pushes = pushes + f.cogging * (jnp.sin(angle) + f.second * jnp.sin(2 * angle) + f.sixth * jnp.sin(6 * angle))
-    beat = 2 * jnp.pi * f.process_frequency * t + f.process_phase
-    cut = f.process * (jnp.sin(beat) + 0.3 * jnp.sin(2 * beat)) + f.process_mean
-    pushes = pushes + cut * _window(t, f.process_start, f.process_end, 0.01)
-    friction, rate, _ = _friction(drive, f, kind, s, s.v, s.z, s.x, load, rub, t)
+    external_force = external_force + f.cogging * (
+        jnp.sin(angle) + f.second * jnp.sin(2 * angle) + f.sixth * jnp.sin(6 * angle)
+    )
+    process_phase = 2 * jnp.pi * f.process_frequency * t + f.process_phase
+    process_force = f.process * (jnp.sin(process_phase) + 0.3 * jnp.sin(2 * process_phase)) + f.process_mean
+    external_force = external_force + process_force * _window(t, f.process_start, f.process_end, 0.01)
+    friction, rate, _ = _friction(drive, f, structure, s, s.v, s.z, s.x, load, friction_share, t)
     zero = jnp.zeros_like(s.x)
-    turn, motor_rate = zero, zero
-    if kind.elastic:
-        motor, motor_rate, _ = _friction(drive, f, kind, s, s.v + s.w, s.y, s.x, load, rub, t)
+    motor_acceleration, motor_rate = zero, zero
+    if structure.elastic:
+        motor_friction, motor_rate, _ = _friction(drive, f, structure, s, s.v + s.w, s.y, s.x, load, friction_share, t)
         table_mass, motor_mass = (1.0 - f.motor_share) * mass, f.motor_share * mass
         damping = 2.0 * f.screw_damping * jnp.sqrt(f.stiffness * table_mass * motor_mass / mass)
-        beyond = s.q - jnp.clip(s.q, -0.5 * f.gap, 0.5 * f.gap)
-        pull = f.stiffness * beyond + jnp.where((beyond != 0.0) | (f.gap <= 0.0), damping * s.w, 0.0)
+        deflection = s.q - jnp.clip(s.q, -0.5 * f.gap, 0.5 * f.gap)
+        screw_force = f.stiffness * deflection + jnp.where((deflection != 0.0) | (f.gap <= 0.0), damping * s.w, 0.0)
         # contact pushes, it does not stick
-        pull = jnp.where(f.gap > 0.0, jnp.where(pull * beyond > 0.0, pull, 0.0), pull)
-        net = pull - f.table_friction * friction + pushes
-        a = net / table_mass
-        turn = (force - (1.0 - f.table_friction) * motor - pull) / motor_mass - a
+        screw_force = jnp.where(f.gap > 0.0, jnp.where(screw_force * deflection > 0.0, screw_force, 0.0), screw_force)
+        net_force = screw_force - f.table_friction * friction + external_force
+        a = net_force / table_mass
+        motor_acceleration = (force - (1.0 - f.table_friction) * motor_friction - screw_force) / motor_mass - a
         reaction = force - friction
     else:
-        net = force - friction + pushes
-        a, reaction = net / mass, force - friction
+        net_force = force - friction + external_force
+        a, reaction = net_force / mass, force - friction
     angular = 2 * jnp.pi * f.base_frequency
-    lift = -f.base_ratio * reaction / mass - 2 * f.base_damping * angular * s.swing - angular**2 * s.base
-    a = a - lift
+    base_acceleration = -f.base_ratio * reaction / mass - 2 * f.base_damping * angular * s.swing - angular**2 * s.base
+    a = a - base_acceleration
     elements = zero * s.elements
-    if kind.maxwell:
+    if structure.maxwell:
         distance = f.longest * jnp.arange(1, ELEMENTS + 1) / ELEMENTS
-        stop = (s.elements * jnp.sign(s.v) >= 1.0) & (s.v != 0.0)
-        elements = jnp.where(stop, 0.0, s.v / distance)
+        is_sliding = (s.elements * jnp.sign(s.v) >= 1.0) & (s.v != 0.0)
+        elements = jnp.where(is_sliding, 0.0, s.v / distance)
     return MachineState(
         x=s.v,
         v=a,
         z=rate,
         q=s.w,
-        w=turn,
+        w=motor_acceleration,
         y=motor_rate,
         base=s.swing,
-        swing=lift,
-        force=(asked - s.force) / f.lag if kind.lagging else zero,
+        swing=base_acceleration,
+        force=(command - s.force) / f.lag if structure.lagging else zero,
         age=1.0 - jnp.abs(s.v) * s.age / f.slip,
         elements=elements,
     )
@@ -228,18 +234,18 @@ def _run(
     kp: Scalar,
     kd: Scalar,
     resolution: Scalar,
-    told: MachineInputs,
+    inputs: MachineInputs,
     rate: float,
-    kind: MachineStructure,
+    structure: MachineStructure,
 ) -> Any:
     period = 1.0 / rate
-    term = diffrax.ODETerm(partial(_rates, kind=kind))
+    term = diffrax.ODETerm(partial(_rates, structure=structure))
     unit = jnp.ones(())
     scales = MachineState(1e-10 * unit, 1e-8 * unit, 1e-12 * unit, 1e-12 * unit, 1e-8 * unit, 1e-12 * unit,
                           1e-12 * unit, 1e-9 * unit, 1e-5 * unit, 1e-4 * unit, 1e-6 * jnp.ones(ELEMENTS))  # fmt: skip
 
     def norm(error: Any) -> Scalar:
-        return jnp.max(jnp.stack([jnp.max(jnp.abs(one)) for one in jax.tree.leaves(error)]))
+        return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(error)]))
 
     control = diffrax.PIDController(rtol=TOLERANCE, atol=1.0, norm=norm)
     scaled = diffrax.ODETerm(
@@ -248,58 +254,60 @@ def _run(
         )
     )
 
-    def sample(carry: Any, at: Any) -> Any:
-        state, forces, last, k = carry
-        reference, load, noise, push, rub = at
+    def sample(carry: Any, sample_inputs: Any) -> Any:
+        state, forces, last_error, k = carry
+        reference, load, noise, disturbance, friction_share = sample_inputs
         time = k * period
-        shown = state.x + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
-        between = 2 * jnp.pi * state.x / f.interpolation_period + f.interpolation_phase
-        shown = shown + f.interpolation * jnp.sin(between) + noise
-        measured = resolution * jnp.round(shown / resolution)
+        reading = state.x + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
+        angle = 2 * jnp.pi * state.x / f.interpolation_period + f.interpolation_phase
+        reading = reading + f.interpolation * jnp.sin(angle) + noise
+        measured = resolution * jnp.round(reading / resolution)
         error = reference - measured
-        command = kp * error + kd * (error - jnp.where(k == 0, error, last)) * rate
-        through = jnp.clip((1.0 + f.gain) * command, -f.limit, f.limit)
-        through = through * (1.0 - f.droop * jnp.abs(through) / f.droop_force)
-        through = through * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
+        command = kp * error + kd * (error - jnp.where(k == 0, error, last_error)) * rate
+        force = jnp.clip((1.0 + f.gain) * command, -f.limit, f.limit)
+        force = force * (1.0 - f.droop * jnp.abs(force) / f.droop_force)
+        force = force * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
         # no more than there is
-        through = through - f.dead * jnp.tanh(through / jnp.maximum(f.dead, DEAD_TIME_ROUNDING))
-        forces = jnp.concatenate([through[None], forces[:-1]])
-        whole = jnp.floor(f.delay).astype(int)
-        later, now = forces[whole], forces[whole + 1]
+        force = force - f.dead * jnp.tanh(force / jnp.maximum(f.dead, DEAD_TIME_ROUNDING))
+        forces = jnp.concatenate([force[None], forces[:-1]])
+        whole_delay = jnp.floor(f.delay).astype(int)
+        later, now = forces[whole_delay], forces[whole_delay + 1]
         switch = time + (f.delay - jnp.floor(f.delay)) * period
-        args = (drive, f, now, later, switch, load, push, rub)
+        args = (drive, f, now, later, switch, load, disturbance, friction_share)
 
-        def onward(state: MachineState) -> MachineState:
-            begin = jax.tree.map(jnp.divide, state, scales)
-            found = diffrax.diffeqsolve(
-                scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, begin, args,
+        def advance(state: MachineState) -> MachineState:
+            scaled_state = jax.tree.map(jnp.divide, state, scales)
+            solution = diffrax.diffeqsolve(
+                scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, scaled_state, args,
                 # a step across the instant at which a late command arrives would blur it by nanometres
                 stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=switch[None]),
                 max_steps=MAX_STEPS, throw=False,
                 saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
             )  # fmt: skip
-            return jax.tree.map(lambda y, scale: y[-1] * scale, found.ys, scales)
+            return jax.tree.map(lambda y, scale: y[-1] * scale, solution.ys, scales)
 
-        # a machine that has run away need not be followed any further
-        ahead = lax.cond(jnp.abs(error) < DIVERGED, onward, lambda state: state, state)
-        ahead = ahead._replace(elements=jnp.clip(ahead.elements, -1.0, 1.0), age=jnp.maximum(ahead.age, 0.0))
-        return (ahead, forces, error, k + 1.0), (measured, command)
+        # a machine that has diverged is not integrated any further
+        next_state = lax.cond(jnp.abs(error) < DIVERGED, advance, lambda state: state, state)
+        next_state = next_state._replace(
+            elements=jnp.clip(next_state.elements, -1.0, 1.0), age=jnp.maximum(next_state.age, 0.0)
+        )
+        return (next_state, forces, error, k + 1.0), (measured, command)
 
     zero = jnp.zeros(())
-    start = MachineState(told.reference[0], *([zero] * 8), f.rested + zero, jnp.zeros(ELEMENTS))
+    start = MachineState(inputs.reference[0], *([zero] * 8), f.rested + zero, jnp.zeros(ELEMENTS))
     carry = (start, jnp.zeros(MAX_DELAY + 2), zero, zero)
-    return lax.scan(sample, carry, told)[1]
+    return lax.scan(sample, carry, inputs)[1]
 
 
 def run(
     drive: Drive,
     faults: FaultParameters,
-    kind: MachineStructure,
+    structure: MachineStructure,
     gains: tuple[float, float],
     resolution: float,
-    told: MachineInputs,
+    inputs: MachineInputs,
     rate: float,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Measured position (m) and command (N) of a machine under PD control; `gains` are kp (N/m) and kd (N s/m)."""
-    found = _run(*as_arrays((drive, faults, *gains, resolution, told)), rate, kind)
-    return np.asarray(found[0]), np.asarray(found[1])
+    signals = _run(*as_arrays((drive, faults, *gains, resolution, inputs)), rate, structure)
+    return np.asarray(signals[0]), np.asarray(signals[1])

@@ -1,7 +1,7 @@
-"""The same machines asked again, once the key is open: with nothing but what is true, and without it.
+"""Diagnoses that are repeated once the key is open, with part of the catalogue excluded.
 
-The first is the oracle: how far the gap shrinks when the true effects are fitted and nothing else. In the second the
-answer must become `unknown`, or a rival that the first answer had declared.
+The oracle has the true effects alone to choose from: how far can the gap be reduced? In the other runs the true effect
+is removed: the answer must become `unknown`, or a rival that the first answer had declared.
 """
 
 import math
@@ -15,41 +15,41 @@ Key = dict[str, dict[str, Any]]
 
 
 def oracle_exclusions(answers: Answers, key: Key) -> dict[str, list[str]]:
-    """For each clear case of one known effect that was not just what was found: the others, not to be considered."""
-    asked = {}
+    """For each clear case of one known effect for which another answer was given: all other effects, to be excluded."""
+    exclusions = {}
     for name, case in key.items():
-        true, told = {one["name"] for one in case["effects"]}, answers.get(name, UNANSWERED)
-        found = {one["effect"] for one in told["causes"] if one["found"]}
+        true, answer = {effect["name"] for effect in case["effects"]}, answers.get(name, UNANSWERED)
+        found = {effect["effect"] for effect in answer["causes"] if effect["found"]}
         alone = len(true) == 1 and true <= set(EFFECTS) and not case.get("pitfall")
-        if alone and found != true and is_clear(told, case):
-            asked[name] = [one for one in EFFECTS if one not in true]
-    return asked
+        if alone and found != true and is_clear(answer, case):
+            exclusions[name] = [name for name in EFFECTS if name not in true]
+    return exclusions
 
 
 def removal_exclusions(answers: Answers, key: Key) -> dict[str, list[str]]:
-    """For each effect of the catalogue the case that showed it best: believed alone, and by the most evidence.
+    """For each effect of the catalogue, the case in which it was found alone and with the most evidence: that effect.
 
-    One that was not believed would be `unknown` without it, too: that would show nothing.
+    A case in which it was not found would be `unknown` without it, too, which would show nothing.
     """
     best: dict[str, tuple[float, str]] = {}
     for name, case in key.items():
-        told = answers.get(name, UNANSWERED)
-        true = [one["name"] for one in case["effects"]]
-        found = [one for one in told["causes"] if one["found"]]
-        if told["verdict"] == "effect" and len(true) == 1 and [one["effect"] for one in found] == true:
+        answer = answers.get(name, UNANSWERED)
+        true = [effect["name"] for effect in case["effects"]]
+        found = [cause for cause in answer["causes"] if cause["found"]]
+        if answer["verdict"] == "effect" and len(true) == 1 and [cause["effect"] for cause in found] == true:
             best[true[0]] = max(best.get(true[0], (-math.inf, "")), (found[0]["evidence"], name))
     return {name: [effect] for effect, (_, name) in best.items()}
 
 
-def removal_rows(answers: Answers, again: Answers, asked: dict[str, list[str]]) -> list[list[Any]]:
-    """Effect, case, verdict without it, what was found, and whether that is as it must be."""
+def removal_rows(answers: Answers, rerun: Answers, exclusions: dict[str, list[str]]) -> list[list[Any]]:
+    """Rows of effect, case, verdict without the effect, what was found, declared rivals, and whether that is right."""
     rows = []
-    for name, (effect,) in asked.items():
-        told = again.get(name)
-        if told is None:
+    for name, (effect,) in exclusions.items():
+        answer = rerun.get(name)
+        if answer is None:
             continue
-        found = [one["effect"] for one in told["causes"] if one["found"]]
+        found = [cause["effect"] for cause in answer["causes"] if cause["found"]]
         declared = answers[name]["causes"][0]["indistinguishable_from"]
-        good = told["verdict"] == "unknown" or (found != [] and set(found) <= set(declared))
-        rows.append([effect, name, told["verdict"], " + ".join(found), " ".join(declared), good])
+        good = answer["verdict"] == "unknown" or (found != [] and set(found) <= set(declared))
+        rows.append([effect, name, answer["verdict"], " + ".join(found), " ".join(declared), good])
     return sorted(rows)

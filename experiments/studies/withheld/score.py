@@ -14,40 +14,40 @@ CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
 CLEAR_SIZE = 1.0  # the size from which an effect was drawn to be clear
 BINS = 10  # of confidence
 MAX_EFFECTS = 2  # effects of a case
-MAX_ALTERNATIVES = 2  # rivals: an engineer looks at as many
+MAX_ALTERNATIVES = 2  # rivals, as many as an engineer looks at
 MIN_GAP = 0.2  # of the floor's square, that is left: too little to speak of a share
 UNANSWERED: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
 
 
-def visibility(told: dict[str, Any]) -> float | None:
-    """Largest gap of the recalibrated drive over its own floor, whatever was found; None of an answer without a gap.
+def visibility(answer: dict[str, Any]) -> float | None:
+    """The largest gap of the recalibrated drive over its noise floor; None for an answer without a gap.
 
-    One with which the simulation in closed loop runs away is off without end.
+    Infinite where the recalibrated drive diverges in closed loop.
     """
-    gap, found = told.get("gap", {}), []
-    base = told["ladder"][1] if len(told.get("ladder", [])) > 1 else {}
+    gap, ratios = answer.get("gap", {}), []
+    base = answer["ladder"][1] if len(answer.get("ladder", [])) > 1 else {}
     if base.get("loop_says"):
-        found += [np.inf] if "runs away" in base["loop_says"] else []
+        ratios += [np.inf] if "runs away" in base["loop_says"] else []
     for signal, unit in (("force", "N"), ("position", "m"), ("command", "N")):
         rms = gap.get(f"recalibrated_{signal}_rms_{unit}")
         floor = base.get(f"{signal}_floor_{unit}", gap.get(f"noise_floor_{signal}_{unit}"))
         if isinstance(rms, float) and isinstance(floor, float) and floor > 0:
-            found.append(rms / floor)
-    return float(max(found)) if found else None
+            ratios.append(rms / floor)
+    return float(max(ratios)) if ratios else None
 
 
-def is_clear(told: dict[str, Any], key: dict[str, Any]) -> bool:
-    """Whether a case is one of clear visibility: the key's word; where it has none, the gap over its floor.
+def is_clear(answer: dict[str, Any], key: dict[str, Any]) -> bool:
+    """Whether a case is clearly visible: by the key, else by the gap over its floor, else by the sizes drawn.
 
-    It is the answer's own gap that counts, after recalibration: what recalibration swallows is faint here, and counts
-    in the rates by the size that was drawn. Where the answer has none, as it failed, the sizes drawn.
+    The gap is the answer's, after recalibration: an effect that recalibration absorbs is faint here, and counts in the
+    rates by drawn size.
     """
     if key.get("visibility") in ("clear", "faint"):
         return bool(key["visibility"] == "clear")
-    seen = visibility(told)
-    if seen is None:
-        return min((one["size"] for one in key["effects"]), default=0.0) >= CLEAR_SIZE
-    return seen >= CLEAR
+    gap_ratio = visibility(answer)
+    if gap_ratio is None:
+        return min((effect["size"] for effect in key["effects"]), default=0.0) >= CLEAR_SIZE
+    return gap_ratio >= CLEAR
 
 
 def score(
@@ -57,20 +57,22 @@ def score(
 ) -> dict[str, Any]:
     """Every figure of the check; `answers` and `key` by case.
 
-    `oracle` are answers with nothing but the true effects to choose from, for the cases where these were not found;
-    without it nothing is said of an oracle. An answer that failed or is missing is wrong in whatever a case of its kind
-    counts for, and closes nothing of the gap. `intervals` are Wilson's, of 95 %.
+    `oracle` are answers with only the true effects to choose from, for the cases where these were not found; without
+    it the figures of the oracle are None. An answer that failed or is missing is wrong in every rate in which its case
+    counts, and reduces no gap. `intervals` are Wilson's, of 95 %.
     """
     rows = [_row(name, answers.get(name, UNANSWERED), key[name]) for name in sorted(key)]
-    best = {row["case"]: _oracle_reduction(row, oracle) for row in rows}
+    oracle_reductions = {row["case"]: _oracle_reduction(row, oracle) for row in rows}
     single = [row for row in rows if row["kind"] == "single"]
-    clear, faint = ([row for row in single if row["clear"] == wanted] for wanted in (True, False))
-    sound = [row for row in rows if row["kind"] == "none"]
+    clear, faint = ([row for row in single if row["clear"] == is_clear_row] for is_clear_row in (True, False))
+    no_effect = [row for row in rows if row["kind"] == "none"]
     outside = [row for row in rows if row["kind"] == "unknown"]
-    two = [row for row in rows if row["kind"] == "compound"]
+    compounds = [row for row in rows if row["kind"] == "compound"]
     pitfalls = [row for row in rows if row["kind"] == "pitfall"]
     drawn = [row for row in single + pitfalls if row["size"][0] >= CLEAR_SIZE]
-    shrinks = [_ratio(row["shrink"], best[row["case"]], row["failed"]) for row in clear if oracle is not None]
+    reductions = [
+        _ratio(row["shrink"], oracle_reductions[row["case"]], row["failed"]) for row in clear if oracle is not None
+    ]
     shares = {
         "named_clear": (clear, "named"),
         "exact_clear": (clear, "exact"),
@@ -84,11 +86,11 @@ def score(
         "top2_faint": (faint, "top2"),
         "confidently_wrong_faint": (faint, "confidently_wrong"),
         "confidently_wrong": (rows, "confidently_wrong"),
-        "said_none": (sound, "said_none"),
-        "false_alarms": (sound, "alarm"),
+        "said_none": (no_effect, "said_none"),
+        "false_alarms": (no_effect, "alarm"),
         "unknown_recall": (outside, "said_unknown"),
-        "both_found": (two, "both"),
-        "both_named": (two, "exact"),
+        "both_found": (compounds, "both"),
+        "both_named": (compounds, "exact"),
         "pitfall_named": (pitfalls, "named"),
     }
     return {
@@ -97,9 +99,9 @@ def score(
         "clear_single": len(clear),
         "drawn_clear": len(drawn),
         "faint_single": len(faint),
-        "none": len(sound),
+        "none": len(no_effect),
         "outside": len(outside),
-        "compounds": len(two),
+        "compounds": len(compounds),
         "pitfalls": len(pitfalls),
         **{name: _share(*which) for name, which in shares.items()},
         "intervals": {name: _interval(*which) for name, which in shares.items()},
@@ -110,10 +112,12 @@ def score(
         "median_parameter_error": _quantile([row["parameter_error"] for row in clear if row["top1"]], 0.5),
         "median_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.5),
         "quarter_shrink_held_out": _quantile([row["shrink"] for row in clear], 0.25),
-        "median_shrink_of_oracle": _quantile(shrinks, 0.5),
-        "quarter_shrink_of_oracle": _quantile(shrinks, 0.25),
-        "shrinks_of_oracle": sum(one is not None for one in shrinks),
-        "without_ratio": [row["case"] for row, one in zip(clear, shrinks, strict=bool(shrinks)) if one is None],
+        "median_shrink_of_oracle": _quantile(reductions, 0.5),
+        "quarter_shrink_of_oracle": _quantile(reductions, 0.25),
+        "shrinks_of_oracle": sum(reduction is not None for reduction in reductions),
+        "without_ratio": [
+            row["case"] for row, reduction in zip(clear, reductions, strict=bool(reductions)) if reduction is None
+        ],
         "declared_at_once": _quantile([float(row["rivals"]) for row in clear], 0.5),
         "most_declared": max((row["rivals"] for row in clear), default=0),
         "oracle_asked": sum(row["case"] in (oracle or {}) for row in clear),
@@ -122,28 +126,28 @@ def score(
     }
 
 
-def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]:
-    true = [one["name"] for one in key["effects"]]
-    outside = any(one["outside"] for one in key["effects"])
+def _row(name: str, answer: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]:
+    true = [effect["name"] for effect in key["effects"]]
+    outside = any(effect["outside"] for effect in key["effects"])
     kind = "unknown" if outside else ("none", "single", "compound")[len(true)]
     kind = "pitfall" if key.get("pitfall") else kind
-    causes = told["causes"]
-    found = [one["effect"] for one in causes if one["found"]]
-    ranked = [one["effect"] for one in causes]
-    sure = [one for one in causes if one["found"] and one["confidence"] >= 0.5]
+    causes = answer["causes"]
+    found = [cause["effect"] for cause in causes if cause["found"]]
+    ranked = [cause["effect"] for cause in causes]
+    confident = [cause for cause in causes if cause["found"] and cause["confidence"] >= 0.5]
     first = causes[0] if causes else None
     declared = set(found[:1]) | set(first["indistinguishable_from"] if first and first["found"] else [])
-    seen, failed, said_effect = visibility(told), told["verdict"] == "error", told["verdict"] == "effect"
+    gap_ratio, failed, said_effect = visibility(answer), answer["verdict"] == "error", answer["verdict"] == "effect"
     top1 = bool(true) and found[:1] == true[:1]
     return {
         "case": name,
         "kind": kind,
         "true": true,
-        "size": [round(one["size"], 2) for one in key["effects"]],
-        "visibility": None if seen is None else round(seen, 2),
-        "clear": is_clear(told, key),
+        "size": [round(effect["size"], 2) for effect in key["effects"]],
+        "visibility": None if gap_ratio is None else round(gap_ratio, 2),
+        "clear": is_clear(answer, key),
         "failed": failed,
-        "verdict": told["verdict"],
+        "verdict": answer["verdict"],
         "found": found,
         "top1": top1,
         "named": top1 and said_effect,
@@ -153,24 +157,24 @@ def _row(name: str, told: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]
         "rivals": len(declared - set(found[:1])),
         "both": set(true) <= set(found),
         "exact": said_effect and set(found) == set(true),
-        "said_none": told["verdict"] == "none",
+        "said_none": answer["verdict"] == "none",
         "alarm": said_effect or failed,
-        "said_unknown": told["verdict"] == "unknown",
-        "confidently_wrong": failed or (said_effect and any(one["effect"] not in true for one in sure)),
-        "sure": [(one["effect"], one["confidence"], one["effect"] in true) for one in causes if one["found"]],
+        "said_unknown": answer["verdict"] == "unknown",
+        "confidently_wrong": failed or (said_effect and any(cause["effect"] not in true for cause in confident)),
+        "sure": [(cause["effect"], cause["confidence"], cause["effect"] in true) for cause in causes if cause["found"]],
         "within": _interval_hits(first, key["effects"][0].get("true", {}))
         if first and [first["effect"]] == true == found
         else [],
         "parameter_error": _parameter_error(first["parameters"], key["effects"][0]["true"])
         if first and top1 and "true" in key["effects"][0]
         else None,
-        "shrink": _gap_reduction(told),
-        "seconds": told.get("seconds"),
+        "shrink": _gap_reduction(answer),
+        "seconds": answer.get("seconds"),
     }
 
 
 def _oracle_reduction(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | None) -> float | None:
-    """The shrink with the true effects: the oracle's; where just these were found there was no need to ask it."""
+    """The gap reduction with the true effects: the oracle's, or the answer's own where it found exactly these."""
     if oracle is None:
         return None
     if row["case"] in oracle:
@@ -178,20 +182,20 @@ def _oracle_reduction(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | N
     return row["shrink"] if set(row["found"]) == set(row["true"]) else None  # type: ignore[no-any-return]
 
 
-def _gap_reduction(told: dict[str, Any]) -> float | None:
-    """How far the whole answer closes the gap to the floor on what was held out, as a share of what recalibration left.
+def _gap_reduction(answer: dict[str, Any]) -> float | None:
+    """How far the answer reduces the held-out gap to the floor, as a share of what recalibration left.
 
-    None where recalibration leaves nothing; nothing of it by an answer that failed.
+    None where recalibration leaves none; 0 for an answer that failed.
     """
-    if told["verdict"] == "error":
+    if answer["verdict"] == "error":
         return 0.0
-    ladder, floor = told.get("ladder", []), told.get("gap", {}).get("noise_floor_force_N")
+    ladder, floor = answer.get("ladder", []), answer.get("gap", {}).get("noise_floor_force_N")
     if len(ladder) < 2:
         return None
     base, last = ladder[1]["force_rms_N"], ladder[-1]["force_rms_N"]
     if not isinstance(base, float):
         return None
-    if not isinstance(last, float):  # a filter that ran away, or is lost, closes nothing
+    if not isinstance(last, float):  # a filter that diverged reduces no gap
         return 0.0
     if not floor:
         return None
@@ -199,62 +203,62 @@ def _gap_reduction(told: dict[str, Any]) -> float | None:
     return 1.0 - after / before if before > MIN_GAP * floor**2 else None
 
 
-def _ratio(one: float | None, other: float | None, failed: bool) -> float | None:
+def _ratio(reduction: float | None, oracle_reduction: float | None, failed: bool) -> float | None:
     if failed:
-        return 0.0  # whatever could have been
-    if one is None or other is None:
+        return 0.0  # whatever was possible
+    if reduction is None or oracle_reduction is None:
         return None
-    if other > 0.0:
-        return one / other
-    return 0.0 if one < other else None  # where the truth itself closes nothing, one can only be worse
+    if oracle_reduction > 0.0:
+        return reduction / oracle_reduction
+    return 0.0 if reduction < oracle_reduction else None  # where the truth reduces no gap, an answer can only be worse
 
 
 def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | None:
-    """The largest relative error of the numbers that both name, log by log where they differ; of zero there is none.
+    """The largest relative error of the numbers that both name, log by log where they differ; zeros are left out.
 
-    An amplitude is that of cosine and sine.
+    `amplitude` is that of cosine and sine.
     """
-    told = dict(found)
-    if "cosine" in told:
-        told["amplitude"] = np.hypot(told["cosine"], told["sine"])
+    values = dict(found)
+    if "cosine" in values:
+        values["amplitude"] = np.hypot(values["cosine"], values["sine"])
     errors: list[float] = []
-    for name in told.keys() & true.keys():
-        ours, theirs = np.broadcast_arrays(*(np.asarray(one, float) for one in (told[name], true[name])))
-        there = theirs != 0.0
-        errors += list(np.abs(ours[there] / theirs[there] - 1.0))
+    for name in values.keys() & true.keys():
+        estimate, truth = np.broadcast_arrays(*(np.asarray(value, float) for value in (values[name], true[name])))
+        nonzero = truth != 0.0
+        errors += list(np.abs(estimate[nonzero] / truth[nonzero] - 1.0))
     return float(max(errors)) if errors else None
 
 
 def _interval_hits(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
-    """Whether the interval of each number that both name holds the true one; one without an end holds nothing."""
-    held: list[bool] = []
+    """Whether the interval of each number that both name holds the true value; one without an end does not."""
+    hits: list[bool] = []
     for name in cause["intervals"].keys() & true.keys():
         low, high = cause["intervals"][name]
-        low, high, value = np.broadcast_arrays(*(np.asarray(one, float) for one in (low, high, true[name])))
-        held += list(map(bool, np.ravel((low <= value) & (value <= high))))
-    return held
+        low, high, value = np.broadcast_arrays(*(np.asarray(number, float) for number in (low, high, true[name])))
+        hits += list(map(bool, np.ravel((low <= value) & (value <= high))))
+    return hits
 
 
 def _interval_coverage(rows: list[dict[str, Any]]) -> tuple[float | None, int]:
-    """Share of the 95 % intervals that hold the truth, where one effect acts and was found alone; and of how many."""
-    held = [one for row in rows for one in row["within"]]
-    return (round(float(np.mean(held)), 3) if held else None), len(held)
+    """Share of the 95 % intervals that hold the truth, where one effect acts and was found alone; and their number."""
+    hits = [hit for row in rows for hit in row["within"]]
+    return (round(float(np.mean(hits)), 3) if hits else None), len(hits)
 
 
-def _share(rows: list[dict[str, Any]], what: str) -> float | None:
-    return round(float(np.mean([row[what] for row in rows])), 3) if rows else None
+def _share(rows: list[dict[str, Any]], column: str) -> float | None:
+    return round(float(np.mean([row[column] for row in rows])), 3) if rows else None
 
 
-def _interval(rows: list[dict[str, Any]], what: str) -> list[float] | None:
+def _interval(rows: list[dict[str, Any]], column: str) -> list[float] | None:
     if not rows:
         return None
-    interval = binomtest(sum(row[what] for row in rows), len(rows)).proportion_ci(method="wilson")
+    interval = binomtest(sum(row[column] for row in rows), len(rows)).proportion_ci(method="wilson")
     return [round(float(interval.low), 3), round(float(interval.high), 3)]
 
 
 def _quantile(values: list[float | None], share: float) -> float | None:
-    there = [one for one in values if one is not None]
-    return round(float(np.quantile(there, share)), 4) if there else None
+    finite = [value for value in values if value is not None]
+    return round(float(np.quantile(finite, share)), 4) if finite else None
 
 
 def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
@@ -262,58 +266,58 @@ def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
     pairs = [(confidence, right) for row in rows for _, confidence, right in row["sure"]]
     table = []
     for k in range(BINS):
-        some = [pair for pair in pairs if min(int(pair[0] * BINS), BINS - 1) == k]
-        if some:
-            mean, right = np.mean(np.array(some, float), axis=0)
-            table.append([float(mean), len(some), float(right)])
+        members = [pair for pair in pairs if min(int(pair[0] * BINS), BINS - 1) == k]
+        if members:
+            mean, right = np.mean(np.array(members, float), axis=0)
+            table.append([float(mean), len(members), float(right)])
     return table
 
 
 def _calibration(reliability: list[list[Any]]) -> float | None:
-    """Expected calibration error: how far confidence and share are apart, weighed by how many."""
+    """Expected calibration error: the mean distance of confidence and share that was right, weighted by count."""
     count = sum(many for _, many, _ in reliability)
     off = sum(many * abs(confidence - right) for confidence, many, right in reliability)
     return round(off / count, 4) if count else None
 
 
 def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    """What was answered for each effect that was there alone, for none, and for what lies outside."""
+    """How often each answer was given, by the single true effect, none, or one from outside the catalogue."""
     table: dict[str, Counter[str]] = {}
     for row in rows:
         if row["kind"] in ("compound", "pitfall"):
             continue
-        said = row["found"][0] if row["verdict"] == "effect" and row["found"] else row["verdict"]
-        table.setdefault(row["true"][0] if row["true"] else "none", Counter())[said] += 1
+        answer = row["found"][0] if row["verdict"] == "effect" and row["found"] else row["verdict"]
+        table.setdefault(row["true"][0] if row["true"] else "none", Counter())[answer] += 1
     return {name: dict(counts) for name, counts in sorted(table.items())}
 
 
 def read_answers(folder: Path) -> dict[str, dict[str, Any]]:
-    """The answers that are there."""
-    found = {}
+    """The answers in a folder, by case."""
+    answers = {}
     for path in sorted(folder.glob("*/diagnosis.json")):
-        found[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
-    return found
+        answers[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
+    return answers
 
 
 def read_key(path: Path) -> dict[str, dict[str, Any]]:
-    """A key file; where the sizes of the effects are not said, whether they are clear.
+    """A key file; where it states no sizes of effects, they follow from its visibility.
 
-    Raises `ParameterError` for a file that is not there or not a key.
+    Raises `ParameterError` for a file that is missing or not a key.
     """
     try:
-        opened: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
-        for name, case in opened.items():
-            for one in case["effects"]:
-                one["name"]
-                one.setdefault("outside", case.get("kind") == "unknown")
-                one.setdefault("size", CLEAR if case.get("visibility") == "clear" else 0.0)
+        key: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+        for name, case in key.items():
+            for effect in case["effects"]:
+                effect["name"]
+                effect.setdefault("outside", case.get("kind") == "unknown")
+                effect.setdefault("size", CLEAR if case.get("visibility") == "clear" else 0.0)
             if len(case["effects"]) > MAX_EFFECTS:
                 raise ParameterError(f"{path}: case {name} has more than {MAX_EFFECTS} effects, which cannot be scored")
     except FileNotFoundError:
         raise ParameterError(f"{path}: not there; a folder of machines to examine holds the key to them") from None
-    except (ValueError, TypeError, KeyError, AttributeError) as problem:
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ParameterError(
-            f"{path}: no key ({problem!r}); it must be an object of cases, each with its `effects`, a list of objects "
+            f"{path}: no key ({error!r}); it must be an object of cases, each with its `effects`, a list of objects "
             "with a `name`"
         ) from None
-    return opened
+    return key

@@ -43,100 +43,102 @@ def require_workers(workers: int) -> None:
 def check_drawn_machines(
     out: Path, count: int, seed: int, workers: int = 1, twice: bool = False, axes: tuple[str, ...] = ("paper",)
 ) -> dict[str, Any]:
-    """Run the check, or what is left of it, in the folder `out`, on machines of these axes in turn.
+    """Run or continue the check in the folder `out`, on machines drawn for these axes in turn.
 
-    The answering process is given copies of logs and drive files in a folder of their own; the key is written once all
-    answers are there.
+    The answering process is given copies of logs and drive files in a folder of their own; the key is written after all
+    answers.
     """
-    on = axes_named(axes)
+    drive_axes = axes_named(axes)
     require_workers(workers)
-    above = next(one for one in (out, *out.resolve().parents) if one.is_dir())
-    require_disk(ParameterError, f"--cases {format_count(count)}: their logs", above, CASE * float(count), "give fewer")
+    parent = next(folder for folder in (out, *out.resolve().parents) if folder.is_dir())
+    require_disk(
+        ParameterError, f"--cases {format_count(count)}: their logs", parent, CASE * float(count), "give fewer"
+    )
     with Report(f"withheld-effect check: {count} machines of {', '.join(axes)}, seed {seed}", out) as report:
         cases, parts = out / "cases", out / "key_parts"
         with report.stages() as progress:
-            for done, _ in enumerate(generate(cases, parts, seed, count, on), start=1):
+            for done, _ in enumerate(generate(cases, parts, seed, count, drive_axes), start=1):
                 progress("drawing machines", done, count)
         _answer_cases(report, cases, out / "answers", workers)
         return _report_scores(report, cases, write_key(out / "key.json", parts), workers, twice)
 
 
 def check_given_machines(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
-    """The same on machines that are there, such as a bench's: a folder for each, and the key to all."""
+    """Run the check on given machines, such as a bench's: a folder for each, and the key to all."""
     require_workers(workers)
-    told = _checked_key(cases, key)
+    key_entries = _checked_key(cases, key)
     with Report(f"withheld-effect check: {cases.name}", out) as report:
         _answer_cases(report, cases, out / "answers", workers)
-        return _report_scores(report, cases, told, workers, twice)
+        return _report_scores(report, cases, key_entries, workers, twice)
 
 
 def _checked_key(cases: Path, path: Path) -> dict[str, dict[str, Any]]:
-    """The key of machines that are there; hours later would be late to learn that it does not fit."""
+    """The key to given machines, checked against them before hours are spent."""
     key = read_key(path)
-    there = {place.name for place in case_folders(cases)}
-    if not there:
+    names = {folder.name for folder in case_folders(cases)}
+    if not names:
         raise ParameterError(f"{cases}: no machine in it; each is a folder with a drive.toml and log-*.parquet")
-    if there != key.keys():
-        odd = ", ".join(sorted(there ^ key.keys()))
-        raise ParameterError(f"{path}: names other machines than there are in {cases}; they differ in {odd}")
+    if names != key.keys():
+        mismatched = ", ".join(sorted(names ^ key.keys()))
+        raise ParameterError(f"{path}: names other machines than there are in {cases}; they differ in {mismatched}")
     return key
 
 
 def _answer_cases(
     report: Report, cases: Path, answers: Path, workers: int, without: dict[str, list[str]] | None = None
 ) -> None:
-    """Have those cases diagnosed that are not yet, in a process that is given them and nothing else."""
-    wanted = unanswered(cases, answers, without)
-    if not wanted:
+    """Diagnose the cases that have no answer yet, in a process that is given them and nothing else."""
+    pending = unanswered(cases, answers, without)
+    if not pending:
         return
     report.say(f"diagnosing into {answers.name}, in a process that has neither key nor seed ...")
     with tempfile.TemporaryDirectory(prefix="machines-") as folder:
-        room = Path(folder)
-        for place in wanted:
-            (room / "cases" / place.name).mkdir(parents=True)
-            for path in (place / "drive.toml", *sorted(place.glob("log-*.parquet"))):
-                shutil.copyfile(path, room / "cases" / place.name / path.name)
-        (room / "without.json").write_text(json.dumps(without), encoding="utf-8")
+        workspace = Path(folder)
+        for case in pending:
+            (workspace / "cases" / case.name).mkdir(parents=True)
+            for path in (case / "drive.toml", *sorted(case.glob("log-*.parquet"))):
+                shutil.copyfile(path, workspace / "cases" / case.name / path.name)
+        (workspace / "without.json").write_text(json.dumps(without), encoding="utf-8")
         command = [sys.executable, *ANSWER_COMMAND, "cases", "answers", str(workers), "without.json", ATTENDED]
         paths = os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = os.environ | {"PYTHONPATH": paths}
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        with subprocess.Popen(command, cwd=room, env=environment, text=True, **pipes) as process:
+        with subprocess.Popen(command, cwd=workspace, env=environment, text=True, **pipes) as process:
             assert process.stdout is not None
             try:
                 for line in process.stdout:
                     print(line, end="", flush=True)
-                    _copy_answers(room / "answers", answers)  # one by one: an interrupted run goes on from there
+                    _copy_answers(workspace / "answers", answers)  # one by one: an interrupted run goes on from there
             except BaseException:
                 process.terminate()
                 raise
             finally:
-                _copy_answers(room / "answers", answers)
+                _copy_answers(workspace / "answers", answers)
         if process.returncode:
             raise subprocess.CalledProcessError(process.returncode, command)
-    if odd := [place.name for place in unanswered(cases, answers, without)]:
+    if outdated := [case.name for case in unanswered(cases, answers, without)]:
         raise ParameterError(
-            f"{answers}: {', '.join(odd)} were answered by other sources than those that asked: the code was changed "
-            "meanwhile; start again from a copy of it that stays as it is"
+            f"{answers}: {', '.join(outdated)} were answered by other sources than those that asked: the code was "
+            "changed meanwhile; start again from a copy of it that stays as it is"
         )
 
 
-def _copy_answers(there: Path, here: Path) -> None:
-    """Bring the answers that are `there` over, those that are not `here` yet."""
-    for path in there.glob("*/diagnosis.json"):
-        place, text = here / path.parent.name / path.name, path.read_bytes()
-        if place.exists() and place.read_bytes() == text:
+def _copy_answers(source: Path, destination: Path) -> None:
+    """Copy the answers that differ from those in `destination`, or are not in it yet."""
+    for path in source.glob("*/diagnosis.json"):
+        target, text = destination / path.parent.name / path.name, path.read_bytes()
+        if target.exists() and target.read_bytes() == text:
             continue
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(place) as file:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(target) as file:
             file.write(text)
 
 
-def _rerun(report: Report, cases: Path, name: str, wanted: dict[str, list[str]], workers: int) -> reruns.Answers:
+def _rerun(report: Report, cases: Path, name: str, exclusions: dict[str, list[str]], workers: int) -> reruns.Answers:
     assert report.out is not None
-    _answer_cases(report, cases, report.out / name, workers, wanted)
-    told = read_answers(report.out / name)
-    return {case: told[case] for case in wanted if case in told}  # not what an earlier edition was asked
+    _answer_cases(report, cases, report.out / name, workers, exclusions)
+    answers = read_answers(report.out / name)
+    return {case: answers[case] for case in exclusions if case in answers}  # not those of an earlier edition
 
 
 def _report_scores(
@@ -148,16 +150,16 @@ def _report_scores(
     if twice:
         oracle = _rerun(report, cases, "oracle", reruns.oracle_exclusions(answers, key), workers)
         removed = reruns.removal_exclusions(answers, key)
-        without = _rerun(report, cases, "removed", removed, workers)
+        reruns_without_effect = _rerun(report, cases, "removed", removed, workers)
         report.table(
             "removed",
             ("effect", "case", "verdict without it", "found", "declared before", "as it must be"),
-            reruns.removal_rows(answers, without, removed),
+            reruns.removal_rows(answers, reruns_without_effect, removed),
             "The catalogue without the true effect: unknown, or a declared rival",
         )
-        unseen = sorted(set(EFFECTS) - {effect for (effect,) in removed.values()})
-        if unseen:
-            report.say(f"Believed alone in no case, and so not removed: {', '.join(unseen)}.")
+        never_removed = sorted(set(EFFECTS) - {effect for (effect,) in removed.values()})
+        if never_removed:
+            report.say(f"Believed alone in no case, and so not removed: {', '.join(never_removed)}.")
     card = score(answers, key, oracle)
     report.values("scorecard", **{name: card[name] for name in SHOWN})
     report.table(

@@ -1,8 +1,8 @@
-"""What is true of a machine, in the parameters and units of the catalogue.
+"""The true parameters of a machine's faults, in the names and units of the catalogue.
 
-`amplitude` stands for the cosine and sine of a first harmonic, whose phase is the session's. What a log cannot tell
-is left out (a scale that is longer throughout, how long the machine rested before), as is what the catalogue describes
-otherwise (Maxwell elements). Pairs have one value for each log.
+`amplitude` stands for the cosine and sine of a first harmonic, whose phase differs from log to log. What a log
+cannot show is left out (a scale that is longer throughout, how long the machine rested before), as is what the
+catalogue describes otherwise (Maxwell elements). Pairs have one value for each log.
 """
 
 import math
@@ -18,7 +18,7 @@ LOAD_RISE, PROCESS_RISE = 0.05, 0.01  # s, of the machine's windows, which the c
 
 
 def true_parameters(case: WithheldCase, fault: InjectedFault, peak: float | None = None) -> dict[str, Any]:
-    """The true parameters of one of a machine's faults; `peak` (N) as in `draw.of_log`."""
+    """The true parameters of one of a machine's faults; `peak` (N) as in `draw.log_faults`."""
     make = TRUE_PARAMETERS.get(fault.effect)
     if fault.effect == "force_limit":
         return {} if peak is None else {"limit": float(log_faults(case, 0, peak)[0].limit)}
@@ -26,10 +26,10 @@ def true_parameters(case: WithheldCase, fault: InjectedFault, peak: float | None
 
 
 def _renamed(**names: str) -> Callable[[WithheldCase, InjectedFault], dict[str, Any]]:
-    """Numbers of the same meaning by the catalogue's name for them."""
+    """Numbers of the same meaning under the catalogue's names."""
 
     def make(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
-        return {ours: fault.parameters[theirs] for ours, theirs in names.items() if theirs in fault.parameters}
+        return {name: fault.parameters[injected] for name, injected in names.items() if injected in fault.parameters}
 
     return make
 
@@ -59,11 +59,11 @@ def _process_force(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
 
 def _friction_shape(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
     drive = case.true
-    told = {name: math.log(way) for name, way in fault.drive_factors.items() if name in AS_LOGARITHMS}
+    values = {name: math.log(factor) for name, factor in fault.drive_factors.items() if name in AS_LOGARITHMS}
     if "viscous" in fault.drive_factors:
         grown = _mean(drive.friction.viscous) + _mean(drive.plant.damping)
-        told["viscous"] = grown * (1.0 - 1.0 / fault.drive_factors["viscous"])
-    return told
+        values["viscous"] = grown * (1.0 - 1.0 / fault.drive_factors["viscous"])
+    return values
 
 
 def _friction_asymmetry(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
@@ -78,9 +78,9 @@ def _payload_mass(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
 
 def _elastic(case: WithheldCase, fault: InjectedFault) -> dict[str, Any]:
     same = _renamed(gap="gap", damping="screw_damping", motor_share="motor_share", table_friction="table_friction")
-    told = same(case, fault)
-    reduced = told["motor_share"] * (1.0 - told["motor_share"]) * float(case.true.plant.mass)
-    return told | {"frequency": math.sqrt(fault.parameters["stiffness"] / reduced) / (2.0 * math.pi)}  # type: ignore[operator]
+    values = same(case, fault)
+    reduced = values["motor_share"] * (1.0 - values["motor_share"]) * float(case.true.plant.mass)
+    return values | {"frequency": math.sqrt(fault.parameters["stiffness"] / reduced) / (2.0 * math.pi)}  # type: ignore[operator]
 
 
 TRUE_PARAMETERS: dict[str, Callable[[WithheldCase, InjectedFault], dict[str, Any]]] = {

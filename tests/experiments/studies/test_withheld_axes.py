@@ -72,15 +72,15 @@ def test_a_fault_is_as_large_a_share_of_what_it_spoils(axis):
 @pytest.mark.parametrize("axis", AXES)
 def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
     """Two programs and two integrators: they agree to a hundredth of the distance before sliding."""
-    one, rate = AXES[axis], 2000.0
+    study_axis, rate = AXES[axis], 2000.0
     time = np.arange(600) / rate
-    reference = one.length_ratio * 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
-    bandwidth = float(np.mean(one.bandwidth))
-    mass = float(one.drive.plant.mass)
+    reference = study_axis.length_ratio * 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
+    bandwidth = float(np.mean(study_axis.bandwidth))
+    mass = float(study_axis.drive.plant.mass)
     gains = mass * bandwidth**2, 0.6 * mass * bandwidth
     still = np.zeros_like(time)
     position, _ = run(
-        one.drive,
+        study_axis.drive,
         FaultParameters(),
         MachineStructure(),
         gains,
@@ -88,36 +88,42 @@ def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
         MachineInputs(reference, still, still, still, still),
         rate,
     )
-    unquantised = one.drive.__class__(**{**vars(one.drive), "sensor": one.drive.sensor.__class__(None, 0.0)})
+    unquantised = study_axis.drive.__class__(
+        **{**vars(study_axis.drive), "sensor": study_axis.drive.sensor.__class__(None, 0.0)}
+    )
     ours = simulate(
         unquantised, PD(Tracking(PDGains(*gains))), from_array(time, reference), sampling=Sampling(rate, 40)
     ).position
-    bristle = float(coulomb(one.drive.friction, 1.0, 0.0)) / float(one.drive.friction.bristle_stiffness.positive)
+    bristle = float(coulomb(study_axis.drive.friction, 1.0, 0.0)) / float(
+        study_axis.drive.friction.bristle_stiffness.positive
+    )
     assert np.max(np.abs(position - ours)) < 0.01 * bristle
 
 
 def test_machines_of_several_axes_come_in_turn_and_are_no_others(tmp_path, monkeypatch):
-    asked = []
+    drawn_axes = []
 
     def followable(seed, number, effects, axis):
-        asked.append(axis)
-        raise KeyboardInterrupt if len(asked) > 3 else StopIteration
+        drawn_axes.append(axis)
+        raise KeyboardInterrupt if len(drawn_axes) > 3 else StopIteration
 
     monkeypatch.setattr(generate, "_draw_followable", followable)
-    on = (AXES["gantry"], AXES["linear"])
+    drive_axes = (AXES["gantry"], AXES["linear"])
     parts = tmp_path / "parts"
     for number in range(3):
         with pytest.raises(RuntimeError):  # what a generator makes of it
-            list(generate.generate(tmp_path / "cases", parts, 0, 4, on))
+            list(generate.generate(tmp_path / "cases", parts, 0, 4, drive_axes))
         parts.mkdir(exist_ok=True)
-        drawn_there = {"drawn": {"seed": 0, "of": 4, "axis": repr(on[number % 2]), "by": generate.source_digest()}}
+        drawn_there = {
+            "drawn": {"seed": 0, "of": 4, "axis": repr(drive_axes[number % 2]), "by": generate.source_digest()}
+        }
         (parts / f"{number + 1:03d}.json").write_text(json.dumps(drawn_there))
-        place = tmp_path / "cases" / f"{number + 1:03d}"
-        place.mkdir(parents=True)
-        (place / "drive.toml").write_text("")
-    assert asked == [on[0], on[1], on[0]]
+        case = tmp_path / "cases" / f"{number + 1:03d}"
+        case.mkdir(parents=True)
+        (case / "drive.toml").write_text("")
+    assert drawn_axes == [drive_axes[0], drive_axes[1], drive_axes[0]]
     with pytest.raises(generate.ParameterError, match="axis"):
-        list(generate.generate(tmp_path / "cases", parts, 0, 4, on[::-1]))
+        list(generate.generate(tmp_path / "cases", parts, 0, 4, drive_axes[::-1]))
 
 
 def test_an_axis_that_is_unknown_is_refused():

@@ -28,16 +28,16 @@ def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
     case, same = drawn(name), drawn(name)
     assert case.rate in AXES["paper"].rates
     for log in range(2):
-        faults, kind = log_faults(case, log, 200.0)
-        assert (faults, kind) == log_faults(same, log, 200.0)
+        faults, structure = log_faults(case, log, 200.0)
+        assert (faults, structure) == log_faults(same, log, 200.0)
         assert np.all(np.isfinite(faults))
         assert faults != FaultParameters() or case.faults[0].drive_factors or case.faults[0].random_scales
-        told = case.inputs[log]
-        assert len({len(trace) for trace in told}) == 1
-        assert np.all(np.isfinite(told))
-        assert np.all(told.load >= 0.0)
-        np.testing.assert_array_equal(told, same.inputs[log])
-        assert len(told.reference) / case.rate > 8.0
+        inputs = case.inputs[log]
+        assert len({len(trace) for trace in inputs}) == 1
+        assert np.all(np.isfinite(inputs))
+        assert np.all(inputs.load >= 0.0)
+        np.testing.assert_array_equal(inputs, same.inputs[log])
+        assert len(inputs.reference) / case.rate > 8.0
     assert case.true == same.true
     assert case.true != drawn(name, seed=4).true
     known = {field.name for field in dataclasses.fields(EFFECTS[case.faults[0].effect])} if name not in OUTSIDE else ()
@@ -49,14 +49,14 @@ def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
 
 
 def test_machines_differ_in_what_the_engineer_knows():
-    several = [drawn("cogging", seed=seed) for seed in range(30)]
-    assert {one.rate for one in several} == set(AXES["paper"].rates)
-    assert len({float(one.nominal.friction.initial_load) for one in several}) == 30
-    loaded = [bool(told.load.any()) for one in several for told in one.inputs]
+    cases = [drawn("cogging", seed=seed) for seed in range(30)]
+    assert {case.rate for case in cases} == set(AXES["paper"].rates)
+    assert len({float(case.nominal.friction.initial_load) for case in cases}) == 30
+    loaded = [bool(inputs.load.any()) for case in cases for inputs in case.inputs]
     assert 0 < sum(loaded) < len(loaded)
 
 
-def sole(effect):
+def single_effect(effect):
     """A machine with the effect, its fault, and the drive without, all else alike."""
     case = drawn(effect)
     return case, case.faults[0], without_fault(case, 0).true
@@ -72,9 +72,9 @@ def test_a_machine_without_one_of_its_faults_has_the_other():
     assert log_faults(gain, 0)[0].gain == log_faults(case, 0)[0].gain
 
 
-@pytest.mark.parametrize(("share", "seen"), [(0.5, False), (2.0, True)])
+@pytest.mark.parametrize(("share", "visible"), [(0.5, False), (2.0, True)])
 @pytest.mark.parametrize("log", [0, 1])
-def test_each_of_two_effects_is_seen_in_a_log(monkeypatch, share, seen, log):
+def test_each_of_two_effects_is_seen_in_a_log(monkeypatch, share, visible, log):
     """A limit that is hardly reached is none: a machine with it and another effect is drawn again."""
     case = drawn("force_limit", "force_gain")
     noise = np.hypot(case.noise, case.resolution / math.sqrt(12.0))
@@ -87,16 +87,16 @@ def test_each_of_two_effects_is_seen_in_a_log(monkeypatch, share, seen, log):
         return SimpleNamespace(position=position)
 
     monkeypatch.setattr(generate, "_simulate_log", run)
-    assert generate._is_visible(case, [run(case, 0), run(case, 1)], 200.0) == seen
+    assert generate._is_visible(case, [run(case, 0), run(case, 1)], 200.0) == visible
     alone = drawn("force_limit")
     assert generate._is_visible(alone, [run(alone, 0), run(alone, 1)], 200.0)
 
 
 def test_truths_are_those_of_the_catalogue_on_the_true_drive():
-    case, fault, without_fault = sole("payload_mass")
-    assert true_parameters(case, fault)["mass"] == pytest.approx(float(case.true.plant.mass - without_fault.plant.mass))
-    case, fault, without_fault = sole("friction_asymmetry")
-    altered = EFFECTS["friction_asymmetry"](**true_parameters(case, fault)).alter(without_fault).friction.coulomb_screw
+    case, fault, nominal = single_effect("payload_mass")
+    assert true_parameters(case, fault)["mass"] == pytest.approx(float(case.true.plant.mass - nominal.plant.mass))
+    case, fault, nominal = single_effect("friction_asymmetry")
+    altered = EFFECTS["friction_asymmetry"](**true_parameters(case, fault)).alter(nominal).friction.coulomb_screw
     there = case.true.friction.coulomb_screw
     assert altered.positive - altered.negative == pytest.approx(there.positive - there.negative)
 
@@ -106,36 +106,36 @@ def test_the_shape_of_friction_is_told_as_the_catalogue_bends_it(which):
     seed = next(seed for seed in range(50) if which in drawn("friction_shape", seed=seed).faults[0].drive_factors)
     case = drawn("friction_shape", seed=seed)
     fault = case.faults[0]
-    told, factor = true_parameters(case, fault), fault.drive_factors[which]
+    truth, factor = true_parameters(case, fault), fault.drive_factors[which]
     if which == "stribeck_exponent":
         assert case.true.friction.stribeck_exponent == pytest.approx(factor)
         assert without_fault(case, 0).true.friction.stribeck_exponent == pytest.approx(1.0)
         assert case.nominal.friction.stribeck_exponent is None
     if which != "viscous":
-        assert told == {which: pytest.approx(math.log(factor))}
+        assert truth == {which: pytest.approx(math.log(factor))}
         return
     friction, plant = case.true.friction, case.true.plant
     total = friction.viscous.positive + friction.viscous.negative + plant.damping.positive + plant.damping.negative
-    assert told == {"viscous": pytest.approx(0.5 * float(total) * (1 - 1 / factor))}
+    assert truth == {"viscous": pytest.approx(0.5 * float(total) * (1 - 1 / factor))}
 
 
 def test_a_screws_frequency_is_that_of_the_true_masses_and_windows_are_counted_from_halfway():
     case = drawn("compliance")
-    told = true_parameters(case, case.faults[0])
-    s, mass = told["motor_share"], float(case.true.plant.mass)
-    angular = 2 * np.pi * told["frequency"]
+    truth = true_parameters(case, case.faults[0])
+    s, mass = truth["motor_share"], float(case.true.plant.mass)
+    angular = 2 * np.pi * truth["frequency"]
     assert angular**2 * s * (1 - s) * mass == pytest.approx(case.faults[0].parameters["stiffness"])
     case = drawn("process_force")
-    told, faults = true_parameters(case, case.faults[0]), case.faults[0].parameters
-    np.testing.assert_allclose(np.subtract(told["start"], faults["process_start"]), 0.005)
-    np.testing.assert_allclose(np.subtract(told["end"], faults["process_end"]), -0.005)
+    truth, faults = true_parameters(case, case.faults[0]), case.faults[0].parameters
+    np.testing.assert_allclose(np.subtract(truth["start"], faults["process_start"]), 0.005)
+    np.testing.assert_allclose(np.subtract(truth["end"], faults["process_end"]), -0.005)
 
 
 def test_a_limit_is_one_for_the_machine():
     case = drawn("force_limit")
-    told = true_parameters(case, case.faults[0], 200.0)["limit"]
-    assert told == log_faults(case, 0, 200.0)[0].limit == log_faults(case, 1, 200.0)[0].limit
-    assert 150.0 < told < 200.0
+    limit = true_parameters(case, case.faults[0], 200.0)["limit"]
+    assert limit == log_faults(case, 0, 200.0)[0].limit == log_faults(case, 1, 200.0)[0].limit
+    assert 150.0 < limit < 200.0
     assert true_parameters(case, case.faults[0]) == {}
 
 

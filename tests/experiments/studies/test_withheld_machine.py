@@ -92,17 +92,17 @@ def named(effect):
     return " + ".join(one.name for one in effect) if isinstance(effect, tuple) else effect.name
 
 
-def wrong(faults, noise=0.0):
+def simulate_fault(faults, noise=0.0):
     """Position and command of the machine that is not the simulator."""
     flat = np.zeros(len(TIME))
     rough = noise * np.random.default_rng(0).standard_normal(len(TIME))
-    kind = MachineStructure(elastic="stiffness" in faults, lagging="lag" in faults)
+    structure = MachineStructure(elastic="stiffness" in faults, lagging="lag" in faults)
     gains = (float(PLAIN.controller.tracking.gains.kp), float(PLAIN.controller.tracking.gains.kd))
-    told = MachineInputs(MOTION.position, flat, rough, flat, flat)
-    return np.stack(run(PLAIN.drive, FaultParameters(**faults), kind, gains, 1e-12, told, RATE))
+    inputs = MachineInputs(MOTION.position, flat, rough, flat, flat)
+    return np.stack(run(PLAIN.drive, FaultParameters(**faults), structure, gains, 1e-12, inputs, RATE))
 
 
-def simulated(*effects):
+def simulate_effects(*effects):
     """The same of the simulator; 100 N at most saturate it for much of the time, as they do the other machine."""
     drive = dataclasses.replace(PLAIN.drive, effects=effects)
     ours = simulate(drive, PLAIN.controller, MOTION, sampling=PLAIN.sampling, seed=1)
@@ -110,22 +110,22 @@ def simulated(*effects):
 
 
 @pytest.fixture(scope="module")
-def sound():
-    return wrong({}), simulated()
+def fault_free():
+    return simulate_fault({}), simulate_effects()
 
 
-def test_without_a_fault_it_is_the_simulator(sound):
-    (position, command), (ours, asked) = sound
+def test_without_a_fault_it_is_the_simulator(fault_free):
+    (position, command), (ours, expected_command) = fault_free
     assert np.abs(position - ours).max() < 5e-9
-    assert np.sqrt(np.mean((command - asked) ** 2)) < 0.01 * np.abs(command).max()
+    assert np.sqrt(np.mean((command - expected_command) ** 2)) < 0.01 * np.abs(command).max()
 
 
 @pytest.mark.parametrize("dead", [5.0, 15.0])
 def test_a_dead_time_takes_its_toll_of_the_force_whichever_way_it_pushes(dead):
-    _, sound = wrong({})
-    _, command = wrong({"dead": dead})
+    _, fault_free = simulate_fault({})
+    _, command = simulate_fault({"dead": dead})
     moving = slice(50, 750)  # the command is well above the toll there, but for where it changes its sign
-    more = np.sign(sound[moving]) * (command - sound)[moving]
+    more = np.sign(fault_free[moving]) * (command - fault_free)[moving]
     assert np.median(more) == pytest.approx(dead, rel=0.1)
 
 
@@ -135,9 +135,11 @@ def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue(
 
 
 @pytest.mark.parametrize(("faults", "effect", "most"), FAULTS, ids=[named(effect) for _, effect, _ in FAULTS])
-def test_a_fault_is_the_effect_of_its_name(faults, effect, most, sound):
+def test_a_fault_is_the_effect_of_its_name(faults, effect, most, fault_free):
     effects = effect if isinstance(effect, tuple) else (effect,)
-    for theirs, ours in zip(wrong(faults) - sound[0], simulated(*effects) - sound[1], strict=True):
+    for theirs, ours in zip(
+        simulate_fault(faults) - fault_free[0], simulate_effects(*effects) - fault_free[1], strict=True
+    ):
         assert np.linalg.norm(theirs) > 0.0
         assert np.linalg.norm(theirs - ours) < most * np.linalg.norm(theirs)
 
@@ -149,5 +151,5 @@ def test_the_instant_at_which_a_late_command_arrives_is_not_blurred(monkeypatch)
         monkeypatch.setattr(machine, "TOLERANCE", tolerance)
         anew = eqx.filter_jit(lambda *given: plain(*given))
         monkeypatch.setattr(machine, "_run", anew)
-        found.append(wrong({"delay": 0.17}, noise=3e-8)[0])
+        found.append(simulate_fault({"delay": 0.17}, noise=3e-8)[0])
     assert np.max(np.abs(found[0] - found[1])) < 2e-10  # 1.2e-8 by steps across it
