@@ -13,10 +13,6 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in TEXTS if BLOCK.search(page.read_text(encoding="utf-8"))]
-    page
-    for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    if BLOCK.search(page.read_text("utf-8"))
-]
 QUICK = {"README.md", "logs.md", "log-checks.md"}  # the others take more than half a minute of one core
 DIFFDRIVE = """#!/bin/sh
 exec {python} -W error -c 'import sys; from experiments.cli.main import main; sys.argv[0] = "diffdrive"; main()' "$@"
