@@ -108,9 +108,7 @@ class Likeliest(NamedTuple):
 
     process: float  # N, standard deviation of a white force, one value per control period
     deviance: float
-    kalman_gain: (
-        float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
-    )
+    gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
     track: Filtered
 
 
