@@ -1,4 +1,4 @@
-"""Controllers by themselves: one that no drive file can state, and what any would have commanded in a log."""
+"""A controller that no drive file can state, and the command of any controller replayed on a log."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ WEIGHTS = (0.3, 0.1, -0.1, -0.3)  # of the least-squares slope, the newest sampl
 
 
 class FittedVelocityState(NamedTuple):
-    """The last three samples whose slope is taken, newest first, whether there were any, and the integral (N)."""
+    """The last three samples, newest first, whether there were any, and the integral (N)."""
 
     samples: tuple[Scalar, Scalar, Scalar]
     started: Scalar
@@ -34,8 +34,8 @@ class FittedVelocity(Controller):
     def of(cls, controller: PD | Cascade) -> "FittedVelocity":
         """The same gains with the other velocity."""
         if isinstance(controller, PD):
-            own = controller.tracking.gains
-            return cls({"kp": own.kp, "kd": own.kd}, controller.tracking.feedforward, False)
+            gains = controller.tracking.gains
+            return cls({"kp": gains.kp, "kd": gains.kd}, controller.tracking.feedforward, False)
         names = ("kp", "kv", "ki", "velocity_feedforward")
         return cls({name: getattr(controller, name) for name in names}, controller.feedforward, True)
 
@@ -47,29 +47,29 @@ class FittedVelocity(Controller):
         self, state: FittedVelocityState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[FittedVelocityState, Command]:
         error = reference.position - position
-        now = position if self.cascade else error
-        past = tuple(state.started * one + (1.0 - state.started) * now for one in state.samples)
-        slope = sum(weight * one for weight, one in zip(WEIGHTS, (now, *past), strict=True)) / period
-        integral, own = state.integral, self.gains
+        newest = position if self.cascade else error
+        previous = tuple(state.started * sample + (1.0 - state.started) * newest for sample in state.samples)
+        slope = sum(weight * sample for weight, sample in zip(WEIGHTS, (newest, *previous), strict=True)) / period
+        integral, gains = state.integral, self.gains
         if self.cascade:
-            wanted = own["kp"] * error + own["velocity_feedforward"] * reference.velocity - slope
-            integral = integral + own["ki"] * period * wanted
-            force = own["kv"] * wanted + integral
+            velocity_error = gains["kp"] * error + gains["velocity_feedforward"] * reference.velocity - slope
+            integral = integral + gains["ki"] * period * velocity_error
+            force = gains["kv"] * velocity_error + integral
         else:
-            force = own["kp"] * error + own["kd"] * slope
-        state = FittedVelocityState((now, *past[:2]), jnp.ones_like(position), integral)
+            force = gains["kp"] * error + gains["kd"] * slope
+        state = FittedVelocityState((newest, *previous[:2]), jnp.ones_like(position), integral)
         return state, Command(force + self.feedforward.force(reference))
 
 
 @eqx.filter_jit
 def replayed_command(controller: Controller, reference: Reference, position: Any, command: Any, period: float) -> Any:
-    """What this controller would have commanded (N), from rest, in a log ([n] each) that holds another's command."""
+    """The command (N, [n]) of a controller from rest on a log's reference, position (m) and applied command (N)."""
 
-    def body(carry: Any, at: Any) -> Any:
+    def body(carry: Any, sample: Any) -> Any:
         state, applied = carry
-        now, measured, given = at
-        state, own = controller.step(state, now, measured, applied, period)
-        return (state, given), own.force
+        reference_sample, measured, logged = sample
+        state, replayed = controller.step(state, reference_sample, measured, applied, period)
+        return (state, logged), replayed.force
 
-    begin = controller.init(position[0]), jnp.zeros_like(position[0])
-    return lax.scan(body, begin, (reference, position, command))[1]
+    initial = controller.init(position[0]), jnp.zeros_like(position[0])
+    return lax.scan(body, initial, (reference, position, command))[1]

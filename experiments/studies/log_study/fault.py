@@ -1,4 +1,4 @@
-"""What was done to a log, as the scorer has to know it."""
+"""A log with a known fault, and the kinds of faults that are drawn."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,16 +10,16 @@ from experiments.studies.log_study.drives import StudyDrive
 from experiments.studies.log_study.sound import LogCase
 
 ANY_CHANNEL: tuple[str, ...] = ()
-COMMAND_SHARE = 0.02  # of its standard deviation: so well is a force constant known, less changes no answer
+COMMAND_SHARE = 0.02  # of its standard deviation: force constants are not known better, and less changes no result
 
 
 @dataclass(frozen=True)
 class LogFault:
     """A log with something wrong, and the truth about it.
 
-    `causes` are the names under which it is right, `rivals` those that nobody could rule out and that must be named as
-    well; `channels` are those that a finding may be about (none: any). `true` is the log as it should be: the mended
-    one must equal it, but for what the fault itself destroyed; `undo` mends it as far as that is possible.
+    `causes` are the names that are right, `rivals` those that cannot be ruled out and must be named as well; `channels`
+    are those that a finding may be about (none: any). `true` is the log as it should be: the repaired one must equal
+    it, but for what the fault destroyed; `undo` repairs it as far as that is possible.
     """
 
     log: Log
@@ -42,23 +42,23 @@ class FaultKind:
 
 def channel_fault(
     case: LogCase, channel: str, signal: Signal, amount: str, cause: str, *, undo: Callable[[Log], Log] | None = None,
-    also: tuple[str, ...] = (), channels: tuple[str, ...] | None = None, rivals: tuple[str, ...] = (),
+    other_causes: tuple[str, ...] = (), channels: tuple[str, ...] | None = None, rivals: tuple[str, ...] = (),
 ) -> LogFault:  # fmt: skip
     """A fault of one channel."""
     return LogFault(
-        replace(case.log, **{channel: signal}), case.log, amount, (cause, *also),
+        replace(case.log, **{channel: signal}), case.log, amount, (cause, *other_causes),
         (channel,) if channels is None else channels, rivals, undo,
     )  # fmt: skip
 
 
 def robust_range(signal: Signal) -> float:
-    """The range of a signal but for its extremes, which one sample could make."""
+    """The range of a signal between its 0.5 % and 99.5 % quantiles, which no single sample determines."""
     low, high = np.quantile(signal, [0.005, 0.995])
     return float(high - low)
 
 
 def noise_std(signal: Signal) -> float:
-    """Standard deviation of what changes from sample to sample: its noise (second differences of white noise)."""
+    """Standard deviation of the white noise in a signal, from its second differences."""
     return float(1.4826 * np.median(np.abs(np.diff(signal, 2))) / np.sqrt(6.0))
 
 

@@ -1,4 +1,4 @@
-"""Logs that are right, of another machine or under another controller than the drive file's."""
+"""Correct logs of another machine, or under another controller, than the drive file's."""
 
 from dataclasses import replace
 
@@ -18,9 +18,9 @@ from experiments.studies.log_study.values import controller_known
 MIN_COMMAND_CHANGE = 0.15  # change of the command, of its standard deviation, from which a machine counts as another
 
 
-def differs(one: Log, other: Log) -> bool:
+def differs(log: Log, other_log: Log) -> bool:
     """Whether the same motion took another command."""
-    return bool(np.std(one.command - other.command) > MIN_COMMAND_CHANGE * np.std(one.command))
+    return bool(np.std(log.command - other_log.command) > MIN_COMMAND_CHANGE * np.std(log.command))
 
 
 def _machine_fault(case: LogCase, machine: Drive, amount: str) -> LogFault | None:
@@ -40,7 +40,7 @@ def other_machine(case: LogCase, rng: np.random.Generator) -> LogFault | None:
 
 
 def lost_preload(case: LogCase, rng: np.random.Generator) -> LogFault | None:
-    """The preload is lost: friction fallen to a fifth."""
+    """The preload is lost: a fifth of the friction."""
     return _machine_fault(case, scaled_drive(case.machine, 1.0, 0.2), "friction x 0.2")
 
 
@@ -50,23 +50,25 @@ def _controller_fault(case: LogCase, controller: Controller, amount: str) -> Log
         log = simulate_log(case.drive, case.machine, case.motion, case.seed, controller)
     except DivergenceError:
         return None
-    made = Reference(case.motion.position, case.motion.velocity, case.motion.acceleration)
-    arrays = as_arrays((case.axis.controller, made, log.position, log.command))
-    off = log.command - np.asarray(replayed_command(*arrays, 1.0 / case.drive.rate))
-    off -= np.mean(off)  # what an integral had gathered before the log began
+    reference = Reference(case.motion.position, case.motion.velocity, case.motion.acceleration)
+    arrays = as_arrays((case.axis.controller, reference, log.position, log.command))
+    difference = log.command - np.asarray(replayed_command(*arrays, 1.0 / case.drive.rate))
+    difference -= np.mean(difference)  # an integral's value before the log began
     return (
-        LogFault(log, log, amount, ("other controller",)) if np.std(off) > COMMAND_SHARE * np.std(log.command) else None
+        LogFault(log, log, amount, ("other controller",))
+        if np.std(difference) > COMMAND_SHARE * np.std(log.command)
+        else None
     )
 
 
 def other_gains(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """Each gain off by 10 to 50 %, not all by the same factor: that would be the command's unit."""
     names = ("kp", "kv") if case.drive.feedback["kind"] == "cascade" else ("kp", "kd")
-    off = [1.0 + rng.uniform(0.1, 0.5) * float(rng.choice([-1.0, 1.0])) for _ in names]
-    if abs(off[0] / off[1] - 1.0) < 0.1:
+    factors = [1.0 + rng.uniform(0.1, 0.5) * float(rng.choice([-1.0, 1.0])) for _ in names]
+    if abs(factors[0] / factors[1] - 1.0) < 0.1:
         return None
-    gains = {name: factor * case.drive.feedback[name] for name, factor in zip(names, off, strict=True)}
-    amount = ", ".join(f"{name} x {factor:.3g}" for name, factor in zip(names, off, strict=True))
+    gains = {name: factor * case.drive.feedback[name] for name, factor in zip(names, factors, strict=True)}
+    amount = ", ".join(f"{name} x {factor:.3g}" for name, factor in zip(names, factors, strict=True))
     return _controller_fault(case, case.drive.with_feedback(gains).controller, amount)
 
 
@@ -88,16 +90,15 @@ def lost_motion(case: LogCase, rng: np.random.Generator) -> LogFault:
     return LogFault(log, log, f"{1e6 * play:.3g} um", ("lost motion",), ("motor_position", "position"))
 
 
-def play_side(made: Motion, rate: float) -> np.ndarray:
-    """On which side of its play the motor lies, from -1 to 1: it crosses in 10 ms as the motion begins or reverses."""
-    still = np.abs(made.velocity) < 1e-6 * np.max(
-        np.abs(made.velocity)
-    )  # a sum of pieces does not rest at zero exactly
-    way = np.where(still, 0.0, np.sign(made.velocity))
-    last = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way)), 0))
-    way = way[last]
+def play_side(motion: Motion, rate: float) -> np.ndarray:
+    """The side of its play on which the motor lies, -1 to 1; it crosses in 10 ms as the motion begins or reverses."""
+    speed = np.abs(motion.velocity)
+    at_rest = speed < 1e-6 * np.max(speed)  # a sum of pieces does not rest at zero exactly
+    direction = np.where(at_rest, 0.0, np.sign(motion.velocity))
+    last_moving = np.maximum.accumulate(np.where(direction != 0.0, np.arange(len(direction)), 0))
+    direction = direction[last_moving]
     width = max(1, round(0.01 * rate))
-    padded = np.concatenate([np.full(width, way[0]), way])
+    padded = np.concatenate([np.full(width, direction[0]), direction])
     sums = np.cumsum(padded)
     return (sums[width:] - sums[:-width]) / width
 

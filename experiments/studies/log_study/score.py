@@ -1,4 +1,4 @@
-"""What the checks say of a log whose fault is known, and whether that is right."""
+"""The findings of the checks in a log whose fault is known, and whether they are right."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Score:
 
     first: bool  # the first finding has a right cause and channel
     named: bool  # a right cause is among the causes and rivals
-    rivals: bool  # so are those that nobody can rule out
+    rivals: bool  # so are those that cannot be ruled out
     repaired: bool  # a repair was stated, and right
     wrong_repair: str
     summary: str  # of the first finding
@@ -32,40 +32,40 @@ class Score:
 
 def first_finding(findings: Sequence[Finding]) -> Finding | None:
     """The finding that a user reads first: the first that is more than a note, else the first note."""
-    return next((one for one in findings if one.severity != "note"), findings[0] if findings else None)
+    return next((finding for finding in findings if finding.severity != "note"), findings[0] if findings else None)
 
 
-def apply_repairs(
-    log: Log, description: Axis, examine: Examine, findings: Sequence[Finding]
-) -> tuple[Log, list[Finding]]:
-    """The log after the mends that a user would apply, and the findings that stated them."""
+def apply_repairs(log: Log, axis: Axis, examine: Examine, findings: Sequence[Finding]) -> tuple[Log, list[Finding]]:
+    """The log after the repairs that a user would apply, and the findings that stated them."""
     applied: list[Finding] = []
     while len(applied) < MAX_REPAIRS:
-        one = next((one for one in findings if one.repair is not None), None)
-        if one is None or one.repair is None:
+        finding = next((finding for finding in findings if finding.repair is not None), None)
+        if finding is None or finding.repair is None:
             break
-        log = one.repair.apply(log)
-        applied.append(one)
-        findings = examine(log, description)
+        log = finding.repair.apply(log)
+        applied.append(finding)
+        findings = examine(log, axis)
     return log, applied
 
 
-def score_fault(fault: LogFault, description: Axis, resolution: float, examine: Examine) -> Score:
+def score_fault(fault: LogFault, axis: Axis, resolution: float, examine: Examine) -> Score:
     """Examine a log with a fault, and compare with the truth."""
-    findings = examine(fault.log, description)
+    findings = examine(fault.log, axis)
     top = first_finding(findings)
     first = top is not None and top.cause in fault.causes and (not fault.channels or top.channel in fault.channels)
-    # every note has a cause of its own; what only confirms is no hypothesis
-    names = {name for one in findings for name in (one.cause, *one.rivals)}
-    log, applied = apply_repairs(fault.log, description, examine, findings)
-    wrong = differences(log, fault, resolution) if applied else []
-    told = "; ".join(f"{one.severity}: {one.channel}: {one.message}; {one.remedy}" for one in applied)
+    # every note has a cause, too: notes that only confirm name no hypothesis
+    names = {name for finding in findings for name in (finding.cause, *finding.rivals)}
+    repaired, applied = apply_repairs(fault.log, axis, examine, findings)
+    wrong = differences(repaired, fault, resolution) if applied else []
+    stated = "; ".join(
+        f"{finding.severity}: {finding.channel}: {finding.message}; {finding.remedy}" for finding in applied
+    )
     return Score(
         first,
         bool(names & set(fault.causes)),
         set(fault.rivals) <= names,
         bool(applied) and not wrong,
-        f"{', '.join(wrong)} after: {told}" if wrong else "",
+        f"{', '.join(wrong)} after: {stated}" if wrong else "",
         "-" if top is None else f"{top.cause} ({top.channel})",
         "-" if top is None else top.severity,
     )
@@ -75,8 +75,8 @@ def interval(right: int, count: int) -> tuple[float, float]:
     """The 95 % Wilson interval of a share."""
     if count == 0:
         return 0.0, 1.0
-    found = binomtest(right, count).proportion_ci(method="wilson")
-    return float(found.low), float(found.high)
+    bounds = binomtest(right, count).proportion_ci(method="wilson")
+    return float(bounds.low), float(bounds.high)
 
 
 def share(right: int, count: int) -> str:

@@ -20,17 +20,17 @@ from diffdrive.model.parameters import Directional, Drive, Sampling, as_arrays
 from diffdrive.motion.motion import Motion
 from experiments.studies.log_study.drives import StudyDrive
 
-# What a drive file is off by on a sound machine: a CAD mass, and friction that was measured another day.
+# How far a sound machine is from its drive file: a CAD mass, and friction measured on another day.
 MASS_SPREAD, FRICTION_SPREAD = 0.03, 0.1
 MOTOR_NOISE = 3e-9  # m, of an encoder at the motor
 
-# not `simulate`, which asks anew of each motion whether a load estimator converges at its speeds, and compiles for that
+# not `simulate`, which checks for each motion whether a load estimator converges at its speeds, and compiles for that
 _rollout = eqx.filter_jit(rollout)
 
 
 @dataclass(frozen=True)
 class LogCase:
-    """A sound log, and what made it, so that another can be made."""
+    """A sound log, and what it was simulated from."""
 
     drive: StudyDrive
     machine: Drive
@@ -40,12 +40,12 @@ class LogCase:
 
     @property
     def axis(self) -> Axis:
-        """What the checks are given beside a log."""
+        """The axis that the checks are given beside a log."""
         return self.drive.axis
 
 
 def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Motion]]:
-    """By name, motions of one length of this axis, which begin at rest."""
+    """Motions of this axis by name; all have the same length and begin at rest."""
     count = round(drive.seconds * drive.rate)
     time = np.arange(count) / drive.rate
     stroke, speed, acceleration, rate = drive.stroke, drive.speed, drive.acceleration, drive.rate
@@ -86,100 +86,104 @@ def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Moti
 def sound_log(drive: StudyDrive, rng: np.random.Generator) -> LogCase:
     """A sound log of a machine near its drive file."""
     name = str(rng.choice(sorted(motions(drive))))
-    made = motions(drive)[name](rng)
+    reference = motions(drive)[name](rng)
     machine = perturbed(drive.axis.drive, rng)
     seed = int(rng.integers(2**31))
-    return LogCase(drive, machine, made, seed, replace(simulate_log(drive, machine, made, seed), name=name))
+    return LogCase(drive, machine, reference, seed, replace(simulate_log(drive, machine, reference, seed), name=name))
 
 
 def perturbed(drive: Drive, rng: np.random.Generator) -> Drive:
-    """A machine as its drive file has it, but for what no drive file knows better."""
+    """The drive with mass and friction varied as far as drive files are off."""
     return scaled_drive(
         drive, rng.uniform(1 - MASS_SPREAD, 1 + MASS_SPREAD), rng.uniform(1 - FRICTION_SPREAD, 1 + FRICTION_SPREAD, 2)
     )
 
 
 def scaled_drive(drive: Drive, mass: float, friction: Any) -> Drive:
-    """The drive with its mass, and all that friction takes per direction, times these factors."""
+    """The drive with its mass, and its Coulomb friction per direction, times these factors."""
     forward, backward = np.broadcast_to(friction, 2)
 
     def scaled(value: Directional) -> Directional:
         return Directional(forward * value.positive, backward * value.negative)
 
-    own = drive.friction
-    rubbing = replace(
-        own,
-        coulomb_screw=scaled(own.coulomb_screw),
-        load_coefficient=scaled(own.load_coefficient),
-        breakaway_gap=scaled(own.breakaway_gap),
+    nominal = drive.friction
+    scaled_friction = replace(
+        nominal,
+        coulomb_screw=scaled(nominal.coulomb_screw),
+        load_coefficient=scaled(nominal.load_coefficient),
+        breakaway_gap=scaled(nominal.breakaway_gap),
     )
-    return replace(drive, plant=replace(drive.plant, mass=mass * drive.plant.mass), friction=rubbing)
+    return replace(drive, plant=replace(drive.plant, mass=mass * drive.plant.mass), friction=scaled_friction)
 
 
 def simulate_log(
-    drive: StudyDrive, machine: Drive, made: Motion, seed: int, controller: Controller | None = None
+    drive: StudyDrive, machine: Drive, reference: Motion, seed: int, controller: Controller | None = None
 ) -> Log:
-    """What this machine logs of a motion; raises `DivergenceError` if its loop is unstable."""
+    """The log of this machine on a motion; raises `DivergenceError` if its loop is unstable."""
     if controller is None:
         controller = drive.with_feedback({}).controller
-    before = round(drive.settling_time * drive.rate)
-    made = _after_rest(made, before)
-    loads = np.full(len(made.time), drive.load)
-    machine, controller, inputs = *as_arrays((machine, controller)), loop_inputs(made, loads)
+    rest_samples = round(drive.settling_time * drive.rate)
+    reference = _after_rest(reference, rest_samples)
+    loads = np.full(len(reference.time), drive.load)
+    machine, controller, inputs = *as_arrays((machine, controller)), loop_inputs(reference, loads)
     sampling, limits, key = drive.axis.sampling, drive.axis.limits, jax.random.key(seed)
     run = with_status(
-        Run.of(made, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
+        Run.of(reference, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
     ).require_ok()
     signals = {name: np.asarray(getattr(run, name)) for name in ("time", "position", "command", "reference")}
     if drive.load:
         signals["load"] = np.asarray(run.load)
     if drive.motor_resolution is not None:
-        wound_up = _motor_deflection(machine, controller, inputs, sampling, key)
-        noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(made.time))
-        shown = run.table_position + np.asarray(wound_up) + noise
-        signals["motor_position"] = drive.motor_resolution * np.round(shown / drive.motor_resolution)
-    log = Log(drive.name, **{name: signal[before:] for name, signal in signals.items()})
+        deflection = _motor_deflection(machine, controller, inputs, sampling, key)
+        noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(reference.time))
+        reading = run.table_position + np.asarray(deflection) + noise
+        signals["motor_position"] = drive.motor_resolution * np.round(reading / drive.motor_resolution)
+    log = Log(drive.name, **{name: signal[rest_samples:] for name, signal in signals.items()})
     return replace(log, time=log.time - log.time[0])
 
 
 @eqx.filter_jit
 def _motor_deflection(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
-    """The motor against the table (m), of a drive whose first effect is its transmission."""
+    """The motor's position relative to the table (m), of a drive whose first effect is its transmission."""
     drive = stages.with_machine_effects(drive, drive.effects)
 
-    def body(state: Any, at: Inputs) -> tuple[Any, Any]:
-        return step(drive, controller, sampling, key, state, at)[0], state.effects[0].relative.deflection
+    def body(state: Any, sample: Inputs) -> tuple[Any, Any]:
+        return step(drive, controller, sampling, key, state, sample)[0], state.effects[0].relative.deflection
 
     return lax.scan(body, initial_state(drive, controller, inputs.reference.position[0]), inputs)[1]
 
 
-def _after_rest(made: Motion, samples: int) -> Motion:
+def _after_rest(reference: Motion, samples: int) -> Motion:
     """The motion after so many samples at rest."""
     if not samples:
-        return made
+        return reference
     still = np.zeros(samples)
     return Motion(
-        np.arange(samples + len(made.time)) / made.rate,
-        np.concatenate([still + made.position[0], made.position]),
-        np.concatenate([still, made.velocity]),
-        np.concatenate([still, made.acceleration]),
-        made.name,
+        np.arange(samples + len(reference.time)) / reference.rate,
+        np.concatenate([still + reference.position[0], reference.position]),
+        np.concatenate([still, reference.velocity]),
+        np.concatenate([still, reference.acceleration]),
+        reference.name,
     )
 
 
-def _of_length(made: Motion, count: int) -> Motion:
+def _of_length(reference: Motion, count: int) -> Motion:
     """The first samples of a motion; where it is shorter, it rests at its end."""
-    if len(made.time) < count:
-        rest = count - len(made.time)
-        time = np.arange(count) / made.rate
+    if len(reference.time) < count:
+        rest = count - len(reference.time)
+        time = np.arange(count) / reference.rate
         still = np.zeros(rest)
         return Motion(
             time,
-            np.concatenate([made.position, np.full(rest, made.position[-1])]),
-            np.concatenate([made.velocity, still]),
-            np.concatenate([made.acceleration, still]),
-            made.name,
+            np.concatenate([reference.position, np.full(rest, reference.position[-1])]),
+            np.concatenate([reference.velocity, still]),
+            np.concatenate([reference.acceleration, still]),
+            reference.name,
         )
     return Motion(
-        *(signal[:count] for signal in (made.time, made.position, made.velocity, made.acceleration)), made.name
+        reference.time[:count],
+        reference.position[:count],
+        reference.velocity[:count],
+        reference.acceleration[:count],
+        reference.name,
     )

@@ -23,14 +23,14 @@ from experiments.studies.log_study.values import VALUE_FAULTS
 FAULTS: tuple[FaultKind, ...] = (*VALUE_FAULTS, *TIMING_FAULTS, *MACHINE_FAULTS)
 MOTIONS, AMOUNTS = 3, 10  # that are tried for a fault that shows
 FAULTY, SOUND, PAIRS = 0, 1, 2  # streams of random numbers
-LOG, ROW = 2e6, 2e3  # bytes at most of a log with a fault, which its answer keeps, and of a row of a table
+LOG, ROW = 2e6, 2e3  # bytes at most of a log with a fault, which is kept with its score, and of a row of a table
 
 ExamineTogether = Callable[[Sequence[Log], Axis], Sequence[Finding]]
 
 
 @dataclass(frozen=True)
 class DrawnLog:
-    """A case of the study with its fault, before anybody looks at it."""
+    """A case of the study with its fault, not examined yet."""
 
     number: int
     kind: str
@@ -39,24 +39,24 @@ class DrawnLog:
 
 
 class ScoredLog(NamedTuple):
-    """A case and how the answer did."""
+    """A case and the score of the findings in it."""
 
     log: DrawnLog
     score: Score
 
 
 def draw_faulty_logs(count: int, seed: int, axes: Sequence[StudyDrive]) -> Iterator[DrawnLog]:
-    """So many logs with a fault: the kinds in turn, each on the axis that has had the fewest of those that show it."""
-    had = dict.fromkeys((axis.name for axis in axes), 0)
+    """`count` logs with a fault: the kinds in turn, each on the axis with the fewest logs of those that show it."""
+    drawn_count = dict.fromkeys((axis.name for axis in axes), 0)
     order = np.random.default_rng([seed, FAULTY]).permutation(len(FAULTS))
     for number in range(count):
         kind = FAULTS[order[number % len(FAULTS)]]
         rng = np.random.default_rng([seed, FAULTY, number])
-        by_turn = sorted(rng.permutation(len(axes)), key=lambda k: had[axes[k].name])
+        by_turn = sorted(rng.permutation(len(axes)), key=lambda k: drawn_count[axes[k].name])
         case, fault = next(filter(None, (_draw_on_axis(kind, axes[k], rng) for k in by_turn)), (None, None))
         if case is None or fault is None:
-            continue  # none of the axes given shows it
-        had[case.drive.name] += 1
+            continue  # no axis can show it
+        drawn_count[case.drive.name] += 1
         yield DrawnLog(number, kind.name, case, fault)
 
 
@@ -74,7 +74,7 @@ def log_study(
     report: Report, *, cases: int, healthy: int, pairs: int, seed: int, examine: Examine, together: ExamineTogether,
     axes: Sequence[StudyDrive] | None = None,
 ) -> None:  # fmt: skip
-    """All three parts into a report: so many faulty logs, sound ones, and pairs of two logs; of all axes by default."""
+    """Report all three parts: faulty logs, sound logs, and pairs of logs; of all axes by default."""
     for option, count, each in (("--cases", cases, LOG), ("--sound", healthy, ROW), ("--pairs", pairs, ROW)):
         require_memory(
             ParameterError, f"{option} {format_count(count)}: what is kept of them", each * count, "give fewer"
@@ -91,59 +91,64 @@ def log_study(
 def score_faulty_logs(
     report: Report, count: int, seed: int, axes: Sequence[StudyDrive], examine: Examine
 ) -> list[ScoredLog]:
-    """Logs with a fault: is it named first, named at all, is a mend right?"""
+    """Logs with a fault: is it named first, named at all, is a repair right?"""
     answers = []
     with report.stages() as advance:
-        for one in draw_faulty_logs(count, seed, axes):
-            description, resolution = one.case.axis, one.case.drive.resolution
-            answers.append(ScoredLog(one, score_fault(one.fault, description, resolution, examine)))
-            advance("logs with a fault", one.number + 1, count)
+        for log in draw_faulty_logs(count, seed, axes):
+            axis, resolution = log.case.axis, log.case.drive.resolution
+            answers.append(ScoredLog(log, score_fault(log.fault, axis, resolution, examine)))
+            advance("logs with a fault", log.number + 1, count)
     return answers
 
 
 def report_faulty_logs(report: Report, answers: Sequence[ScoredLog]) -> None:
     """The tables by fault, by axis and by log, and the totals."""
     head = ("what", "logs", "named first", "named", "rivals missing", "mended", "wrong mends")
-    for name, of, caption in (
-        ("by_fault", lambda one: one.log.kind, "By fault"),
-        ("by_drive", lambda one: one.log.case.drive.name, "By axis"),
+    for name, group_of, caption in (
+        ("by_fault", lambda answer: answer.log.kind, "By fault"),
+        ("by_drive", lambda answer: answer.log.case.drive.name, "By axis"),
     ):
-        groups = sorted({of(one) for one in answers})
-        rows = [_counts_row(group, [one.score for one in answers if of(one) == group]) for group in groups]
+        groups = sorted({group_of(answer) for answer in answers})
+        rows = [
+            _counts_row(group, [answer.score for answer in answers if group_of(answer) == group]) for group in groups
+        ]
         report.table(name, head, rows, caption)
     report.table(
         "cases",
         ("case", "axis", "motion", "fault", "amount", "first finding", "severity", "named first", "named", "mend"),
-        [_log_row(one) for one in answers],
+        [_log_row(answer) for answer in answers],
         "Each log",
     )
-    wrong = [one for one in answers if one.score.wrong_repair]
+    wrong = [answer for answer in answers if answer.score.wrong_repair]
     if wrong:
-        rows = [[one.log.number, one.log.kind, one.log.fault.amount, one.score.wrong_repair] for one in wrong]
+        rows = [
+            [answer.log.number, answer.log.kind, answer.log.fault.amount, answer.score.wrong_repair] for answer in wrong
+        ]
         report.table("wrong_mends", ("case", "fault", "amount", "wrong in"), rows, "Wrong mends")
-    total, scores = len(answers), [one.score for one in answers]
-    first, named = sum(one.first for one in scores), sum(one.named for one in scores)
+    total, scores = len(answers), [answer.score for answer in answers]
+    first, named = sum(answer.first for answer in scores), sum(answer.named for answer in scores)
     report.values(
-        "faulty_logs", logs=total, axes=len({one.log.case.drive.name for one in answers}),
+        "faulty_logs", logs=total, axes=len({answer.log.case.drive.name for answer in answers}),
         named_first=first, named_first_share=share(first, total), named=named, named_share=share(named, total),
-        not_named=total - named, rivals_missing=sum(not one.rivals for one in scores),
-        mended=sum(one.repaired for one in scores), wrong_mends=len(wrong), wrong_mends_share=share(len(wrong), total),
+        not_named=total - named, rivals_missing=sum(not answer.rivals for answer in scores),
+        mended=sum(answer.repaired for answer in scores), wrong_mends=len(wrong),
+        wrong_mends_share=share(len(wrong), total),
     )  # fmt: skip
 
 
 def _counts_row(name: str, scores: Sequence[Score]) -> list[object]:
     return [
-        name, len(scores), sum(one.first for one in scores), sum(one.named for one in scores),
-        sum(not one.rivals for one in scores), sum(one.repaired for one in scores),
-        sum(bool(one.wrong_repair) for one in scores),
+        name, len(scores), sum(score.first for score in scores), sum(score.named for score in scores),
+        sum(not score.rivals for score in scores), sum(score.repaired for score in scores),
+        sum(bool(score.wrong_repair) for score in scores),
     ]  # fmt: skip
 
 
-def _log_row(one: ScoredLog) -> list[object]:
-    case, fault, score = one.log.case, one.log.fault, one.score
+def _log_row(answer: ScoredLog) -> list[object]:
+    case, fault, score = answer.log.case, answer.log.fault, answer.score
     mend = "wrong" if score.wrong_repair else "right" if score.repaired else "-"
     return [
-        one.log.number, case.drive.name, case.log.name, one.log.kind, fault.amount, score.summary, score.severity,
+        answer.log.number, case.drive.name, case.log.name, answer.log.kind, fault.amount, score.summary, score.severity,
         _yes(score.first), _yes(score.named), mend,
     ]  # fmt: skip
 
@@ -156,7 +161,7 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
     """Sound logs of all axes in turn: what is found in them is a false alarm, but for notes."""
     rows: list[list[object]] = []
     worst: list[str] = []
-    alone = 0  # logs of which no more is said than how their motion limits what can be learnt
+    motion_only = 0  # logs with no finding but that their motion limits what can be learnt
     with report.stages() as advance:
         for number in range(count):
             case = sound_log(axes[number % len(axes)], np.random.default_rng([seed, SOUND, number]))
@@ -164,7 +169,7 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
             worst.append(
                 next((one for one in ("fatal", "warning", "note") if any(f.severity == one for f in findings)), "none")
             )
-            alone += all(one.cause == "motion" for one in findings)
+            motion_only += all(one.cause == "motion" for one in findings)
             rows += [
                 [number, case.drive.name, case.log.name, one.severity, one.cause, one.channel, one.message]
                 for one in findings
@@ -177,8 +182,8 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
     report.values(
         "sound_logs", logs=count, fatal=worst.count("fatal"), fatal_share=share(worst.count("fatal"), count),
         warning_at_worst=worst.count("warning"), note_at_worst=worst.count("note"), nothing=worst.count("none"),
-        nothing_share=share(worst.count("none"), count), nothing_but_of_the_motion=alone,
-        nothing_but_of_the_motion_share=share(alone, count), neither_fatal_nor_warning=clean,
+        nothing_share=share(worst.count("none"), count), nothing_but_of_the_motion=motion_only,
+        nothing_but_of_the_motion_share=share(motion_only, count), neither_fatal_nor_warning=clean,
         neither_share=share(clean, count),
     )  # fmt: skip
 
@@ -194,8 +199,8 @@ def pairs_of_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDri
                 continue
             case, other, what = pair
             findings = list(together([case.log, other], case.axis))
-            said = any(one.cause == "machines differ" for one in findings)
-            rows.append([number, case.drive.name, case.log.name, other.name, what, _yes(said), len(findings)])
+            reported = any(finding.cause == "machines differ" for finding in findings)
+            rows.append([number, case.drive.name, case.log.name, other.name, what, _yes(reported), len(findings)])
             advance("pairs of logs", number + 1, count)
     head = ("pair", "axis", "motion", "other motion", "difference", "said to differ", "findings")
     report.table("pairs", head, rows, "Pairs of logs")
@@ -216,10 +221,10 @@ def _pair(
         case = sound_log(axis, rng)
         name = str(rng.choice(sorted(motions(axis))))
         try:
-            made = motions(axis)[name](rng)
+            reference = motions(axis)[name](rng)
             if what == "same":
-                return case, replace(simulate_log(axis, case.machine, made, case.seed + 1), name=name), "none"
-            other = log_of_altered_machine(case, made, rng, mass=what == "mass")
+                return case, replace(simulate_log(axis, case.machine, reference, case.seed + 1), name=name), "none"
+            other = log_of_altered_machine(case, reference, rng, mass=what == "mass")
         except DivergenceError:
             continue
         if other is not None:

@@ -20,7 +20,7 @@ CHANNELS = ("reference", "position", "command")
 
 
 def delayed(signal: Signal, samples: float) -> Signal:
-    """The signal so many samples later, between samples by interpolation, its end values repeated."""
+    """The signal delayed by so many samples, with linear interpolation and its end values repeated."""
     count = np.arange(len(signal))
     return np.interp(count - samples, count, signal)
 
@@ -38,10 +38,10 @@ def _shifted(case: LogCase, rng: np.random.Generator, samples: float, also: tupl
     def undo(log: Log) -> Log:
         return replace(log, **{channel: delayed(getattr(log, channel), -samples)})
 
-    # of two lengths either may be the one: what tells them apart is how late the command is, which hardly changes then
+    # either of the two lengths may be the faulty one: only the lag of the command, which hardly changes, could tell
     channels = ("command",) if channel == "command" else ("reference", "position")
     amount = f"{channel} by {samples:+.3g} samples"
-    return channel_fault(case, channel, signal, amount, "shifted", undo=undo, also=also, channels=channels)
+    return channel_fault(case, channel, signal, amount, "shifted", undo=undo, other_causes=also, channels=channels)
 
 
 def shifted_whole(case: LogCase, rng: np.random.Generator) -> LogFault | None:
@@ -54,29 +54,29 @@ def shifted_part(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     return _shifted(case, rng, rng.uniform(0.2, 0.8) * float(rng.choice([-1.0, 1.0])), ("filtered",))
 
 
-def _select_rows(log: Log, kept: Signal | slice) -> Log:
-    return replace(log, **{name: signal[kept] for name, signal in log.channels.items()})
+def _select_rows(log: Log, rows: Signal | slice) -> Log:
+    return replace(log, **{name: signal[rows] for name, signal in log.channels.items()})
 
 
 def decimated(case: LogCase, rng: np.random.Generator) -> LogFault:
-    """Each n-th row, and time counted as if they were all: the time of a log at a lower rate in another unit."""
-    often = int(rng.integers(2, 11))
-    true = _select_rows(case.log, slice(None, None, often))
+    """Each n-th row, with the time stamps of consecutive rows: as the time of a slower log in another unit."""
+    factor = int(rng.integers(2, 11))
+    true = _select_rows(case.log, slice(None, None, factor))
 
     def undo(log: Log) -> Log:
-        return replace(log, time=log.time[0] + often * (log.time - log.time[0]))
+        return replace(log, time=log.time[0] + factor * (log.time - log.time[0]))
 
     return LogFault(
-        replace(true, time=case.log.time[: len(true.time)]), true, f"each {often}th row", ("decimated", "rate"),
+        replace(true, time=case.log.time[: len(true.time)]), true, f"each {factor}th row", ("decimated", "rate"),
         undo=undo,
     )  # fmt: skip
 
 
 def decimated_with_time(case: LogCase, rng: np.random.Generator) -> LogFault:
-    """Each n-th row with its own time: the log is right as it is, but its controller cannot be replayed."""
-    often = int(rng.integers(2, 11))
-    true = _select_rows(case.log, slice(None, None, often))
-    return LogFault(true, true, f"each {often}th row", ("decimated", "rate"))
+    """Each n-th row with its time: the log is right, but its controller cannot be replayed."""
+    factor = int(rng.integers(2, 11))
+    true = _select_rows(case.log, slice(None, None, factor))
+    return LogFault(true, true, f"each {factor}th row", ("decimated", "rate"))
 
 
 def wrong_unit(case: LogCase, rng: np.random.Generator) -> LogFault:
@@ -96,17 +96,17 @@ def lost_rows(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     assert log.reference is not None
     places = rng.choice(moving_samples(log)[50:-50], int(rng.integers(1, 6)), replace=False)
     counts = [round(log_uniform(rng, 1, 50)) for _ in places]
-    gone = np.unique(np.concatenate([np.arange(p, p + n) for p, n in zip(places, counts, strict=True)]))
-    gone = gone[gone < len(log.time) - 50]
+    lost = np.unique(np.concatenate([np.arange(p, p + n) for p, n in zip(places, counts, strict=True)]))
+    lost = lost[lost < len(log.time) - 50]
     jump = max(
         abs(log.reference[min(p + n, len(log.time) - 1)] - log.reference[p])
         for p, n in zip(places, counts, strict=True)
     )
     if jump < 20 * case.drive.resolution:
         return None
-    true = _select_rows(log, np.delete(np.arange(len(log.time)), gone))
+    true = _select_rows(log, np.delete(np.arange(len(log.time)), lost))
     return LogFault(
-        replace(true, time=log.time[: len(true.time)]), true, f"{len(gone)} at {len(places)} places", ("lost rows",)
+        replace(true, time=log.time[: len(true.time)]), true, f"{len(lost)} at {len(places)} places", ("lost rows",)
     )  # fmt: skip
 
 

@@ -61,13 +61,13 @@ def reference_rounded(case: LogCase, rng: np.random.Generator) -> LogFault | Non
 
 
 def command_rounded(case: LogCase, rng: np.random.Generator) -> LogFault | None:
-    """To some per cent of its range, and three times its own noise: less changes nothing."""
+    """To some per cent of its range, and three times its noise at least: less changes nothing."""
     step = robust_range(case.log.command) * log_uniform(rng, 0.02, 0.15)
     return None if step < 3 * noise_std(case.log.command) else _if_significant(case, _rounded(case, "command", step))
 
 
 def _if_significant(case: LogCase, fault: LogFault) -> LogFault | None:
-    """The fault, if it changes the command by more than a force constant is off by."""
+    """The fault, if it changes the command by more than the uncertainty of a force constant; else None."""
     change = np.std(fault.log.command - case.log.command)
     return fault if change > COMMAND_SHARE * np.std(case.log.command) else None
 
@@ -112,7 +112,7 @@ def _offset(
 def zero_of_length(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """Reference or position from another zero, 1 um to 50 mm: which of them moved, no log says.
 
-    It must be a part of the following error that one would see: without a known controller, one that no loop has.
+    It must be a visible part of the following error; without a known controller, one that no loop has.
     """
     amount = log_uniform(rng, 1e-6, 0.05) * float(rng.choice([-1.0, 1.0]))
     error = following_error(case.log)
@@ -127,7 +127,7 @@ def zero_of_length(case: LogCase, rng: np.random.Generator) -> LogFault | None:
 def zero_of_command(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """1 to 30 % of the command's range.
 
-    Where an integral or an observer would have made it, the machine may have that force: nobody can tell.
+    Where an integral or an observer compensates it, the machine may have that force: a log cannot tell.
     """
     amount = robust_range(case.log.command) * log_uniform(rng, 0.01, 0.3) * float(rng.choice([-1.0, 1.0]))
     if case.drive.static_stiffness:
@@ -138,37 +138,41 @@ def zero_of_command(case: LogCase, rng: np.random.Generator) -> LogFault | None:
 def _draw_factor(case: LogCase, rng: np.random.Generator, *, electric: bool) -> tuple[float, str]:
     """A unit's factor, or any; without a known controller beyond what friction can be off by."""
     least = 1.05 if controller_known(case.drive) else 4.0
-    which = rng.integers(3 if electric else 2)
-    if which == 2:
+    kind = rng.integers(3 if electric else 2)
+    if kind == 2:
         factor = 1 / rng.uniform(10.0, 200.0)
         return factor, f"N as V, {1 / factor:.4g} N/V"
-    factor = float(rng.choice(RATIOS)) if which else log_uniform(rng, least, 20.0) ** float(rng.choice([-1.0, 1.0]))
+    factor = float(rng.choice(RATIOS)) if kind else log_uniform(rng, least, 20.0) ** float(rng.choice([-1.0, 1.0]))
     return factor, f"x {factor:.5g}"
 
 
 def _scaled(
-    case: LogCase, scaled: tuple[str, ...], factor: float, amount: str, *, or_else: tuple[str, ...] = (),
+    case: LogCase, scaled: tuple[str, ...], factor: float, amount: str, *, also_channels: tuple[str, ...] = (),
     rivals: tuple[str, ...] = (),
 ) -> LogFault:  # fmt: skip
-    def times(log: Log, by: float) -> Log:
+    def scale_by(log: Log, by: float) -> Log:
         return replace(log, **{channel: by * getattr(log, channel) for channel in scaled})
 
     return LogFault(
-        times(case.log, factor), case.log, amount, ("gain",), scaled + or_else, rivals,
-        undo=lambda log: times(log, 1 / factor),
+        scale_by(case.log, factor), case.log, amount, ("gain",), scaled + also_channels, rivals,
+        undo=lambda log: scale_by(log, 1 / factor),
     )  # fmt: skip
 
 
 def gain_of_position(case: LogCase, rng: np.random.Generator) -> LogFault:
-    """The position in another unit; where nothing but the two lengths speaks, the reference may be the wrong one."""
+    """The position in another unit; where only the two lengths are evidence, the reference may be the wrong one."""
     factor, amount = _draw_factor(case, rng, electric=False)
-    return _scaled(case, ("position",), factor, amount, or_else=() if controller_known(case.drive) else ("reference",))
+    return _scaled(
+        case, ("position",), factor, amount, also_channels=() if controller_known(case.drive) else ("reference",)
+    )
 
 
 def gain_of_reference(case: LogCase, rng: np.random.Generator) -> LogFault:
     """The reference in another unit; likewise."""
     factor, amount = _draw_factor(case, rng, electric=False)
-    return _scaled(case, ("reference",), factor, amount, or_else=() if controller_known(case.drive) else ("position",))
+    return _scaled(
+        case, ("reference",), factor, amount, also_channels=() if controller_known(case.drive) else ("position",)
+    )
 
 
 def gain_of_both(case: LogCase, rng: np.random.Generator) -> LogFault:
@@ -187,7 +191,7 @@ def gain_of_command(case: LogCase, rng: np.random.Generator) -> LogFault:
 
 
 def reversed_sign(case: LogCase, rng: np.random.Generator) -> LogFault:
-    """Of one channel, or of all where the drive file tells the mirrored axis."""
+    """Of one channel, or of all where the drive file distinguishes the mirrored axis."""
     names = ["reference", "position", "command"] + ([] if case.drive.mirrorable else ["all"])
     which = str(rng.choice(names))
     channels = tuple(name for name in case.log.channels if name not in ("time", "load")) if which == "all" else (which,)
@@ -234,27 +238,29 @@ def frozen(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     position = case.log.position.copy()
     if begin + length > len(position):
         return None
-    gone = float(np.ptp(position[begin : begin + length]))
+    travel = float(np.ptp(position[begin : begin + length]))
     position[begin : begin + length] = position[begin]
     least = max(100 * case.drive.resolution, 3 * float(np.std(following_error(case.log))))
-    if gone < least:
+    if travel < least:
         return None
-    return channel_fault(case, "position", position, f"{1e3 * length / case.drive.rate:.3g} ms, {gone:.3g} m", "frozen")
+    return channel_fault(
+        case, "position", position, f"{1e3 * length / case.drive.rate:.3g} ms, {travel:.3g} m", "frozen"
+    )
 
 
 def outliers(case: LogCase, rng: np.random.Generator) -> LogFault:
     """One to twenty samples of position or command far from their neighbours."""
     channel = str(rng.choice(["position", "command"]))
     signal = getattr(case.log, channel).copy()
-    at = rng.choice(np.arange(50, len(signal) - 50, 10), int(rng.integers(1, 21)), replace=False)
+    samples = rng.choice(np.arange(50, len(signal) - 50, 10), int(rng.integers(1, 21)), replace=False)
     least = (
         max(0.02 * robust_range(signal), 20 * noise_std(signal))
         if channel == "command"
         else 200 * case.drive.resolution
     )
     size = least * log_uniform(rng, 1.0, 20.0)
-    signal[at] += size * rng.choice([-1.0, 1.0], len(at))
-    return channel_fault(case, channel, signal, f"{len(at)} of {size:.3g} in the {channel}", "outliers")
+    signal[samples] += size * rng.choice([-1.0, 1.0], len(samples))
+    return channel_fault(case, channel, signal, f"{len(samples)} of {size:.3g} in the {channel}", "outliers")
 
 
 def burst(case: LogCase, rng: np.random.Generator) -> LogFault:
