@@ -36,7 +36,7 @@ class Conversion(NamedTuple):
 def conversion(channel: str, text: str, force_per: dict[str, float]) -> Conversion:
     """How a column in the unit `text` becomes the SI unit of `channel`; `force_per` holds N per "V" and per "A".
 
-    `text` is a unit (mm, V), one with a factor (50 nm, -0.1 N) or only a sign (-V). Raises `ValueError` with the mend.
+    `text` is a unit (mm, V), one with a factor (50 nm, -0.1 N) or only a sign (-V). Raises `ValueError`, with a remedy.
     """
     unit = READABLE[channel].unit
     if unit == "degC":

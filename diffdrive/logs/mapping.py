@@ -137,7 +137,7 @@ _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
 def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any]) -> ColumnMapping:
-    """From the tables of a drive file; raises `LogError` naming the key and the mend."""
+    """From the tables of a drive file; raises `LogError` naming the key and the remedy."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {short_repr(table)}")

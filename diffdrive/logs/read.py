@@ -64,7 +64,7 @@ def read_log(
 
     `rate` (Hz), or else the axis's, is that of the controller: the log is checked against it, and one without a time
     takes its time from it. `name` is the log's; a file's by default. Raises `LogError`, one line that names the file,
-    the row or column, and the mend.
+    the row or column, and the remedy.
     """
     mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
     if columns or units or shifts:

@@ -1,4 +1,4 @@
-"""The command against mass and friction: what the log asks for beside the drive file, and what would explain it."""
+"""The command against mass and friction: what the log implies beside the drive file, and what would explain it."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -31,9 +31,9 @@ NO_COUNTS_COST, LEADING_COST = 2 * FAULT_COST, float(np.log(10.0))
 LEADS = -0.5  # correlation of following error and speed: a loop that follows has 0.9
 
 
-def check_force_balance(log: Log, description: Axis) -> Iterator[Finding]:
-    """The command against mass and friction of the drive file, where no controller is known that gives it."""
-    relation = ControllerRelation(description, log, longest_piece(log))
+def check_force_balance(log: Log, axis: Axis) -> Iterator[Finding]:
+    """The command against mass and friction of the drive file, where no known controller reproduces it."""
+    relation = ControllerRelation(axis, log, longest_piece(log))
     dynamics = relation.dynamics(relation.logged)
     if dynamics is None or dynamics.misfit > EXPLAINS:
         yield Finding(
@@ -45,101 +45,113 @@ def check_force_balance(log: Log, description: Axis) -> Iterator[Finding]:
             "gain",
         )
         return
-    ranking = rank_explanations([_evaluate(relation, *one) for one in _hypotheses(relation, dynamics)])
+    ranking = rank_explanations([_evaluate(relation, *rival) for rival in _hypotheses(relation, dynamics)])
     best, rivals = ranking[0], rivals_of(ranking)
     yield from _fault_findings(best, rivals)
     if not best.faults:
         yield from other_machine(
-            best.dynamics, description, tuple(sorted({c for one in rivals for c, _ in one.causes}))
+            best.dynamics, axis, tuple(sorted({cause for rival in rivals for cause, _ in rival.causes}))
         )
 
 
 def _evaluate(relation: ControllerRelation, faults: tuple[ChannelFault, ...], signals: LoopSignals) -> LogExplanation:
-    """The explanation; what makes the two columns look exchanged asks for a fault."""
-    found = evaluate_explanation(relation, faults, signals, None)
-    named = {one.cause for one in faults}
-    if "swapped" in named or not looks_swapped(relation):
-        return found
-    return replace(found, cost=found.cost + LEADING_COST + (0.0 if "filtered" in named else NO_COUNTS_COST))
+    """The explanation and its cost; columns that look swapped need a fault to explain it."""
+    explanation = evaluate_explanation(relation, faults, signals, None)
+    causes = {fault.cause for fault in faults}
+    if "swapped" in causes or not looks_swapped(relation):
+        return explanation
+    return replace(
+        explanation, cost=explanation.cost + LEADING_COST + (0.0 if "filtered" in causes else NO_COUNTS_COST)
+    )
 
 
 def _hypotheses(
     relation: ControllerRelation, dynamics: DynamicsFit
 ) -> Iterator[tuple[tuple[ChannelFault, ...], LoopSignals]]:
-    """What may have happened to the log, and its signals without that."""
-    now = relation.logged
-    yield (), now
-    minus = ChannelFault("reversed", "command", {"ratio": -1.0}, (ScaleChannel("command", -1.0),))
-    for signs, sign in (((), 1.0), ((minus,), -1.0)):
-        yield signs, now._replace(command=sign * now.command)
-        known = [one.value * sign for one in (dynamics.mass, dynamics.friction, dynamics.viscous) if one.determined]
-        ratios = [value for value in known if value > 0]
+    """The faults of each hypothesis, and the signals as they would be without them."""
+    logged = relation.logged
+    yield (), logged
+    reversal = ChannelFault("reversed", "command", {"ratio": -1.0}, (ScaleChannel("command", -1.0),))
+    for sign_faults, sign in (((), 1.0), ((reversal,), -1.0)):
+        yield sign_faults, logged._replace(command=sign * logged.command)
+        ratios_of_estimates = [
+            estimate.value * sign
+            for estimate in (dynamics.mass, dynamics.friction, dynamics.viscous)
+            if estimate.is_determined
+        ]
+        ratios = [value for value in ratios_of_estimates if value > 0]
         if ratios:
             ratio = float(np.exp(np.median(np.log(ratios))))
             unit = ChannelFault("gain", "command", {"ratio": ratio}, (ScaleChannel("command", 1 / ratio),))
-            yield (*signs, unit), now._replace(command=sign * now.command / ratio)
-    if dynamics.mass.determined and dynamics.mass.value > 0:
+            yield (*sign_faults, unit), logged._replace(command=sign * logged.command / ratio)
+    if dynamics.mass.is_determined and dynamics.mass.value > 0:
         ratio = dynamics.mass.value
-        both = (
+        scaling = (
             ScaleChannel("position", 1 / ratio),
             *((ScaleChannel("reference", 1 / ratio),) * (relation.log.reference is not None)),
         )
-        lengths = ChannelFault("gain", "position", {"ratio": ratio}, both)
-        yield (lengths,), now._replace(position=now.position / ratio, reference=now.reference / ratio)
+        unit_fault = ChannelFault("gain", "position", {"ratio": ratio}, scaling)
+        yield (unit_fault,), logged._replace(position=logged.position / ratio, reference=logged.reference / ratio)
     if looks_swapped(relation):
-        exchanged = ChannelFault("swapped", "position", {}, (SwapChannels("reference", "position"),))
-        yield (exchanged,), now._replace(reference=now.position, position=now.reference)
-        yield (ChannelFault("filtered", "position", {}),), now
+        swap_fault = ChannelFault("swapped", "position", {}, (SwapChannels("reference", "position"),))
+        yield (swap_fault,), logged._replace(reference=logged.position, position=logged.reference)
+        yield (ChannelFault("filtered", "position", {}),), logged
     for count in DECIMATION_FACTORS:
-        slower = ChannelFault("decimated", "time", {"skipped": float(count)}, (ScaleChannel("time", float(count)),))
-        yield (slower,), now._replace(period=count * now.period)
-    if np.min(now.command) >= 0:
-        speed = derivative(now.position, now.period, 1)
+        decimation = ChannelFault("decimated", "time", {"skipped": float(count)}, (ScaleChannel("time", float(count)),))
+        yield (decimation,), logged._replace(period=count * logged.period)
+    if np.min(logged.command) >= 0:
+        speed = derivative(logged.position, logged.period, 1)
         yield (
             (ChannelFault("rectified", "command", {}),),
-            now._replace(command=now.command * np.sign(speed)),
+            logged._replace(command=logged.command * np.sign(speed)),
         )
 
 
 def looks_swapped(relation: ControllerRelation) -> bool:
-    """Whether the reference lies on the scale's counts and the position does not, but is ahead of the reference.
+    """Whether the reference lies on the scale's counts and the position does not, but leads the reference.
 
     Counts alone say nothing: a set-point may be rounded to them, and a simulated or averaged position has none.
     """
-    now, stated = relation.logged, relation.description.drive.sensor.resolution
-    if stated is None or relation.log.reference is None or not _leads_reference(now):
+    logged, resolution = relation.logged, relation.axis.drive.sensor.resolution
+    if resolution is None or relation.log.reference is None or not _leads_reference(logged):
         return False
-    return is_on_grid(now.reference, float(stated)) and not is_on_grid(now.position, float(stated))
+    return is_on_grid(logged.reference, float(resolution)) and not is_on_grid(logged.position, float(resolution))
 
 
-def _leads_reference(now: LoopSignals) -> bool:
-    """Whether the position moves before the reference does: a loop follows."""
-    error, speed = now.reference - now.position, derivative(now.position, now.period, 1)
+def _leads_reference(signals: LoopSignals) -> bool:
+    """Whether the position leads the reference: in a loop it lags."""
+    error, speed = signals.reference - signals.position, derivative(signals.position, signals.period, 1)
     return np.std(error) > 0 and np.std(speed) > 0 and float(np.corrcoef(error, speed)[0, 1]) < LEADS
 
 
 def _fault_findings(best: LogExplanation, rivals: list[LogExplanation]) -> Iterator[Finding]:
-    unchanged = any(not one.faults for one in rivals)
+    may_be_unchanged = any(not one.faults for one in rivals)
     causes = tuple("other machine" if one == "nothing" else one for one in causes_of(best, rivals))
     if any(one.cause == "gain" for one in best.faults):  # that of a machine which is known within a factor of two alone
         causes = (*causes, *(("other machine",) if "other machine" not in causes else ()))
-    doubts = rivals_text(best, rivals, lambda fault: _DESCRIPTIONS[fault.cause](fault)[1], CAUSES["other machine"])
-    mendable = not causes and all(one.steps for one in best.faults)
+    rivals_note = rivals_text(best, rivals, lambda fault: _DESCRIPTIONS[fault.cause](fault)[1], CAUSES["other machine"])
+    is_repairable = not causes and all(one.steps for one in best.faults)
     for fault in best.faults:
-        found, mend = _DESCRIPTIONS[fault.cause](fault)
-        repair = Repair(fault.steps) if mendable else None
+        message, remedy = _DESCRIPTIONS[fault.cause](fault)
+        repair = Repair(fault.steps) if is_repairable else None
         yield Finding(
-            "warning" if unchanged else "fatal", fault.channel, found, mend + doubts, fault.cause, causes, repair
+            "warning" if may_be_unchanged else "fatal",
+            fault.channel,
+            message,
+            remedy + rivals_note,
+            fault.cause,
+            causes,
+            repair,
         )
 
 
 def _tolerance_range(middle: float) -> str:
-    """What the drive file's tolerance leaves of a factor."""
+    """The range of a factor within the drive file's tolerance."""
     return f"{middle / 2:.3g} to {2 * middle:.3g}"
 
 
 def _gain(fault: ChannelFault) -> tuple[str, str]:
-    ratio = fault.numbers["ratio"]
+    ratio = fault.parameters["ratio"]
     if fault.channel == "position":
         return (
             f"position and reference are {ratio:.3g} times what mass of the drive file asks for, while friction is in "
@@ -164,7 +176,7 @@ def _reversed(fault: ChannelFault) -> tuple[str, str]:
 
 
 def _decimated(fault: ChannelFault) -> tuple[str, str]:
-    count = fault.numbers["skipped"]
+    count = fault.parameters["skipped"]
     return (
         f"mass and friction are those of the drive file if the time runs {count:.0f} times slower: only one row in "
         f"{count:.0f} was kept, and the time was counted at the full rate?",
@@ -192,24 +204,25 @@ _DESCRIPTIONS = {
 }
 
 
-def other_machine(found: DynamicsFit | None, description: Axis, rivals: tuple[str, ...] = ()) -> Iterator[Finding]:
-    """Mass and friction that the log asks for, where they are not those of the drive file."""
-    if found is None or not found.changed or not found.physical or found.misfit > EXPLAINS:
+def other_machine(dynamics: DynamicsFit | None, axis: Axis, rivals: tuple[str, ...] = ()) -> Iterator[Finding]:
+    """Mass and friction that the log implies, where they are not those of the drive file."""
+    if dynamics is None or not dynamics.differs_from_nominal or not dynamics.is_physical or dynamics.misfit > EXPLAINS:
         return
-    if found.one_sided:
-        yield _constant_force(found, description)
+    if dynamics.is_constant_force:
+        yield _constant_force(dynamics, axis)
         return
-    nominal = nominal_friction(description)
-    asked = [
-        _value_text("a mass of", found.mass, float(description.drive.plant.mass), "kg"),
-        _value_text("Coulomb friction of", found.positive, nominal[0], "N forwards"),
-        _value_text("and", found.negative, nominal[1], "N backwards"),
+    nominal = nominal_friction(axis)
+    values = [
+        _value_text("a mass of", dynamics.mass, float(axis.drive.plant.mass), "kg"),
+        _value_text("Coulomb friction of", dynamics.friction_positive, nominal[0], "N forwards"),
+        _value_text("and", dynamics.friction_negative, nominal[1], "N backwards"),
     ]
-    beyond = "by more than a factor of two " if found.beyond_tolerance else ""
+    tolerance_text = "by more than a factor of two " if dynamics.beyond_tolerance else ""
     yield Finding(
-        "warning" if found.beyond_tolerance else "note",
+        "warning" if dynamics.beyond_tolerance else "note",
         "command",
-        f"the log asks for {', '.join(one for one in asked if one)}: {beyond}other than the drive file's",
+        f"the log asks for {', '.join(value for value in values if value)}: {tolerance_text}other than "
+        "the drive file's",
         "the log of another machine, a load that no column holds, a machine that has changed, or a drive file that is "
         "not its own; several logs of one machine, or its log of another day, decide",
         "other machine",
@@ -217,12 +230,14 @@ def other_machine(found: DynamicsFit | None, description: Axis, rivals: tuple[st
     )
 
 
-def _constant_force(found: DynamicsFit, description: Axis) -> Finding:
+def _constant_force(dynamics: DynamicsFit, axis: Axis) -> Finding:
     """Friction that is the drive file's in the mean, but not in either direction: a constant force, or an offset."""
-    forwards, backwards = nominal_friction(description)
-    newtons = ((found.positive.value - 1.0) * forwards - (found.negative.value - 1.0) * backwards) / 2
+    forwards, backwards = nominal_friction(axis)
+    newtons = (
+        (dynamics.friction_positive.value - 1.0) * forwards - (dynamics.friction_negative.value - 1.0) * backwards
+    ) / 2
     return Finding(
-        "warning" if found.beyond_tolerance else "note",
+        "warning" if dynamics.beyond_tolerance else "note",
         "command",
         f"mass and mean friction are the drive file's, but beside them the command carries a constant {newtons:.4g} N",
         "an offset of the amplifier or of the logger, or a tilt or weight that plant.constant_force does not state; "
@@ -232,33 +247,33 @@ def _constant_force(found: DynamicsFit, description: Axis) -> Finding:
     )
 
 
-def nominal_friction(description: Axis) -> tuple[float, float]:
+def nominal_friction(axis: Axis) -> tuple[float, float]:
     """Coulomb friction (N) of the drive file without an applied load, forwards and backwards."""
-    friction = description.drive.friction
-    screw, guide, pressed = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)
+    friction = axis.drive.friction
+    screw, guide, initial_load = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)
     return (
-        float(screw.positive) + float(guide.positive) * pressed,
-        float(screw.negative) + float(guide.negative) * pressed,
+        float(screw.positive) + float(guide.positive) * initial_load,
+        float(screw.negative) + float(guide.negative) * initial_load,
     )
 
 
-def _value_text(what: str, one: DynamicsEstimate, nominal: float, unit: str) -> str:
-    return f"{what} {one.value * nominal:.3g} {unit} ({one.value:.2g} times)" if nominal else ""
+def _value_text(label: str, estimate: DynamicsEstimate, nominal: float, unit: str) -> str:
+    return f"{label} {estimate.value * nominal:.3g} {unit} ({estimate.value:.2g} times)" if nominal else ""
 
 
 def command_sign(log: Log) -> Iterator[Finding]:
     """Friction costs force in the direction of motion: a command that pushes against every motion is reversed."""
-    piece, step = longest_piece(log), sampling_period(log)
+    piece, period = longest_piece(log), sampling_period(log)
     force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
-    found = inverse_dynamics(log.position[piece], force, step)
-    if found is None or found.friction.positive or found.misfit > EXPLAINS:
+    dynamics = inverse_dynamics(log.position[piece], force, period)
+    if dynamics is None or dynamics.friction.may_be_positive or dynamics.misfit > EXPLAINS:
         return
-    mass = "" if found.mass.positive else " and inertia"
+    inertia_text = "" if dynamics.mass.may_be_positive else " and inertia"
     yield Finding(
         "fatal",
         "command",
-        f"the command pushes against the motion, by {-found.friction.value:.4g} N both ways: its sign is reversed, or "
-        f"that of position and reference, or these two are exchanged: friction{mass} would be negative",
+        f"the command pushes against the motion, by {-dynamics.friction.value:.4g} N both ways: its sign is reversed, "
+        f"or that of position and reference, or these two are exchanged: friction{inertia_text} would be negative",
         'reverse the command, in newtons by --unit command=-N or [units] command = "-N" (in volts -V), or position '
         "and reference; a drive file with the controller decides",
         "reversed",

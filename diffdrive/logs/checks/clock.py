@@ -20,13 +20,13 @@ JITTER = 0.05
 
 def order(log: Log) -> Iterator[Finding]:
     """Time must increase."""
-    steps = np.diff(log.time)
-    if not np.all(steps > 0):
-        k = int(np.argmin(steps > 0)) + 1
+    intervals = np.diff(log.time)
+    if not np.all(intervals > 0):
+        k = int(np.argmin(intervals > 0)) + 1
         yield Finding(
             "fatal",
             "time",
-            f"{np.sum(steps <= 0)} time stamps do not increase, first at sample {k} (t = {log.time[k]:g} s)",
+            f"{np.sum(intervals <= 0)} time stamps do not increase, first at sample {k} (t = {log.time[k]:g} s)",
             "sort the rows and drop repeated ones",
             "unreadable",
         )
@@ -34,10 +34,10 @@ def order(log: Log) -> Iterator[Finding]:
 
 def gaps(log: Log) -> Iterator[Finding]:
     """Missing samples that the stamps show, listed in `gaps` or not."""
-    steps, step = np.diff(log.time), sampling_period(log)
-    listed = np.zeros(len(steps), bool)
+    intervals, period = np.diff(log.time), sampling_period(log)
+    listed = np.zeros(len(intervals), bool)
     listed[[k - 1 for k in log.gaps]] = True
-    lost = steps[listed] - step
+    lost = intervals[listed] - period
     if log.gaps:
         yield Finding(
             "warning",
@@ -47,47 +47,47 @@ def gaps(log: Log) -> Iterator[Finding]:
             "the stretches between the gaps are used one by one",
             "lost rows",
         )
-    missed = np.flatnonzero(~listed & (steps > 1.5 * step))
-    if len(missed):
-        count = int(np.sum(np.round(steps[missed] / step) - 1))
+    unlisted = np.flatnonzero(~listed & (intervals > 1.5 * period))
+    if len(unlisted):
+        count = int(np.sum(np.round(intervals[unlisted] / period) - 1))
         yield Finding(
             "fatal",
             "time",
-            f"{count} samples are missing at {len(missed)} places, first after t = {log.time[missed[0]]:.6g} s",
-            f"list the gaps (Log.gaps = {tuple(int(k) + 1 for k in missed[:5])}...) or cut the log there",
+            f"{count} samples are missing at {len(unlisted)} places, first after t = {log.time[unlisted[0]]:.6g} s",
+            f"list the gaps (Log.gaps = {tuple(int(k) + 1 for k in unlisted[:5])}...) or cut the log there",
             "lost rows",
         )
 
 
 def stamps(log: Log) -> Iterator[Finding]:
     """Rounded or scattered stamps, whose single differences are no time step."""
-    steps, step = np.diff(log.time), sampling_period(log)
-    regular = steps[steps < 1.5 * step]
-    off = float(np.max(np.abs(regular - step)))
-    drift = 1e3 * off / step * log.duration
-    if off > JITTER * step:
+    intervals, period = np.diff(log.time), sampling_period(log)
+    regular = intervals[intervals < 1.5 * period]
+    jitter = float(np.max(np.abs(regular - period)))
+    drift = 1e3 * jitter / period * log.duration
+    if jitter > JITTER * period:
         yield Finding(
             "warning",
             "time",
-            f"the time stamps scatter by up to {1e6 * off:.4g} us, {100 * off / step:.3g} % of the step",
+            f"the time stamps scatter by up to {1e6 * jitter:.4g} us, {100 * jitter / period:.3g} % of the step",
             "they are not the controller's clock; if the controller runs on a timer, take the samples as uniform",
             "rate",
         )
-    elif off > CLOCK_ERROR * step:
-        usual = float(1.0 / np.median(regular))
-        median = abs(usual * step - 1)
-        severity = "warning" if median > CLOCK_ERROR else "note"
-        which = (
-            f"even their median is off by {median:.2g}, a rate of {usual:.8g} Hz, which drifts by "
-            f"{1e3 * median * log.duration:.3g} ms over the log"
+    elif jitter > CLOCK_ERROR * period:
+        median_rate = float(1.0 / np.median(regular))
+        median_error = abs(median_rate * period - 1)
+        severity = "warning" if median_error > CLOCK_ERROR else "note"
+        drift_text = (
+            f"even their median is off by {median_error:.2g}, a rate of {median_rate:.8g} Hz, which drifts by "
+            f"{1e3 * median_error * log.duration:.3g} ms over the log"
             if severity == "warning"
             else f"a single difference taken as the step would drift by up to {drift:.3g} ms over the log"
         )
         yield Finding(
             severity,
             "time",
-            f"the time stamps are rounded by up to {1e9 * off:.3g} ns: {which}",
-            f"take the samples as uniform, {step:.10g} s apart (the mean over the whole log)",
+            f"the time stamps are rounded by up to {1e9 * jitter:.3g} ns: {drift_text}",
+            f"take the samples as uniform, {period:.10g} s apart (the mean over the whole log)",
             "rate",
         )
 
@@ -97,37 +97,37 @@ def is_decimated(periods: float) -> bool:
     return 2 <= round(periods) <= 100 and abs(periods / round(periods) - 1) < 1e-3
 
 
-def rate(log: Log, description: Axis) -> Iterator[Finding]:
+def rate(log: Log, axis: Axis) -> Iterator[Finding]:
     """The log's rate against that of the drive file."""
-    steps, step = np.diff(log.time), sampling_period(log)
-    stated = description.sampling.rate
-    off = 1.0 / (step * stated) - 1.0
-    regular = steps[steps < 1.5 * step]
-    doubt = 2 * float(np.max(np.abs(regular - step))) / max(log.duration, step)
-    if is_decimated(step * stated):
-        skipped = round(step * stated)
+    intervals, period = np.diff(log.time), sampling_period(log)
+    nominal = axis.sampling.rate
+    rate_error = 1.0 / (period * nominal) - 1.0
+    regular = intervals[intervals < 1.5 * period]
+    uncertainty = 2 * float(np.max(np.abs(regular - period))) / max(log.duration, period)
+    if is_decimated(period * nominal):
+        factor = round(period * nominal)
         yield Finding(
             "warning",
             "time",
-            f"the log holds one sample in {skipped}: {1 / step:.6g} Hz, while the controller runs at {stated:g} Hz",
+            f"the log holds one sample in {factor}: {1 / period:.6g} Hz, while the controller runs at {nominal:g} Hz",
             "log every sample; until then the controller cannot be replayed, nor its delays seen",
             "decimated",
         )
-    elif abs(off) > WRONG_RATE:
+    elif abs(rate_error) > WRONG_RATE:
         yield Finding(
             "fatal",
             "time",
-            f"the log is sampled at {1 / step:.6g} Hz, {1 / (step * stated):.4g} times the drive file's {stated:g} Hz"
-            + unit_error_text(step * stated),
+            f"the log is sampled at {1 / period:.6g} Hz, {1 / (period * nominal):.4g} times the drive file's "
+            f"{nominal:g} Hz" + unit_error_text(period * nominal),
             "correct sampling.rate, or the unit of the time column",
             "rate",
         )
-    elif abs(off) > max(CLOCK_ERROR, doubt):
+    elif abs(rate_error) > max(CLOCK_ERROR, uncertainty):
         yield Finding(
             "warning",
             "time",
-            f"the log's rate of {1 / step:.9g} Hz is off the drive file's {stated:g} Hz by {off:.3g}, which drifts by "
-            f"{1e3 * abs(off) * log.duration:.3g} ms over the log",
+            f"the log's rate of {1 / period:.9g} Hz is off the drive file's {nominal:g} Hz by {rate_error:.3g}, which "
+            f"drifts by {1e3 * abs(rate_error) * log.duration:.3g} ms over the log",
             "trust the controller's clock: take the samples as uniform at sampling.rate, or correct it",
             "rate",
         )

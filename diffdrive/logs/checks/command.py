@@ -23,142 +23,151 @@ EXPLAINS = 0.2
 
 
 class CommandCheck(NamedTuple):
-    """What the command shows, and the controller's own command [n] for the mended log, where it explains that."""
+    """What the command shows, and the controller's own command [n] (N) for the repaired log, where it explains that."""
 
     findings: list[Finding]
-    given: Signal | None = None
+    controller_command: Signal | None = None
 
 
-def check_command(log: Log, description: Axis) -> CommandCheck:
-    """The command against the controller, or where that does not answer, against the balance of forces."""
-    periods = sampling_period(log) * description.sampling.rate
+def check_command(log: Log, axis: Axis) -> CommandCheck:
+    """The command against the controller or, where that is undecided, against the balance of forces."""
+    periods = sampling_period(log) * axis.sampling.rate
     if abs(periods - 1.0) > WRONG_RATE:  # the clock says so; at another rate no controller is replayed
-        return CommandCheck([*balance.check_force_balance(log, description)] if is_decimated(periods) else [])
-    unknown = isinstance(description.controller, UnknownController)
-    relation = None if unknown else controller_relation(log, description)
-    outcome = None if relation is None else consistency.explain_command(relation)
-    if outcome is None:
-        return CommandCheck([*balance.check_force_balance(log, description)])
-    fit = outcome.best.fit
+        return CommandCheck([*balance.check_force_balance(log, axis)] if is_decimated(periods) else [])
+    unknown = isinstance(axis.controller, UnknownController)
+    relation = None if unknown else controller_relation(log, axis)
+    result = None if relation is None else consistency.explain_command(relation)
+    if result is None:
+        return CommandCheck([*balance.check_force_balance(log, axis)])
+    fit = result.best.fit
     assert fit is not None
-    if fit.error > EXPLAINS and outcome.plain.error > RELATED:
-        return CommandCheck(
-            [*unexplained_command(outcome, description), *balance.check_force_balance(log, description)]
-        )
-    counted_twice = [*disturbance_in_command(log, outcome)]
-    mended = _repaired_relation(log, outcome, description)
-    dynamics = outcome.best.dynamics
-    if mended is not None and len(outcome.best.signals.command) != len(outcome.output):  # judged on a stretch
-        dynamics = mended.dynamics(mended.logged)
+    if fit.error > EXPLAINS and result.fit_as_logged.error > RELATED:
+        return CommandCheck([*unexplained_command(result, axis), *balance.check_force_balance(log, axis)])
+    disturbance_findings = [*disturbance_in_command(log, result)]
+    repaired = _repaired_relation(log, result, axis)
+    dynamics = result.best.dynamics
+    is_of_stretch = len(result.best.signals.command) != len(result.controller_command)
+    if repaired is not None and is_of_stretch:
+        dynamics = repaired.dynamics(repaired.logged)
     findings = [
-        *fault_findings(log, outcome, description),
-        *counted_twice,
-        *unexplained_command(outcome, description),
-        *([] if counted_twice else balance.other_machine(dynamics, description)),
-        *confirmed_timing(outcome, description),
+        *fault_findings(log, result, axis),
+        *disturbance_findings,
+        *unexplained_command(result, axis),
+        *([] if disturbance_findings else balance.other_machine(dynamics, axis)),
+        *confirmed_timing(result, axis),
     ]
-    return CommandCheck(findings, None if mended is None else _controller_command(log, outcome, mended))
+    return CommandCheck(findings, None if repaired is None else _controller_command(log, result, repaired))
 
 
-def _repaired_relation(log: Log, outcome: ConsistencyResult, description: Axis) -> ControllerRelation | None:
+def _repaired_relation(log: Log, result: ConsistencyResult, axis: Axis) -> ControllerRelation | None:
     """The relation over the whole log as it would be if the best explanation is right."""
-    steps = tuple(step for one in outcome.best.faults for step in one.steps)
-    return controller_relation(Repair(steps).apply(log), description) if steps else outcome.relation
+    steps = tuple(step for fault in result.best.faults for step in fault.steps)
+    return controller_relation(Repair(steps).apply(log), axis) if steps else result.relation
 
 
-def _controller_command(log: Log, outcome: ConsistencyResult, relation: ControllerRelation) -> Signal | None:
-    """The controller's command as the mended log would hold it, where it explains a log in one piece."""
-    whole = len(outcome.output) == len(log.time) and outcome.relation.disturbance is None
-    unexplained_command = (outcome.output, outcome.plain) if relation is outcome.relation else relation.plain()
-    if not whole or unexplained_command is None or unexplained_command[1].error > EXPLAINS:
+def _controller_command(log: Log, result: ConsistencyResult, relation: ControllerRelation) -> Signal | None:
+    """The controller's command as the repaired log would hold it, where it explains a log in one piece."""
+    is_whole = len(result.controller_command) == len(log.time) and result.relation.disturbance is None
+    replay = (
+        (result.controller_command, result.fit_as_logged)
+        if relation is result.relation
+        else relation.replay_as_logged()
+    )
+    if not is_whole or replay is None or replay[1].error > EXPLAINS:
         return None
-    output, fit = unexplained_command
+    output, fit = replay
     return float(fit.coefficients[0]) * output + float(fit.coefficients[-1])
 
 
-def confirmed_timing(outcome: ConsistencyResult, description: Axis) -> Iterator[Finding]:
-    """That no channel is shifted, where the drive file states a delay, which may stand in the recording."""
-    delay = description.drive.actuator.delay_samples
+def confirmed_timing(result: ConsistencyResult, axis: Axis) -> Iterator[Finding]:
+    """A note that no channel is shifted, where the drive file states a delay that might be one of the recording."""
+    delay = axis.drive.actuator.delay_samples
     if not delay:
         return
-    if any(one.cause not in ("gain", "reversed", "offset") for one in outcome.best.faults):
+    if any(fault.cause not in ("gain", "reversed", "offset") for fault in result.best.faults):
         return
-    early, now, late = _errors_when_shifted(outcome)
-    if outcome.plain.error < 0.1 and min(early, late) > 2 * now:
-        also = f", so actuator.delay_samples = {delay} must lie between the command and the force"
-        over = " over the later half of the log, its past being unknown" if outcome.relation.late else ""
+    error_early, error_now, error_late = _errors_when_shifted(result)
+    if result.fit_as_logged.error < 0.1 and min(error_early, error_late) > 2 * error_now:
+        delay_text = f", so actuator.delay_samples = {delay} must lie between the command and the force"
+        transient_text = (
+            " over the later half of the log, its past being unknown" if result.relation.after_transient else ""
+        )
         yield Finding(
             "note",
             "command",
-            f"the drive file's controller gives the logged command to {percent(now)} % at shift 0{over}, one "
-            f"sample earlier to {percent(early)} %, one later to {percent(late)} %: no unit delay is in the "
-            f"recording{also}",
+            f"the drive file's controller gives the logged command to {percent(error_now)} % at shift "
+            f"0{transient_text}, one sample earlier to {percent(error_early)} %, one later to {percent(error_late)} %: "
+            f"no unit delay is in the recording{delay_text}",
             "nothing to mend: command, reference and position are recorded in time",
             "shifted",
         )
 
 
-def _errors_when_shifted(outcome: ConsistencyResult) -> tuple[float, float, float]:
+def _errors_when_shifted(result: ConsistencyResult) -> tuple[float, float, float]:
     """Relative errors with the controller's output one sample early, in time, and one late."""
-    relation, plain = outcome.relation, outcome.plain
-    given, gain = relation.judged(relation.logged.command), plain.coefficients[0]
-    changes = (relation.judged(outcome.output - shift_signal(outcome.output, s)) for s in (-1, 0, 1))
-    misses = (plain.residual + gain * change for change in changes)
-    early, now, late = (float(np.linalg.norm(miss) / np.linalg.norm(given)) for miss in misses)
+    relation, as_logged = result.relation, result.fit_as_logged
+    command, gain = relation.valid_samples(relation.logged.command), as_logged.coefficients[0]
+    changes = (
+        relation.valid_samples(result.controller_command - shift_signal(result.controller_command, samples))
+        for samples in (-1, 0, 1)
+    )
+    residuals = (as_logged.residual + gain * change for change in changes)
+    early, now, late = (float(np.linalg.norm(residual) / np.linalg.norm(command)) for residual in residuals)
     return early, now, late
 
 
-def fault_findings(log: Log, outcome: ConsistencyResult, description: Axis) -> Iterator[Finding]:
-    """What the best explanation says. Where the log does not rule out another one, no mend is certain."""
-    best, unsure = outcome.best, rivals.causes_of(outcome.best, outcome.rivals)
-    mendable = not outcome.rivals and all(one.steps for one in best.faults)
-    sound = any(not one.faults for one in outcome.rivals)
-    doubts = rivals.rivals_text(
-        best, outcome.rivals, lambda fault: words.describe_fault(fault, log, outcome, description).remedy
+def fault_findings(log: Log, result: ConsistencyResult, axis: Axis) -> Iterator[Finding]:
+    """Findings of the best explanation. Where the log does not rule out another one, no repair is certain."""
+    best, rival_causes = result.best, rivals.causes_of(result.best, result.rivals)
+    is_repairable = not result.rivals and all(fault.steps for fault in best.faults)
+    may_be_sound = any(not rival.faults for rival in result.rivals)
+    rivals_note = rivals.rivals_text(
+        best, result.rivals, lambda fault: words.describe_fault(fault, log, result, axis).remedy
     )
     for fault in best.faults:
-        said = words.describe_fault(fault, log, outcome, description)
-        severity = "warning" if sound and said.severity == "fatal" else said.severity
-        repair = Repair(fault.steps) if mendable else None
+        text = words.describe_fault(fault, log, result, axis)
+        severity = "warning" if may_be_sound and text.severity == "fatal" else text.severity
+        repair = Repair(fault.steps) if is_repairable else None
         yield Finding(
-            severity, said.channel, said.message, said.remedy + doubts, fault.cause, unsure, repair,
-            said.resembles, said.amount, said.invalidates_log and not sound,
+            severity, text.channel, text.message, text.remedy + rivals_note, fault.cause, rival_causes, repair,
+            text.resembles, text.amount, text.invalidates_log and not may_be_sound,
         )  # fmt: skip
 
 
-def disturbance_in_command(log: Log, outcome: ConsistencyResult) -> Iterator[Finding]:
+def disturbance_in_command(log: Log, result: ConsistencyResult) -> Iterator[Finding]:
     """How much of the known disturbance is in the command: none, if it is a force beside the command."""
-    fit = outcome.best.fit
-    if outcome.relation.disturbance is None or fit is None or len(fit.coefficients) < 3:
+    fit = result.best.fit
+    if result.relation.disturbance is None or fit is None or len(fit.coefficients) < 3:
         return
-    ratio, inside = float(fit.coefficients[0]), float(fit.coefficients[-2])
-    if abs(inside) * np.std(log.disturbance) < max(10 * fit.error, 1e-3) * np.std(log.command) or ratio == 0:
+    ratio, content = float(fit.coefficients[0]), float(fit.coefficients[-2])
+    if abs(content) * np.std(log.disturbance) < max(10 * fit.error, 1e-3) * np.std(log.command) or ratio == 0:
         return
-    newtons = inside / ratio
-    right = abs(newtons - 1) < 0.02
-    raw = f" ({inside:.5g} units of the command)" if abs(ratio - 1) > WRONG_UNIT else ""
+    content_in_newtons = content / ratio
+    is_in_newtons = abs(content_in_newtons - 1) < 0.02
+    raw_text = f" ({content:.5g} units of the command)" if abs(ratio - 1) > WRONG_UNIT else ""
     yield Finding(
-        "warning" if right else "fatal",
+        "warning" if is_in_newtons else "fatal",
         "disturbance",
-        f"the command contains {newtons:.5g} N per unit of the disturbance{raw}"
-        + (": the disturbance is counted twice" if right else ": its scale is wrong, and it is counted twice"),
-        "subtract it from the command" + ("" if right else f", and multiply the disturbance by {newtons:.5g}"),
+        f"the command contains {content_in_newtons:.5g} N per unit of the disturbance{raw_text}"
+        + (": the disturbance is counted twice" if is_in_newtons else ": its scale is wrong, and it is counted twice"),
+        "subtract it from the command"
+        + ("" if is_in_newtons else f", and multiply the disturbance by {content_in_newtons:.5g}"),
         "disturbance",
     )
 
 
-def unexplained_command(outcome: ConsistencyResult, description: Axis) -> Iterator[Finding]:
+def unexplained_command(result: ConsistencyResult, axis: Axis) -> Iterator[Finding]:
     """A controller that is not, or not quite, the one that made this command."""
-    fit = outcome.best.fit
+    fit = result.best.fit
     assert fit is not None
     # digits and rows that are missing leave more than that
-    if fit.error > EXPLAINED and not any(one.cause in ("rounded", "decimated") for one in outcome.best.faults):
+    if fit.error > EXPLAINED and not any(fault.cause in ("rounded", "decimated") for fault in result.best.faults):
         yield Finding(
             "warning",
             "command",
             f"the drive file's controller gives the logged command only to {percent(min(fit.error, 1.0))} %, whatever "
             "the shift and the scale",
             "another kind of controller, other gains, a filter, or something that is added to the command"
-            + ("" if is_memoryless(description.controller) else "; or what it remembered: log a longer motion"),
+            + ("" if is_memoryless(axis.controller) else "; or what it remembered: log a longer motion"),
             "other controller",
         )

@@ -12,9 +12,9 @@ from diffdrive.logs.log import Log, Signal
 COMPUTED = 1e-6
 
 
-def _is_copy(mine: Signal, theirs: Signal) -> bool:
-    size = float(np.std(theirs))
-    return size > 0 and float(np.max(np.abs(mine - theirs))) <= COMPUTED * size
+def _is_copy(signal: Signal, other: Signal) -> bool:
+    std = float(np.std(other))
+    return std > 0 and float(np.max(np.abs(signal - other))) <= COMPUTED * std
 
 
 def copies(log: Log) -> Iterator[Finding]:
@@ -41,19 +41,19 @@ def velocity(log: Log) -> Iterator[Finding]:
     """Velocity that is a difference quotient of the position."""
     if log.velocity is None:
         return
-    piece, step = longest_piece(log), sampling_period(log)
-    position, given = log.position[piece], log.velocity[piece]
-    backward = np.diff(position, prepend=position[0]) / step
+    piece, period = longest_piece(log), sampling_period(log)
+    position, measured = log.position[piece], log.velocity[piece]
+    backward = np.diff(position, prepend=position[0]) / period
     quotients = {
         "backward difference": backward,
         "forward difference": np.append(backward[1:], 0.0),
-        "central difference": np.gradient(position, step),
+        "central difference": np.gradient(position, period),
     }
     for name, quotient in quotients.items():
         # the time step may be that of rounded stamps: compare up to a factor near 1
-        if np.std(quotient) > 0 and np.std(given) > 0:
-            ratio = float(np.dot(given, quotient) / np.dot(quotient, quotient))
-            if abs(ratio - 1) < 1e-3 and _is_copy(given[2:-2], ratio * quotient[2:-2]):
+        if np.std(quotient) > 0 and np.std(measured) > 0:
+            ratio = float(np.dot(measured, quotient) / np.dot(quotient, quotient))
+            if abs(ratio - 1) < 1e-3 and _is_copy(measured[2:-2], ratio * quotient[2:-2]):
                 yield Finding(
                     "note",
                     "velocity",
@@ -70,7 +70,7 @@ def load(log: Log) -> Iterator[Finding]:
         return
     fit = robust_fit([log.command], log.load)
     if fit.error < 1e-4:
-        gain, offset = (float(c) for c in fit.coefficients)
+        gain, offset = (float(coefficient) for coefficient in fit.coefficients)
         yield Finding(
             "warning",
             "load",
@@ -84,12 +84,12 @@ def feedforward(log: Log) -> Iterator[Finding]:
     """Command that is a function of the reference alone, without any feedback in it."""
     if log.reference is None or np.std(log.command) == 0 or np.std(log.reference) == 0:
         return
-    piece, step = longest_piece(log), sampling_period(log)
+    piece, period = longest_piece(log), sampling_period(log)
     reference = log.reference[piece]
-    speed = np.gradient(reference, step)
-    acceleration = np.gradient(speed, step)
+    speed = np.gradient(reference, period)
+    acceleration = np.gradient(speed, period)
     columns = [reference, speed, acceleration, np.sign(np.where(np.abs(speed) > 1e-9, speed, 0.0))]
-    fit = robust_fit([c for c in columns if np.std(c) > 0], log.command[piece])
+    fit = robust_fit([column for column in columns if np.std(column) > 0], log.command[piece])
     # what a noisy, sticking axis makes its controller ask for is never a function of the reference to 0.01 %
     if fit.error < 1e-4:
         yield Finding(

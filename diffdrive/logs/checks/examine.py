@@ -30,66 +30,79 @@ from diffdrive.logs.log import Log, Signal
 __all__ = ["Finding", "examine", "examine_together"]
 
 
-def examine(log: Log, description: Axis | None = None) -> list[Finding]:
-    """What is wrong with a log, or could mislead who uses it, the worst first.
+def examine(log: Log, axis: Axis | None = None) -> list[Finding]:
+    """What is wrong with a log, or could mislead its user, the worst first.
 
-    Without a drive description the command's unit, its timing, the count grid and the clock's rate remain unchecked.
+    Without an `axis` the command's unit, its timing, the count grid and the clock's rate remain unchecked.
     An identification should refuse a log with a `fatal` finding. A finding has a `repair` only where its cause is
-    certain and the mended log shows nothing else.
+    certain and the repaired log shows nothing else.
     """
     findings = _unreadable_findings(log)
     if not findings:
-        findings = _all_findings(log, description)
-        findings = _verify_repairs(findings, log, description)
+        findings = _all_findings(log, axis)
+        findings = _verify_repairs(findings, log, axis)
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
-def examine_together(logs: Sequence[Log], description: Axis | None = None) -> list[Finding]:
-    """Where several logs of one machine contradict one another: none if each asks for the same mass and friction."""
+def examine_together(logs: Sequence[Log], axis: Axis | None = None) -> list[Finding]:
+    """Where several logs of one machine contradict one another: none if each implies the same mass and friction."""
     readable = [log for log in logs if not _unreadable_findings(log)]
-    return [*together.contradictions(readable, description)]
+    return [*together.contradictions(readable, axis)]
 
 
 def _unreadable_findings(log: Log) -> list[Finding]:
-    """What forbids any further look."""
+    """Findings that rule out any further check."""
     findings = [*outliers.lengths(log)] or [*outliers.finite(log)]
     return findings or [*clock.order(log)]
 
 
-def _all_findings(log: Log, description: Axis | None) -> list[Finding]:
+def _all_findings(log: Log, axis: Axis | None) -> list[Finding]:
     """All findings of a readable log: of the log without its overflows, where there are any."""
-    resolution = None if description is None else description.drive.sensor.resolution
+    resolution = None if axis is None else axis.drive.sensor.resolution
     overflows = [*wraps.wrapped_positions(log, resolution), *wraps.wrapped_command(log)]
-    return [*overflows, *_findings_but_overflows(_repaired(log, overflows), description)]
+    return [*overflows, *_findings_but_overflows(_repaired(log, overflows), axis)]
 
 
 def _repaired(log: Log, findings: list[Finding]) -> Log:
     """The log after all repairs that the findings state."""
-    return Repair(tuple(step for one in findings if one.repair is not None for step in one.repair.steps)).apply(log)
+    return Repair(
+        tuple(step for finding in findings if finding.repair is not None for step in finding.repair.steps)
+    ).apply(log)
 
 
-def _findings_but_overflows(log: Log, description: Axis | None) -> list[Finding]:
-    """All findings but overflows; what is said of the command comes first, since it has looked at all channels."""
-    clocks = [*clock.rate(log, description)] if description is not None else []
+def _findings_but_overflows(log: Log, axis: Axis | None) -> list[Finding]:
+    """All findings but overflows; those of the command come first, since they rest on all channels."""
+    clock_findings = [*clock.rate(log, axis)] if axis is not None else []
     # a channel that stands still where it should move spoils every comparison with the others
-    frozen = any(one.channel in ("reference", "position") for one in stuck.frozen_position(log))
-    related, given = ([], None) if frozen else _check_command(log, description)
-    steps = tuple(step for one in related if one.repair is not None for step in one.repair.steps)
-    single = _single_channel_findings(log, description, None if steps else given)
+    is_frozen = any(finding.channel in ("reference", "position") for finding in stuck.frozen_position(log))
+    command_findings, controller_command = ([], None) if is_frozen else _check_command(log, axis)
+    steps = tuple(step for finding in command_findings if finding.repair is not None for step in finding.repair.steps)
+    single = _single_channel_findings(log, axis, None if steps else controller_command)
     if steps:  # what goes with the fault that all channels show together is part of it; the rest counts in true units
-        shown = {(one.cause, one.channel) for one in single}
+        causes = {(finding.cause, finding.channel) for finding in single}
         single = [
-            one
-            for one in _single_channel_findings(Repair(steps).apply(log), description, given)
-            if (one.cause, one.channel) in shown
+            finding
+            for finding in _single_channel_findings(Repair(steps).apply(log), axis, controller_command)
+            if (finding.cause, finding.channel) in causes
         ]
-    return [*clocks, *related, *(_qualify_limit(one, related) for one in single if not _is_covered(one, related))]
+    return [
+        *clock_findings,
+        *command_findings,
+        *(
+            _qualify_limit(finding, command_findings)
+            for finding in single
+            if not _is_covered(finding, command_findings)
+        ),
+    ]
 
 
-def _qualify_limit(finding: Finding, related: list[Finding]) -> Finding:
-    """What is said of the command's limit, where its unit may be another one than the limit's."""
-    unsure = any(one.cause == "gain" and one.repair is None and one.channel == finding.channel for one in related)
-    if (finding.cause, finding.channel) != ("clipped", "command") or not unsure:
+def _qualify_limit(finding: Finding, command_findings: list[Finding]) -> Finding:
+    """The finding on the command's limit, with a remedy that does not assume its unit where that is uncertain."""
+    is_unit_uncertain = any(
+        other.cause == "gain" and other.repair is None and other.channel == finding.channel
+        for other in command_findings
+    )
+    if (finding.cause, finding.channel) != ("clipped", "command") or not is_unit_uncertain:
         return finding
     return replace(
         finding,
@@ -97,58 +110,62 @@ def _qualify_limit(finding: Finding, related: list[Finding]) -> Finding:
     )
 
 
-def _single_channel_findings(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
-    """What single channels show, or two by their ratio; `given` is the controller's own command, where it is known."""
-    return [*_position_unit_findings(log, description), *_other_findings(log, description, given)]
+def _single_channel_findings(log: Log, axis: Axis | None, controller_command: Signal | None) -> list[Finding]:
+    """Findings of single channels, or of two by their ratio; `controller_command` [n] (N) where it is known."""
+    return [*_position_unit_findings(log, axis), *_other_findings(log, axis, controller_command)]
 
 
-def _is_covered(finding: Finding, related: list[Finding]) -> bool:
-    """Whether what one channel shows by itself is part of what all show together, and no mended log can tell.
+def _is_covered(finding: Finding, command_findings: list[Finding]) -> bool:
+    """Whether a finding of one channel is part of one of all channels, where there is no repaired log to decide.
 
-    Where there is a mended log, it has told already: this is for what cannot be undone, or has rivals.
+    Where there is a repaired log, it has decided: this is for what cannot be undone, or has rivals.
     """
     lengths = {"position", "reference"}
     return any(
-        one.repair is None
-        and one.severity != "note"
-        and one.cause == finding.cause
-        and (finding.channel == one.channel or {finding.channel, one.channel} <= lengths)
-        for one in related
+        other.repair is None
+        and other.severity != "note"
+        and other.cause == finding.cause
+        and (finding.channel == other.channel or {finding.channel, other.channel} <= lengths)
+        for other in command_findings
     )
 
 
-def _verify_repairs(findings: list[Finding], log: Log, description: Axis | None) -> list[Finding]:
-    """The findings, each without its repair if the mended log shows anything that the log does not."""
-    if all(one.repair is None for one in findings):
+def _verify_repairs(findings: list[Finding], log: Log, axis: Axis | None) -> list[Finding]:
+    """The findings, each without its repair if the repaired log shows anything that the log does not."""
+    if all(finding.repair is None for finding in findings):
         return findings
-    left = [one for one in _all_findings(_repaired(log, findings), description) if one.severity != "note"]
-    # the log as it was given, its overflows included: what only an unwrapped channel shows speaks against them
-    overflows = [one for one in findings if one.cause == "wrapped"]
-    given = [*overflows, *_findings_but_overflows(log, description)] if overflows else findings
-    return [finding if finding.repair is None else _drop_refuted_repair(finding, given, left) for finding in findings]
+    after_repair = [finding for finding in _all_findings(_repaired(log, findings), axis) if finding.severity != "note"]
+    # the log as it was read, its overflows included: what only an unwrapped channel shows speaks against them
+    overflows = [finding for finding in findings if finding.cause == "wrapped"]
+    before_repair = [*overflows, *_findings_but_overflows(log, axis)] if overflows else findings
+    return [
+        finding if finding.repair is None else _drop_refuted_repair(finding, before_repair, after_repair)
+        for finding in findings
+    ]
 
 
-def _drop_refuted_repair(finding: Finding, given: list[Finding], left: list[Finding]) -> Finding:
-    """The finding, without its repair if what is `left` in the mended log speaks against it.
+def _drop_refuted_repair(finding: Finding, before: list[Finding], after: list[Finding]) -> Finding:
+    """The finding, without its repair if the findings `after` it speak against it.
 
-    What the log as it was given shows as well is no rival; but if it is fatal, this mend alone makes no sound log. What
-    is milder than before, or no worse than a warning, may stay.
+    What the log shows before the repair as well is no rival; but if it is fatal, this repair alone makes no sound log.
+    What is milder than before, or no worse than a warning, may stay.
     """
-    worst = {(one.cause, one.channel): SEVERITIES.index(one.severity) for one in reversed(given)}
-    same = (finding.cause, finding.channel)
+    worst_before = {(other.cause, other.channel): SEVERITIES.index(other.severity) for other in reversed(before)}
+    key = (finding.cause, finding.channel)
     unchanged, new = [], []
-    for one in left:
-        before, now = worst.get((one.cause, one.channel), len(SEVERITIES)), SEVERITIES.index(one.severity)
-        if now < before or (now == before and (one.cause, one.channel) == same):
-            new.append(one)
-        elif now == before and one.severity == "fatal":
-            unchanged.append(one)
+    for other in after:
+        severity_before = worst_before.get((other.cause, other.channel), len(SEVERITIES))
+        severity_now = SEVERITIES.index(other.severity)
+        if severity_now < severity_before or (severity_now == severity_before and (other.cause, other.channel) == key):
+            new.append(other)
+        elif severity_now == severity_before and other.severity == "fatal":
+            unchanged.append(other)
     if new:
         return replace(
             finding,
             remedy=f"{finding.remedy}; but the log so mended is not sound ({_listing(new)}), so the cause is not "
             "certain",
-            rivals=(*finding.rivals, *dict.fromkeys(one.cause for one in new)),
+            rivals=(*finding.rivals, *dict.fromkeys(other.cause for other in new)),
             repair=None,
         )
     if unchanged:
@@ -157,35 +174,35 @@ def _drop_refuted_repair(finding: Finding, given: list[Finding], left: list[Find
 
 
 def _listing(findings: list[Finding]) -> str:
-    return "; ".join(f"{one.channel}: {one.message}" for one in findings[:2])
+    return "; ".join(f"{finding.channel}: {finding.message}" for finding in findings[:2])
 
 
-def _position_unit_findings(log: Log, description: Axis | None) -> list[Finding]:
+def _position_unit_findings(log: Log, axis: Axis | None) -> list[Finding]:
     """Unit and sign of reference and position, from their range, their ratio and their counts."""
     return [
-        *ranges.travel(log, description),
+        *ranges.travel(log, axis),
         *ratios.position_follows_reference(log),
-        *grid.position_grid(log, description),
+        *grid.position_grid(log, axis),
     ]
 
 
-def _other_findings(log: Log, description: Axis | None, given: Signal | None) -> list[Finding]:
-    """What single channels show besides; `given` is the controller's own command, where it is known."""
+def _other_findings(log: Log, axis: Axis | None, controller_command: Signal | None) -> list[Finding]:
+    """Other findings of single channels; `controller_command` [n] (N) where it is known."""
     checks: list[Iterable[Finding]] = [
         clock.gaps(log),
         clock.stamps(log),
-        outliers.spikes(log, given),
+        outliers.spikes(log, controller_command),
         outliers.lost_rows(log),
-        bursts.unexplained(log, description, given),
-        encoders.lost_motion(log, description),
-        ranges.load(log, description),
+        bursts.unexplained(log, axis, controller_command),
+        encoders.lost_motion(log, axis),
+        ranges.load(log, axis),
         ranges.temperature(log),
         ratios.zeros(log),
         ratios.motor_follows_position(log),
         ratios.velocity_is_derivative(log),
         grid.command_grid(log),
         stuck.constant(log),
-        clipping.clipped_command(log, description, given),
+        clipping.clipped_command(log, axis, controller_command),
         stuck.frozen_position(log),
         stuck.frozen_command(log),
         derived.copies(log),
@@ -198,10 +215,10 @@ def _other_findings(log: Log, description: Axis | None, given: Signal | None) ->
     return [finding for check in checks for finding in check]
 
 
-def _check_command(log: Log, description: Axis | None) -> command.CommandCheck:
+def _check_command(log: Log, axis: Axis | None) -> command.CommandCheck:
     """The command against the controller, or where that does not answer, against the balance of forces."""
     if np.ptp(log.command) == 0 or np.ptp(log.position) == 0:
         return command.CommandCheck([])
-    if description is None:
+    if axis is None:
         return command.CommandCheck([*balance.command_sign(log)])
-    return command.check_command(log, description)
+    return command.check_command(log, axis)

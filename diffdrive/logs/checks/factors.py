@@ -21,11 +21,11 @@ FACTORS = {
 
 def unit_error_of(ratio: float) -> str | None:
     """What unit error makes this ratio, to 1 %; either way round; None if none is known."""
-    size = abs(ratio)
-    if not (0 < size < math.inf):
+    magnitude = abs(ratio)
+    if not (0 < magnitude < math.inf):
         return None
     for factor, name in FACTORS.items():
-        if abs(size / factor - 1) < 0.01 or abs(size * factor - 1) < 0.01:
+        if abs(magnitude / factor - 1) < 0.01 or abs(magnitude * factor - 1) < 0.01:
             return name
     return None
 

@@ -1,4 +1,4 @@
-"""What a check found in a log, in words that an engineer can act on, and as data that a program can."""
+"""A finding of a check: in words for an engineer, and as data for a program."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -42,13 +42,13 @@ CAUSES = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One trap: what was found in which channel, and what to do about it.
+    """What was found in which channel, and what to do about it.
 
     `fatal`: an identification on this log would be wrong; `warning`: it can go on, but the user must know; `note`:
     nothing is wrong with the log, but it limits what can be learnt from it, or confirms something that was in doubt.
 
     `cause` is one of `CAUSES`; `rivals` are other causes that the log does not rule out. `repair` undoes what happened:
-    it is there only where the cause is certain, can be undone, and the mended log passes every check.
+    it is there only where the cause is certain, can be undone, and the repaired log passes every check.
     """
 
     severity: Severity
@@ -58,9 +58,9 @@ class Finding:
     cause: str = "range"
     rivals: tuple[str, ...] = ()
     repair: Repair | None = None
-    resembles: str | None = None  # effect of the catalogue that would look alike, had the machine it and not the log
+    resembles: str | None = None  # effect of the catalogue that would show alike in the log
     amount: float | None = None  # of it: the gain, or the delay in samples
-    invalidates_log: bool = False  # whether nothing that is made of the log means anything before that is mended
+    invalidates_log: bool = False  # whether no result from the log is valid before it is repaired
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.channel}: {self.message}; {self.remedy}"

@@ -36,35 +36,35 @@ class CountGrid(NamedTuple):
 def fit_count_grid(signal: Signal) -> CountGrid | None:
     """The grid on which the values lie, or None: the step of which all gaps between values are multiples.
 
-    At constant speed the gaps are all large, such as 49, 50 and 51 counts; the gaps between these gaps tell the count.
+    At constant speed the gaps are all large, such as 49, 50 and 51 counts; the gaps between these are single counts.
     """
     values = np.unique(signal)
     if len(values) < 3:
         return None
-    storage = STORAGE * max(float(np.max(np.abs(values))), float(np.ptp(values)))
-    gaps = np.sort(np.diff(values))
-    gaps = gaps[gaps > storage]
-    second = np.diff(gaps)
-    gaps = np.sort(np.concatenate([gaps, second[second > storage]]))
-    if len(gaps) < 20:
+    rounding = STORAGE * max(float(np.max(np.abs(values))), float(np.ptp(values)))
+    differences = np.sort(np.diff(values))
+    differences = differences[differences > rounding]
+    second_differences = np.diff(differences)
+    differences = np.sort(np.concatenate([differences, second_differences[second_differences > rounding]]))
+    if len(differences) < 20:
         return None
     # the smallest gaps are single steps (or, of a smooth signal, arbitrary numbers, which the misfit shows)
-    step = float(np.median(gaps[gaps < 1.5 * gaps[0]]))
-    small = gaps[gaps < 200.5 * step]
-    if len(small) < 20:
+    step = float(np.median(differences[differences < 1.5 * differences[0]]))
+    small_differences = differences[differences < 200.5 * step]
+    if len(small_differences) < 20:
         return None
     for _ in range(3):
-        counts = np.maximum(np.round(small / step), 1.0)
-        step = float(np.sum(small * counts) / np.sum(counts**2))
-    misfit = float(np.sqrt(np.mean((small / step - np.round(small / step)) ** 2)))
+        counts = np.maximum(np.round(small_differences / step), 1.0)
+        step = float(np.sum(small_differences * counts) / np.sum(counts**2))
+    misfit = float(np.sqrt(np.mean((small_differences / step - np.round(small_differences / step)) ** 2)))
     return CountGrid(step, misfit) if misfit < ON_GRID else None
 
 
 def noise_std(signal: Signal) -> float:
     """Standard deviation of a signal's noise, from its third differences, which no motion survives, and its counts."""
-    found = fit_count_grid(signal)
-    counts = found.step / np.sqrt(12) if found else 0.0
-    return max(robust_std(np.diff(signal, 3)) / np.sqrt(20), counts)  # 20 = 1 + 9 + 9 + 1
+    grid = fit_count_grid(signal)
+    quantisation = grid.step / np.sqrt(12) if grid else 0.0
+    return max(robust_std(np.diff(signal, 3)) / np.sqrt(20), quantisation)  # 20 = 1 + 9 + 9 + 1
 
 
 def off_grid_share(signal: Signal, step: float) -> float | None:
@@ -78,26 +78,26 @@ def off_grid_share(signal: Signal, step: float) -> float | None:
     if count == 0:
         return None
     blocks = signal[: count * length].reshape(count, length) / step
-    moving = np.std(np.diff(blocks, axis=1), axis=1) > 0.3
-    if np.sum(moving) < 3:
+    is_moving = np.std(np.diff(blocks, axis=1), axis=1) > 0.3
+    if np.sum(is_moving) < 3:
         return None
-    phase = blocks[moving] - blocks[moving][:, :1]
+    phase = blocks[is_moving] - blocks[is_moving][:, :1]
     centre = np.angle(np.mean(np.exp(2j * np.pi * phase), axis=1, keepdims=True)) / (2 * np.pi)
     residual = phase - centre - np.round(phase - centre)
     return float(np.mean(np.sqrt(np.mean(residual**2, axis=1)) > ON_GRID))
 
 
-def _longest_travel(description: Axis | None) -> float:
-    low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
+def _longest_travel(axis: Axis | None) -> float:
+    low, high = (-np.inf, np.inf) if axis is None else axis.limits.stroke
     return min(1.05 * (high - low), LONGEST)
 
 
-def position_grid(log: Log, description: Axis | None) -> Iterator[Finding]:
+def position_grid(log: Log, axis: Axis | None) -> Iterator[Finding]:
     """The position's counts against the drive file's resolution, or whether there are counts at all."""
-    found = fit_count_grid(log.position)
-    stated = None if description is None else description.drive.sensor.resolution
-    if stated is None:
-        if found is None:
+    grid = fit_count_grid(log.position)
+    resolution = None if axis is None else axis.drive.sensor.resolution
+    if resolution is None:
+        if grid is None:
             yield Finding(
                 "note",
                 "position",
@@ -106,40 +106,40 @@ def position_grid(log: Log, description: Axis | None) -> Iterator[Finding]:
                 "filtered",
             )
         return
-    stated = float(stated)
-    if found is not None and found.step > COARSER * stated:
-        ratio = found.step / stated
+    resolution = float(resolution)
+    if grid is not None and grid.step > COARSER * resolution:
+        ratio = grid.step / resolution
         yield Finding(
             "fatal" if ratio > UNIT_OF_STEPS else "warning",
             "position",
-            f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
-            f"{stated:g} m",
+            f"the position moves in steps of {grid.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
+            f"{resolution:g} m",
             "log all digits, or correct sensor.resolution"
             + ("; or the unit of position and reference is wrong" if ratio > UNIT_OF_STEPS else ""),
             "rounded",
             ("gain",) if ratio > UNIT_OF_STEPS else (),
         )
         return
-    ratio = 1.0 if found is None else found.step / stated
+    ratio = 1.0 if grid is None else grid.step / resolution
     # digits and single precision make fine grids too; a unit is wrong only if the right one makes an axis of it
-    if found is not None and ratio < 0.01 and float(np.ptp(log.position)) / ratio < _longest_travel(description):
+    if grid is not None and ratio < 0.01 and float(np.ptp(log.position)) / ratio < _longest_travel(axis):
         yield Finding(
             "fatal",
             "position",
-            f"the position moves in steps of {found.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
-            f"{stated:g} m{unit_error_text(ratio)}",
+            f"the position moves in steps of {grid.step:.4g} m, {ratio:.4g} times the drive file's resolution of "
+            f"{resolution:g} m{unit_error_text(ratio)}",
             "correct the unit of the position, or sensor.resolution",
             "gain",
         )
         return
-    share = off_grid_share(log.position, stated)
+    share = off_grid_share(log.position, resolution)
     if share is not None and share > 0.5:
-        where = f", but on one of {found.step:.4g} m" if found is not None else ""
+        grid_text = f", but on one of {grid.step:.4g} m" if grid is not None else ""
         yield Finding(
             "warning",
             "position",
-            f"{100 * share:.0f} % of the moving stretches are off the count grid of {stated:g} m{where}: the position "
-            "was resampled or filtered",
+            f"{100 * share:.0f} % of the moving stretches are off the count grid of {resolution:g} m{grid_text}: the "
+            "position was resampled or filtered",
             "log the raw counts; until then do not trust this position at high frequency, nor its delay",
             "filtered",
         )
@@ -157,13 +157,13 @@ def coarse_step(signal: Signal) -> float | None:
 def command_grid(log: Log) -> Iterator[Finding]:
     """A command in coarse steps."""
     levels = len(np.unique(log.command))
-    span = float(np.ptp(log.command))
+    value_range = float(np.ptp(log.command))
     if 2 < levels < COARSE_LEVELS and levels < len(log.command) / 20:
         step = float(np.median(np.diff(np.unique(log.command))))
         yield Finding(
             "warning",
             "command",
-            f"the command takes only {levels} values, {step:.4g} apart over a range of {span:.4g}",
+            f"the command takes only {levels} values, {step:.4g} apart over a range of {value_range:.4g}",
             "log it with more digits, or before the converter",
             "rounded",
         )

@@ -1,8 +1,8 @@
-"""What may have happened to a log: each hypothesis as the log without it, for the checks to judge.
+"""What may have happened to a log: each hypothesis with the log as it would be without it.
 
 A hypothesis is judged by how well the drive file's controller gives the command in the log as it would be without what
-happened. For a linear controller a filter on one channel is undone by the same filter on the other two: they belong
-together again.
+happened. For a linear controller a filter on one channel is undone by the same filter on the other two: then they
+agree again.
 """
 
 from collections.abc import Iterator
@@ -37,27 +37,25 @@ TAPS = 9  # samples over which a controller may form its velocity
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A cause, and the signals as they would be without it; `steps` lead there, where a log can be mended.
+    """A cause, and the signals as they would be without it; `steps` lead there, where a log can be repaired.
 
-    `columns` stand in the place of the controller's command where the hypothesis is about the controller itself, or
-    adds what it does not give.
+    `regressors` replace the controller's command where the hypothesis is about the controller itself, or adds to it.
     """
 
     cause: str
     channel: str
     signals: LoopSignals
     steps: tuple[RepairStep, ...] = ()
-    numbers: dict[str, float] = field(default_factory=dict)
-    columns: tuple[Signal, ...] = ()
-    gains: int = 0  # how many of the columns are parts of the controller's command
-    control: LoopSignals | None = (
-        None  # what must explain less: all channels through the filter that one is said to have
-    )
+    parameters: dict[str, float] = field(default_factory=dict)
+    regressors: tuple[Signal, ...] = ()
+    gain_count: int = 0  # how many of the regressors are parts of the controller's command
+    # which must explain less: all channels through the filter that one channel is supposed to have passed
+    control_signals: LoopSignals | None = None
 
 
-def _match_filtered_channel(signals: LoopSignals, channel: str, through: "ChannelFilter") -> LoopSignals:
-    """The channel as it is, the two others through the filter that it has passed."""
-    others = {name: through.apply(getattr(signals, name)) for name in ("reference", "position", "command")}
+def _match_filtered_channel(signals: LoopSignals, channel: str, channel_filter: "ChannelFilter") -> LoopSignals:
+    """The signals with the two other channels through the filter that `channel` has passed."""
+    others = {name: channel_filter.apply(getattr(signals, name)) for name in ("reference", "position", "command")}
     return signals._replace(**others | {channel: getattr(signals, channel)})
 
 
@@ -87,7 +85,7 @@ class ChannelFilter:
 
 
 def candidate_filters() -> Iterator[ChannelFilter]:
-    """Those that are tried."""
+    """The filters that are tried."""
     for length in range(2, LONGEST_AVERAGE + 1):
         yield ChannelFilter(length)
         if length % 2:
@@ -103,94 +101,112 @@ def as_logged(relation: ControllerRelation) -> Hypothesis:
 
 def swapped(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """Reference and position are exchanged."""
-    now = relation.logged
-    mended = now._replace(reference=now.position, position=now.reference)
-    yield Hypothesis("swapped", "position", mended, (SwapChannels("reference", "position"),))
+    logged = relation.logged
+    repaired = logged._replace(reference=logged.position, position=logged.reference)
+    yield Hypothesis("swapped", "position", repaired, (SwapChannels("reference", "position"),))
 
 
 def position_and_reference(relation: ControllerRelation, ratio: float) -> Iterator[Hypothesis]:
     """One of the two has a wrong unit or sign: `ratio` is that of position to reference, as far as the loop follows."""
-    now = relation.logged
-    ratio = _exact_ratio(relation, ratio) if is_linear(relation.description.controller) else ratio
+    logged = relation.logged
+    ratio = _exact_ratio(relation, ratio) if is_linear(relation.axis.controller) else ratio
     cause = "reversed" if abs(ratio + 1) < 0.5 else "gain"
     for channel, factor in (("position", 1 / ratio), ("reference", ratio)):
         factor = float(np.sign(factor)) if cause == "reversed" else factor
-        mended = now._replace(**{channel: factor * getattr(now, channel)})
-        yield Hypothesis(cause, channel, mended, (ScaleChannel(channel, factor),), {"ratio": ratio})
+        repaired = logged._replace(**{channel: factor * getattr(logged, channel)})
+        yield Hypothesis(cause, channel, repaired, (ScaleChannel(channel, factor),), {"ratio": ratio})
 
 
 def _exact_ratio(relation: ControllerRelation, ratio: float) -> float:
-    """The ratio at which the controller gives the command: it is linear in reference and position, each by itself."""
-    now = relation.logged
-    still = np.zeros_like(now.position)
-    both, ahead = relation.outputs([now._replace(position=now.position / ratio), now._replace(position=still)])
-    of_reference, of_position = relation.fit(now.command, ahead, both - ahead).coefficients[:2]
-    found = ratio * float(of_reference / of_position) if of_position else ratio
-    return found if 0.8 < found / ratio < 1.25 else ratio
+    """The ratio at which the controller gives the command: it is linear in reference and in position."""
+    logged = relation.logged
+    zeros = np.zeros_like(logged.position)
+    tracking, feedforward = relation.controller_commands(
+        [logged._replace(position=logged.position / ratio), logged._replace(position=zeros)]
+    )
+    of_reference, of_position = relation.fit(logged.command, feedforward, tracking - feedforward).coefficients[:2]
+    exact = ratio * float(of_reference / of_position) if of_position else ratio
+    return exact if 0.8 < exact / ratio < 1.25 else ratio
 
 
 def whole_shifts(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """Channels that were recorded some samples early or late."""
-    pairs = {(i, j) for i in range(-REACH_OF_BOTH, REACH_OF_BOTH + 1) for j in range(-REACH_OF_BOTH, REACH_OF_BOTH + 1)}
-    for by in range(-REACH, REACH + 1):
-        pairs |= {(by, by), (by, 0), (0, by)}
-    for i, j in sorted(pairs - {(0, 0)}, key=lambda pair: abs(pair[0]) + abs(pair[1])):
-        yield shift(relation, i, j)
+    pairs = {
+        (reference_shift, position_shift)
+        for reference_shift in range(-REACH_OF_BOTH, REACH_OF_BOTH + 1)
+        for position_shift in range(-REACH_OF_BOTH, REACH_OF_BOTH + 1)
+    }
+    for samples in range(-REACH, REACH + 1):
+        pairs |= {(samples, samples), (samples, 0), (0, samples)}
+    for reference_shift, position_shift in sorted(pairs - {(0, 0)}, key=lambda pair: abs(pair[0]) + abs(pair[1])):
+        yield shift(relation, reference_shift, position_shift)
 
 
-def shift(relation: ControllerRelation, i: float, j: float) -> Hypothesis:
-    """Reference and position belong i and j samples later than they were recorded; i = j: the command earlier."""
-    now = relation.logged
-    mended = now._replace(reference=shift_signal(now.reference, i), position=shift_signal(now.position, j))
-    if i == j:
-        channel, steps = "command", (ShiftChannel("command", -i),)
+def shift(relation: ControllerRelation, reference_shift: float, position_shift: float) -> Hypothesis:
+    """Reference and position shifted to later times (samples); the command to earlier ones where both are equal."""
+    logged = relation.logged
+    repaired = logged._replace(
+        reference=shift_signal(logged.reference, reference_shift),
+        position=shift_signal(logged.position, position_shift),
+    )
+    if reference_shift == position_shift:
+        channel, steps = "command", (ShiftChannel("command", -reference_shift),)
     else:
-        channel = "position" if i == 0 else "reference" if j == 0 else "command"
-        steps = tuple(ShiftChannel(name, by) for name, by in (("reference", i), ("position", j)) if by)
-    if i % 1 or j % 1:  # what was interpolated is not brought back by interpolation
+        channel = "position" if reference_shift == 0 else "reference" if position_shift == 0 else "command"
+        steps = tuple(
+            ShiftChannel(name, samples)
+            for name, samples in (("reference", reference_shift), ("position", position_shift))
+            if samples
+        )
+    if reference_shift % 1 or position_shift % 1:  # what was interpolated is not brought back by interpolation
         steps = ()
-    return Hypothesis("shifted", channel, mended, steps, {"reference": i, "position": j})
+    return Hypothesis("shifted", channel, repaired, steps, {"reference": reference_shift, "position": position_shift})
 
 
 def filtered(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """One channel was averaged or low-passed before it was logged."""
-    for one in candidate_filters():
+    for channel_filter in candidate_filters():
         for channel in ("position", "command", "reference"):
-            numbers = {"length": float(one.length), "lag": one.lag, "delay": one.delay, "centred": float(one.centred)}
-            mended = _match_filtered_channel(relation.logged, channel, one)
+            parameters = {
+                "length": float(channel_filter.length),
+                "lag": channel_filter.lag,
+                "delay": channel_filter.delay,
+                "centred": float(channel_filter.centred),
+            }
+            repaired = _match_filtered_channel(relation.logged, channel, channel_filter)
             # the filter alone makes all channels smoother, and so more alike
-            control = mended._replace(**{channel: one.apply(getattr(relation.logged, channel))})
-            yield Hypothesis("filtered", channel, mended, (), numbers, control=control)
+            control_signals = repaired._replace(**{channel: channel_filter.apply(getattr(relation.logged, channel))})
+            yield Hypothesis("filtered", channel, repaired, (), parameters, control_signals=control_signals)
 
 
 def decimated(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """Only one row in n was kept, and the time was counted at the full rate: the mass looks n^2 times too small."""
-    now = relation.dynamics(relation.logged)
-    mass = None if now is None else now.mass
-    for skipped in DECIMATION_FACTORS:
+    dynamics = relation.dynamics(relation.logged)
+    mass = None if dynamics is None else dynamics.mass
+    for factor in DECIMATION_FACTORS:
         # each costs a replay of n times as many samples: only those that leave a mass within four deviations
-        if mass is not None and mass.determined and abs(np.log(skipped**2 * abs(mass.value))) > 4 * NOMINAL_STD:
+        if mass is not None and mass.is_determined and abs(np.log(factor**2 * abs(mass.value))) > 4 * NOMINAL_STD:
             continue
-        mended = relation.logged._replace(period=skipped * relation.logged.period)
+        repaired = relation.logged._replace(period=factor * relation.logged.period)
         yield Hypothesis(
-            "decimated", "time", mended, (ScaleChannel("time", float(skipped)),), {"skipped": float(skipped)}
+            "decimated", "time", repaired, (ScaleChannel("time", float(factor)),), {"skipped": float(factor)}
         )
 
 
 def rounded(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """The position, or the reference, has coarser steps than the scale: smoothed, all channels agree again."""
-    now, stated = relation.logged, relation.description.drive.sensor.resolution
-    if stated is None:
+    logged, resolution = relation.logged, relation.axis.drive.sensor.resolution
+    if resolution is None:
         return
     for channel in ("position", "reference"):
-        signal = getattr(now, channel)
+        signal = getattr(logged, channel)
         grid = fit_count_grid(signal)
-        if grid is not None and grid.step > COARSER * float(stated) and is_on_grid(signal, grid.step):
-            numbers = {"step": grid.step, "ratio": grid.step / float(stated)}
+        if grid is not None and grid.step > COARSER * float(resolution) and is_on_grid(signal, grid.step):
+            parameters = {"step": grid.step, "ratio": grid.step / float(resolution)}
             for seconds in SMOOTHING_WINDOWS:
-                length = min(window_length(1.0 / now.period, seconds), len(now.position) // 2 * 2 - 1)
-                mended = LoopSignals(*(savgol_filter(signal, length, 2) for signal in now[:3]), now.period)
-                yield Hypothesis("rounded", channel, mended, (), numbers)
+                length = min(window_length(1.0 / logged.period, seconds), len(logged.position) // 2 * 2 - 1)
+                repaired = LoopSignals(*(savgol_filter(signal, length, 2) for signal in logged[:3]), logged.period)
+                yield Hypothesis("rounded", channel, repaired, (), parameters)
 
 
 def rounded_command(relation: ControllerRelation, fit: RobustFit) -> Iterator[tuple[Hypothesis, RobustFit]]:
@@ -199,13 +215,13 @@ def rounded_command(relation: ControllerRelation, fit: RobustFit) -> Iterator[tu
     step = coarse_step(command)
     if step is None:
         return
-    explained = step / np.sqrt(12.0) / float(np.std(command))
-    left = float(np.sqrt(max(fit.error**2 - explained**2, 0.0)))
+    rounding_error = step / np.sqrt(12.0) / float(np.std(command))
+    remaining_error = float(np.sqrt(max(fit.error**2 - rounding_error**2, 0.0)))
     # a residual of many steps is not that of rounding, however little of it remains
-    if explained > 0.5 * fit.error:
+    if rounding_error > 0.5 * fit.error:
         yield (
             Hypothesis("rounded", "command", relation.logged, (), {"step": step}),
-            fit._replace(error=left),
+            fit._replace(error=remaining_error),
         )
 
 
@@ -216,43 +232,44 @@ def is_on_grid(signal: Signal, step: float) -> bool:
     increment. Rounding is noise: its third differences alternate, with a correlation of -0.75 from one to the next.
     """
     counts = (signal - signal[0]) / step
-    third = np.diff(counts, 3)
-    uneven = np.abs(third) > 1e-3
-    power = float(third @ third)
-    if np.sum(uneven) < FEWEST or float(third[1:] @ third[:-1]) > ALTERNATING * power:
+    third_differences = np.diff(counts, 3)
+    is_uneven = np.abs(third_differences) > 1e-3
+    power = float(third_differences @ third_differences)
+    if np.sum(is_uneven) < FEWEST or float(third_differences[1:] @ third_differences[:-1]) > ALTERNATING * power:
         return False
-    inner = counts[2:-1][uneven]
-    return float(np.quantile(np.abs(inner - np.round(inner)), 0.9)) < ROUNDED
+    counts_inside = counts[2:-1][is_uneven]
+    return float(np.quantile(np.abs(counts_inside - np.round(counts_inside)), 0.9)) < ROUNDED
 
 
 def lengths(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """Position and reference have one wrong unit, where the controller is not linear: then no factor says so."""
-    if is_linear(relation.description.controller) or relation.late:  # an observer fed by the log follows any lengths
+    # an observer fed by the log follows any lengths
+    if is_linear(relation.axis.controller) or relation.after_transient:
         return
-    now = relation.logged
-    for size in FACTORS:
-        for factor in (size, 1 / size):
-            mended = now._replace(reference=factor * now.reference, position=factor * now.position)
+    logged = relation.logged
+    for unit_factor in FACTORS:
+        for factor in (unit_factor, 1 / unit_factor):
+            repaired = logged._replace(reference=factor * logged.reference, position=factor * logged.position)
             steps = (ScaleChannel("position", factor), ScaleChannel("reference", factor))
-            yield Hypothesis("gain", "position", mended, steps, {"ratio": 1 / factor, "both": 1.0})
+            yield Hypothesis("gain", "position", repaired, steps, {"ratio": 1 / factor, "both": 1.0})
 
 
 def offset(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The reference has another zero, which a controller with an integral turns into a ramp of its command."""
-    controller = relation.description.controller
+    controller = relation.axis.controller
     if is_memoryless(controller) or not is_linear(controller):
         return
-    now, small = relation.logged, 1e-6
-    moved = relation.outputs([now._replace(reference=now.reference + small)])[0]
-    yield Hypothesis("offset", "reference", now, (), {}, (output, (moved - output) / small))
+    logged, displacement = relation.logged, 1e-6
+    displaced = relation.controller_commands([logged._replace(reference=logged.reference + displacement)])[0]
+    yield Hypothesis("offset", "reference", logged, (), {}, (output, (displaced - output) / displacement))
 
 
 def rectified(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """Only the absolute value of the command was logged."""
-    now = relation.logged
-    if np.min(now.command) >= 0 and np.min(output) < 0 < np.max(output):
-        signed = now._replace(command=np.copysign(now.command, output))
-        yield Hypothesis("rectified", "command", signed, (), {}, (output,))
+    logged = relation.logged
+    if np.min(logged.command) >= 0 and np.min(output) < 0 < np.max(output):
+        repaired = logged._replace(command=np.copysign(logged.command, output))
+        yield Hypothesis("rectified", "command", repaired, (), {}, (output,))
 
 
 GAINS = ("kp", "kd", "kv", "ki")
@@ -260,7 +277,7 @@ GAINS = ("kp", "kd", "kv", "ki")
 
 def other_gains(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The same controller with other gains: its command is linear in each of the parts that they make."""
-    controller = relation.description.controller
+    controller = relation.axis.controller
     if isinstance(controller, UnknownController):
         return
     holder = controller if isinstance(controller, Cascade) else controller.tracking.gains  # type: ignore[attr-defined]
@@ -269,49 +286,52 @@ def other_gains(relation: ControllerRelation, output: Signal) -> Iterator[Hypoth
     if len(names) == 3:  # the products of a cascade with an integral
         parts = [parts[0], output - _output_without(relation, ("ki",)), _output_without(relation, ("kp", "ki"))]
     rest = output - sum(parts)
-    columns = [one for one in [*parts, rest] if np.std(one) > 1e-9 * np.std(output)]
-    yield Hypothesis("other controller", "command", relation.logged, (), {}, tuple(columns), len(parts))
+    regressors = [part for part in [*parts, rest] if np.std(part) > 1e-9 * np.std(output)]
+    yield Hypothesis("other controller", "command", relation.logged, (), {}, tuple(regressors), len(parts))
 
 
 def _output_without(relation: ControllerRelation, gains: tuple[str, ...]) -> Signal:
     """The controller's command with some of its gains at zero."""
-    description = relation.description
+    axis = relation.axis
 
-    def of(controller: object) -> list[object]:
+    def gains_of(controller: object) -> list[object]:
         holder = controller if isinstance(controller, Cascade) else controller.tracking.gains  # type: ignore[attr-defined]
         return [getattr(holder, name) for name in gains]
 
-    changed = eqx.tree_at(of, description.controller, [0.0] * len(gains))
-    without = replace(relation, description=replace(description, controller=changed))
-    return without.outputs([relation.logged])[0]
+    controller = eqx.tree_at(gains_of, axis.controller, [0.0] * len(gains))
+    modified = replace(relation, axis=replace(axis, controller=controller))
+    return modified.controller_commands([relation.logged])[0]
 
 
 def slower_velocity(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """A cascade with an integral forms its velocity over more samples, which is that of an averaged position."""
-    description = relation.description
-    cascade = description.controller
+    axis = relation.axis
+    cascade = axis.controller
     if not isinstance(cascade, Cascade) or is_memoryless(cascade):
         return
-    now = relation.logged
-    base = replace(description, controller=replace(cascade, velocity_samples=1))
-    inner = replace(relation, description=replace(base, controller=replace(base.controller, kp=0.0)))
-    numbers = [n for n in range(1, SLOWEST_VELOCITY + 1) if n != cascade.velocity_samples]
-    cases = [now._replace(position=ChannelFilter(n).apply(now.position)) for n in (cascade.velocity_samples, *numbers)]
-    stated, *others = inner.outputs(cases)
-    for n, other in zip(numbers, others, strict=True):
+    logged = relation.logged
+    averaged = replace(axis, controller=replace(cascade, velocity_samples=1))
+    inner_loop = replace(relation, axis=replace(averaged, controller=replace(averaged.controller, kp=0.0)))
+    window_lengths = [n for n in range(1, SLOWEST_VELOCITY + 1) if n != cascade.velocity_samples]
+    variants = [
+        logged._replace(position=ChannelFilter(n).apply(logged.position))
+        for n in (cascade.velocity_samples, *window_lengths)
+    ]
+    stated, *others = inner_loop.controller_commands(variants)
+    for n, other in zip(window_lengths, others, strict=True):
         yield Hypothesis(
-            "other controller", "command", now, (), {"samples": float(n)}, (output + other - stated,), gains=1
+            "other controller", "command", logged, (), {"samples": float(n)}, (output + other - stated,), gain_count=1
         )
 
 
 def filtered_velocity(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The controller forms its velocity over several samples: the command is a combination of the last errors."""
-    if not is_memoryless(relation.description.controller):
+    if not is_memoryless(relation.axis.controller):
         return
-    now = relation.logged
-    error = now.reference - now.position
-    ahead = relation.outputs([now._replace(position=now.reference)])[0]
-    columns = [shift_signal(error, float(k)) for k in range(TAPS)]
-    if np.std(ahead) > 1e-9 * np.std(output):
-        columns.append(ahead)
-    yield Hypothesis("other controller", "command", now, (), {"taps": float(TAPS)}, tuple(columns))
+    logged = relation.logged
+    error = logged.reference - logged.position
+    feedforward = relation.controller_commands([logged._replace(position=logged.reference)])[0]
+    regressors = [shift_signal(error, float(k)) for k in range(TAPS)]
+    if np.std(feedforward) > 1e-9 * np.std(output):
+        regressors.append(feedforward)
+    yield Hypothesis("other controller", "command", logged, (), {"taps": float(TAPS)}, tuple(regressors))

@@ -35,13 +35,17 @@ def lengths(log: Log) -> Iterator[Finding]:
     """All channels must be equally long, and long enough to look at."""
     sizes = {name: len(signal) for name, signal in log.channels.items()}
     if len(set(sizes.values())) > 1:
-        told = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        sizes_text = ", ".join(f"{name} {size}" for name, size in sizes.items())
         yield Finding(
-            "fatal", "time", f"the channels differ in length: {told}", "read them from the same rows", "unreadable"
+            "fatal",
+            "time",
+            f"the channels differ in length: {sizes_text}",
+            "read them from the same rows",
+            "unreadable",
         )
         return
-    longest = longest_piece(log)
-    count = longest.stop - longest.start
+    longest_segment = longest_piece(log)
+    count = longest_segment.stop - longest_segment.start
     if count < FEWEST:
         yield Finding(
             "fatal",
@@ -54,32 +58,35 @@ def lengths(log: Log) -> Iterator[Finding]:
 
 
 def _second_difference(signal: Signal) -> Signal:
-    """How far each inner sample lies off the line between its neighbours."""
+    """Half the second difference: how far each inner sample lies off the line between its neighbours."""
     return signal[1:-1] - (signal[:-2] + signal[2:]) / 2
 
 
-def spike_indices(bend: Signal, floor: float) -> np.ndarray:
+def spike_indices(second_difference: Signal, floor: float) -> np.ndarray:
     """Samples that leave the line between their neighbours by more than `SPIKE` deviations and return at once.
 
-    A spike's bends read -1/2, 1, -1/2: that shape tells it from a step or a kink, which are physics. The deviation is
-    that of the hundred samples around, or of the whole log, or the floor, whichever is largest. Around, it is taken
-    from the 90 % quantile: a controller at standstill chatters in bursts, a logger's spikes stand alone.
+    A spike's second differences read -1/2, 1, -1/2: that shape distinguishes it from a step or a kink, which are
+    physics. The deviation is that of the hundred samples around, or of the whole log, or the floor, whichever is
+    largest. Around, it is taken from the 90 % quantile: a controller at standstill chatters in bursts, a logger's
+    spikes stand alone.
     """
-    whole = SIGMA_PER_MAD * float(np.median(np.abs(bend)))
-    large = np.abs(bend) > SPIKE * max(floor, whole, np.finfo(float).tiny)
-    large[[0, -1]] = False
-    k = np.flatnonzero(large)
-    k = k[np.abs(bend[k]) > SPIKE / NINETY * _quantile_around(np.abs(bend), k)]
-    returns = (np.abs(bend[k - 1] / bend[k] + 0.5) < 0.2) & (np.abs(bend[k + 1] / bend[k] + 0.5) < 0.2)
-    return k[returns]
+    log_std = SIGMA_PER_MAD * float(np.median(np.abs(second_difference)))
+    is_large = np.abs(second_difference) > SPIKE * max(floor, log_std, np.finfo(float).tiny)
+    is_large[[0, -1]] = False
+    k = np.flatnonzero(is_large)
+    k = k[np.abs(second_difference[k]) > SPIKE / NINETY * _quantile_around(np.abs(second_difference), k)]
+    returns_at_once = (np.abs(second_difference[k - 1] / second_difference[k] + 0.5) < 0.2) & (
+        np.abs(second_difference[k + 1] / second_difference[k] + 0.5) < 0.2
+    )
+    return k[returns_at_once]
 
 
-def _quantile_around(bend: Signal, places: np.ndarray, reach: int = 50, at_once: int = 10_000) -> Signal:
+def _quantile_around(values: Signal, places: np.ndarray, reach: int = 50, batch_size: int = 10_000) -> Signal:
     """The 90 % quantile of the samples around each of some places, mirrored at the ends."""
-    padded = np.pad(bend, min(reach, len(bend) - 1), mode="symmetric")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, len(padded) - len(bend) + 1)
-    some = [places[first : first + at_once] for first in range(0, len(places), at_once)]
-    return np.concatenate([np.empty(0), *(np.quantile(windows[one], 0.9, axis=1) for one in some)])
+    padded = np.pad(values, min(reach, len(values) - 1), mode="symmetric")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, len(padded) - len(values) + 1)
+    batches = [places[first : first + batch_size] for first in range(0, len(places), batch_size)]
+    return np.concatenate([np.empty(0), *(np.quantile(windows[batch], 0.9, axis=1) for batch in batches)])
 
 
 def _floor(signal: Signal, share: float) -> float:
@@ -87,91 +94,99 @@ def _floor(signal: Signal, share: float) -> float:
     return max(share * float(np.ptp(np.quantile(signal, [0.01, 0.99]))), grid.step if grid else 0.0)
 
 
-def spikes(log: Log, given: Signal | None = None) -> Iterator[Finding]:
+def spikes(log: Log, controller_command: Signal | None = None) -> Iterator[Finding]:
     """Single-sample spikes; in the command only what the controller did not make from position and reference.
 
-    `given` is the controller's command [n], where it is known.
+    `controller_command` is the controller's command [n], where it is known.
     """
     for name in ("reference", "position", "motor_position", "velocity", "load", "command"):
         signal = log.channels.get(name)
         if signal is None or np.ptp(signal) == 0:
             continue
-        bend = _second_difference(signal)
+        second_difference = _second_difference(signal)
         floor = _floor(signal, 1e-6)
         if name == "command":
-            bend = _residual_of_command(log, bend) if given is None else _second_difference(signal - given)
+            second_difference = (
+                _residual_of_command(log, second_difference)
+                if controller_command is None
+                else _second_difference(signal - controller_command)
+            )
             at_limit = clipped_samples(signal)
-            bend[at_limit[:-2] | at_limit[1:-1] | at_limit[2:]] = 0.0  # no spikes, but where it leaves its limit
+            second_difference[at_limit[:-2] | at_limit[1:-1] | at_limit[2:]] = (
+                0.0  # no spikes, but where it leaves its limit
+            )
             floor = _floor(signal, 1e-3)
-        k = spike_indices(bend, floor)
+        k = spike_indices(second_difference, floor)
         if len(k):
-            worst = k[int(np.argmax(np.abs(bend[k])))]
+            worst = k[int(np.argmax(np.abs(second_difference[k])))]
             yield Finding(
                 "warning",
                 name,
-                f"{len(k)} single-sample spikes, the largest {bend[worst]:.4g} {CHANNELS[name].unit} at "
+                f"{len(k)} single-sample spikes, the largest {second_difference[worst]:.4g} {CHANNELS[name].unit} at "
                 f"t = {log.time[worst + 1]:.6g} s",
                 "mask these samples or replace them by the mean of their neighbours",
                 "outliers",
             )
 
 
-def _residual_of_command(log: Log, bend: Signal) -> Signal:
-    """The command's bends less what is linear in the bends of reference and position, now and one sample either side.
+def _residual_of_command(log: Log, second_difference: Signal) -> Signal:
+    """The command's second differences less their fit by those of reference and position, within one sample.
 
     A controller turns one flickering count into a spike of its own: kp and kd times the count.
     """
-    causes = [_second_difference(log.position)] + ([] if log.reference is None else [_second_difference(log.reference)])
-    columns = [np.roll(cause, s) for cause in causes for s in (-1, 0, 1) if np.ptp(cause) > 0]
-    return robust_fit(columns, bend).residual if np.ptp(bend) > 0 else bend
+    inputs = [_second_difference(log.position)] + ([] if log.reference is None else [_second_difference(log.reference)])
+    columns = [np.roll(signal, samples) for signal in inputs for samples in (-1, 0, 1) if np.ptp(signal) > 0]
+    return robust_fit(columns, second_difference).residual if np.ptp(second_difference) > 0 else second_difference
 
 
 def _relative_jumps(signal: Signal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Each increment over the median of its six neighbours, less one; that median; and how far they scatter."""
     increment = np.diff(signal)
-    around = np.stack([np.roll(increment, s) for s in (-3, -2, -1, 1, 2, 3)])
-    usual = np.median(around, axis=0)
-    size = np.maximum(np.abs(usual), max(1e-12 * float(np.ptp(signal)), np.finfo(float).tiny))
-    scatter = np.ptp(around, axis=0) / size
+    neighbours = np.stack([np.roll(increment, samples) for samples in (-3, -2, -1, 1, 2, 3)])
+    median = np.median(neighbours, axis=0)
+    magnitude = np.maximum(np.abs(median), max(1e-12 * float(np.ptp(signal)), np.finfo(float).tiny))
+    scatter = np.ptp(neighbours, axis=0) / magnitude
     scatter[:3], scatter[-3:] = np.inf, np.inf
-    return (increment - usual) / size * np.sign(usual), usual, scatter
+    return (increment - median) / magnitude * np.sign(median), median, scatter
 
 
 def _jump_between(signal: Signal, k: int, count: int = 10) -> float:
     """How far the signal jumps from sample k to k + 1 beyond its own motion: the lines before and after, half-way."""
-    at = np.arange(count) + 0.5
+    offsets = np.arange(count) + 0.5
     before, after = signal[max(0, k + 1 - count) : k + 1], signal[k + 1 : k + 1 + count]
     if len(before) < count or len(after) < count:
         return 0.0
-    return float(np.polynomial.Polynomial.fit(at, after, 1)(0) - np.polynomial.Polynomial.fit(-at[::-1], before, 1)(0))
+    return float(
+        np.polynomial.Polynomial.fit(offsets, after, 1)(0) - np.polynomial.Polynomial.fit(-offsets[::-1], before, 1)(0)
+    )
 
 
 def lost_rows(log: Log) -> Iterator[Finding]:
     """Rows lost or repeated although the stamps are uniform: reference and position jump by the same whole steps."""
     if log.reference is None:
         return
-    jump, usual, scatter = _relative_jumps(log.reference)
-    count = np.round(jump)
+    jumps, increments, scatter = _relative_jumps(log.reference)
+    count = np.round(jumps)
     # the reference must be smooth around, and the jump that of whole steps
-    whole = (np.abs(jump - count) < 0.1) & (scatter < 0.1)
+    is_whole = (np.abs(jumps - count) < 0.1) & (scatter < 0.1)
     # and both clear of noise and digits: at a creep every increment is a digit, and any two of them make a jump
-    whole &= np.abs(count * usual) > 5 * max(noise_std(log.reference), noise_std(log.position))
-    listed = np.zeros(len(jump), bool)
-    listed[[k - 1 for k in log.gaps]] = True
-    listed |= np.diff(log.time) > 1.5 * np.median(np.diff(log.time))  # the stamps show it already
-    lost = np.flatnonzero(whole & (count >= 1) & ~listed)
+    is_whole &= np.abs(count * increments) > 5 * max(noise_std(log.reference), noise_std(log.position))
+    is_known = np.zeros(len(jumps), bool)
+    is_known[[k - 1 for k in log.gaps]] = True
+    is_known |= np.diff(log.time) > 1.5 * np.median(np.diff(log.time))  # the stamps show it already
+    lost = np.flatnonzero(is_whole & (count >= 1) & ~is_known)
     # and the position must make the same jump: otherwise it is the set-point generator that missed its cycle
-    follows = [abs(_jump_between(log.position, int(k)) / (count[k] * usual[k]) - 1) < 0.5 for k in lost]
+    follows = [abs(_jump_between(log.position, int(k)) / (count[k] * increments[k]) - 1) < 0.5 for k in lost]
     lost = lost[np.array(follows, bool)]
-    again = np.flatnonzero(whole & (count == -1) & (np.diff(log.command) == 0) & (np.diff(log.position) == 0))
-    for which, what in ((lost, "lost"), (again, "repeated")):
-        if len(which):
+    repeated = np.flatnonzero(is_whole & (count == -1) & (np.diff(log.command) == 0) & (np.diff(log.position) == 0))
+    for rows, happened in ((lost, "lost"), (repeated, "repeated")):
+        if len(rows):
             yield Finding(
                 "fatal",
                 "time",
-                f"{int(np.sum(np.abs(count[which])))} rows were {what} at {len(which)} places although the time stamps "
-                f"are uniform, first at t = {log.time[which[0]]:.6g} s: reference and position jump there by whole "
-                "steps",
+                f"{int(np.sum(np.abs(count[rows])))} rows were {happened} at {len(rows)} places although the time "
+                f"stamps are uniform, first at t = {log.time[rows[0]]:.6g} s: reference and position jump there by "
+                "whole steps",
                 "list these places as gaps (repeated rows: drop them), and find out what the logger does",
                 "lost rows",
             )

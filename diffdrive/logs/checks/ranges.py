@@ -15,29 +15,31 @@ LONGEST = 50.0  # m: the longest gantries
 SMALLEST = 1e-7  # m: less travel than the finest common scale's counts
 
 
-def travel(log: Log, description: Axis | None) -> Iterator[Finding]:
+def travel(log: Log, axis: Axis | None) -> Iterator[Finding]:
     """Travel and speed of reference and position."""
-    low, high = (-np.inf, np.inf) if description is None else description.limits.stroke
-    most = np.inf if description is None else description.limits.speed
-    piece, step = longest_piece(log), sampling_period(log)
+    low, high = (-np.inf, np.inf) if axis is None else axis.limits.stroke
+    speed_limit = np.inf if axis is None else axis.limits.speed
+    piece, period = longest_piece(log), sampling_period(log)
     for name in ("position", "reference"):
         signal = log.channels.get(name)
         if signal is None:
             continue
-        reach, speed = float(np.ptp(signal)), top_speed(signal[piece], step)
+        travelled, speed = float(np.ptp(signal)), top_speed(signal[piece], period)
         problems = []
         # a twentieth beyond is overshoot, soft limits, or a stroke given roughly
-        if np.isfinite(high - low) and reach > 1.05 * (high - low):
-            ratio = reach / (high - low)
+        if np.isfinite(high - low) and travelled > 1.05 * (high - low):
+            ratio = travelled / (high - low)
             problems.append(
-                f"travels {reach:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{unit_error_text(ratio)}"
+                f"travels {travelled:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{unit_error_text(ratio)}"
             )
-        elif reach > LONGEST:
-            problems.append(f"travels {reach:.4g} m, more than any axis")
+        elif travelled > LONGEST:
+            problems.append(f"travels {travelled:.4g} m, more than any axis")
         if speed > FASTEST:
             problems.append(f"moves at {speed:.4g} m/s, faster than any feed drive")
-        elif speed > 1.5 * most:
-            problems.append(f"moves at {speed:.4g} m/s, {speed / most:.4g} times the limit of {most:g} m/s")
+        elif speed > 1.5 * speed_limit:
+            problems.append(
+                f"moves at {speed:.4g} m/s, {speed / speed_limit:.4g} times the limit of {speed_limit:g} m/s"
+            )
         if problems:
             yield Finding(
                 "fatal",
@@ -46,11 +48,11 @@ def travel(log: Log, description: Axis | None) -> Iterator[Finding]:
                 f"correct the unit of the {name}, or the drive file's limits",
                 "gain",
             )
-        elif 0 < reach < SMALLEST:
+        elif 0 < travelled < SMALLEST:
             yield Finding(
                 "warning",
                 name,
-                f"the {name} travels only {reach:.3g} m in all",
+                f"the {name} travels only {travelled:.3g} m in all",
                 "metres are expected: correct its unit, or log a motion",
                 "motion",
             )
@@ -65,33 +67,33 @@ def travel(log: Log, description: Axis | None) -> Iterator[Finding]:
             )
 
 
-def load(log: Log, description: Axis | None) -> Iterator[Finding]:
+def load(log: Log, axis: Axis | None) -> Iterator[Finding]:
     """A load that would lift the table, or that has the wrong sign."""
     if log.load is None:
         return
-    least = float(np.min(log.load))
-    if least < 0 and np.max(log.load) <= 0:
+    lowest = float(np.min(log.load))
+    if lowest < 0 and np.max(log.load) <= 0:
         yield Finding(
             "fatal",
             "load",
-            f"the load is negative throughout ({least:.4g} to {np.max(log.load):.4g} N): its sign is reversed",
+            f"the load is negative throughout ({lowest:.4g} to {np.max(log.load):.4g} N): its sign is reversed",
             "a load on the guides counts positive: reverse it",
             "reversed",
         )
-    elif description is not None and least < -float(description.drive.friction.initial_load):
+    elif axis is not None and lowest < -float(axis.drive.friction.initial_load):
         yield Finding(
             "fatal",
             "load",
-            f"the load falls to {least:.4g} N, below minus the initial load of "
-            f"{float(description.drive.friction.initial_load):g} N: the table would lift off",
+            f"the load falls to {lowest:.4g} N, below minus the initial load of "
+            f"{float(axis.drive.friction.initial_load):g} N: the table would lift off",
             "correct the sign, the unit or the zero of the load",
             "offset",
         )
-    elif least < -0.01 * float(np.max(log.load)):
+    elif lowest < -0.01 * float(np.max(log.load)):
         yield Finding(
             "warning",
             "load",
-            f"the load is negative at times, down to {least:.4g} N",
+            f"the load is negative at times, down to {lowest:.4g} N",
             "check the zero of the load cell",
             "offset",
         )
@@ -101,12 +103,12 @@ def temperature(log: Log) -> Iterator[Finding]:
     """Kelvin given as degrees Celsius: Fahrenheit is too near to them to be told."""
     if log.temperature is None:
         return
-    middle = float(np.median(log.temperature))
-    if not -40.0 <= middle <= 150.0:
+    median = float(np.median(log.temperature))
+    if not -40.0 <= median <= 150.0:
         yield Finding(
             "warning",
             "temperature",
-            f"the temperature is {middle:.4g} degC in the middle, which no axis survives",
+            f"the temperature is {median:.4g} degC in the middle, which no axis survives",
             "kelvin, or a raw sensor value? give degrees Celsius",
             "gain",
         )

@@ -20,18 +20,18 @@ FEWEST = 50  # samples in either direction
 SCALE_ERROR = 0.03
 
 
-def _compare(channel: str, other: str, mine: Signal, theirs: Signal, trusted: bool) -> Iterator[Finding]:
-    if np.std(mine) == 0 or np.std(theirs) == 0:
+def _compare(channel: str, other: str, signal: Signal, other_signal: Signal, trusted: bool) -> Iterator[Finding]:
+    if np.std(signal) == 0 or np.std(other_signal) == 0:
         return
-    fit = robust_fit([theirs], mine)
-    ratio, alike = float(fit.coefficients[0]), fit.error < np.sqrt(1 - SAME_MOTION**2)
-    if not alike:
-        plain = float(np.corrcoef(mine, theirs)[0, 1])
-        if plain < -0.7:
+    fit = robust_fit([other_signal], signal)
+    ratio, is_same_motion = float(fit.coefficients[0]), fit.error < np.sqrt(1 - SAME_MOTION**2)
+    if not is_same_motion:
+        correlation = float(np.corrcoef(signal, other_signal)[0, 1])
+        if correlation < -0.7:
             yield Finding(
                 "fatal",
                 channel,
-                f"the {channel} runs against the {other} (correlation {plain:.2f}): its sign is reversed",
+                f"the {channel} runs against the {other} (correlation {correlation:.2f}): its sign is reversed",
                 f"reverse the {channel}, or the {other}",
                 "reversed",
             )
@@ -74,20 +74,20 @@ def zeros(log: Log) -> Iterator[Finding]:
     """A constant between reference and position that is beyond all that the loop makes of its motion."""
     if log.reference is None:
         return
-    piece, step = longest_piece(log), sampling_period(log)
-    speed = derivative(log.position[piece], step, 1)
+    piece, period = longest_piece(log), sampling_period(log)
+    speed = derivative(log.position[piece], period, 1)
     error = (log.reference - log.position)[piece]
-    fast = np.abs(speed) > 0.1 * float(np.quantile(np.abs(speed), 0.999))
-    if min(int(np.sum(fast & (speed > 0))), int(np.sum(fast & (speed < 0)))) < FEWEST:
+    is_fast = np.abs(speed) > 0.1 * float(np.quantile(np.abs(speed), 0.999))
+    if min(int(np.sum(is_fast & (speed > 0))), int(np.sum(is_fast & (speed < 0)))) < FEWEST:
         return  # what friction makes of the error has one sign then, too
-    middle = float(np.median(error))
-    if abs(middle) > BEYOND_FOLLOWING * float(np.quantile(np.abs(error - middle), 0.99)):
+    median = float(np.median(error))
+    if abs(median) > BEYOND_FOLLOWING * float(np.quantile(np.abs(error - median), 0.99)):
         yield Finding(
             "warning",
             "reference",
-            f"reference and position are {1e3 * middle:.6g} mm apart throughout, far beyond the following error: their "
+            f"reference and position are {1e3 * median:.6g} mm apart throughout, far beyond the following error: their "
             "zeros differ",
-            f"add {-1e3 * middle:.6g} mm to the reference, as far as the loop leaves no such error under a weight",
+            f"add {-1e3 * median:.6g} mm to the reference, as far as the loop leaves no such error under a weight",
             "offset",
         )
 
@@ -102,7 +102,7 @@ def motor_follows_position(log: Log) -> Iterator[Finding]:
 def velocity_is_derivative(log: Log) -> Iterator[Finding]:
     """Velocity against the slope of the position, both smoothed: unit and sign."""
     if log.velocity is not None:
-        piece, step = longest_piece(log), sampling_period(log)
-        slope = derivative(log.position[piece], step, 1)
-        mine = derivative(log.velocity[piece], step, 0)
-        yield from _compare("velocity", "position's derivative", mine, slope, False)
+        piece, period = longest_piece(log), sampling_period(log)
+        slope = derivative(log.position[piece], period, 1)
+        velocity = derivative(log.velocity[piece], period, 0)
+        yield from _compare("velocity", "position's derivative", velocity, slope, False)

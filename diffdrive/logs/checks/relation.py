@@ -1,6 +1,6 @@
-"""The controller as a relation between reference, position and command: which of several logs does it hold for?
+"""The controller as an analytical redundancy relation between reference, position and command (Isermann).
 
-A controller is software: put to its own inputs it gives back its output to the rounding of the log. So each hypothesis
+A controller is software: with its own inputs it reproduces its output to the rounding of the log. So each hypothesis
 on what happened to a log is judged by the command that the drive file's controller gives in the log as it would be
 without that.
 """
@@ -32,12 +32,12 @@ from diffdrive.logs.log import Log, Signal
 LONGEST = 40_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
 FEWEST = 50  # samples that a fit is made of
 LANES = 16  # replays that run side by side: a fixed number, so that one compiled program serves all
-# s: a controller that remembers is not judged by less; in it the table may hardly leave its rest.
+# s: a controller with states is not judged by less; in it the table may hardly leave its rest.
 SHORTEST = 0.5
 
 
 class LoopSignals(NamedTuple):
-    """The part of a log that the controller connects, [n] each, at samples `period` (s) apart."""
+    """The signals of a log that the controller relates to one another, [n] each, at samples `period` (s) apart."""
 
     reference: Signal  # the position itself where none was logged
     position: Signal
@@ -47,12 +47,12 @@ class LoopSignals(NamedTuple):
 
 @dataclass(frozen=True)
 class ControllerRelation:
-    """A drive file's controller put to a stretch of a log; `late`: judged by its later half, its past forgotten."""
+    """A drive file's controller and a stretch of a log, by its later half alone if `after_transient`."""
 
-    description: Axis
+    axis: Axis
     log: Log
     piece: slice
-    late: bool = False
+    after_transient: bool = False
 
     @property
     def logged(self) -> LoopSignals:
@@ -62,92 +62,90 @@ class ControllerRelation:
         return LoopSignals(reference[piece], log.position[piece], log.command[piece], sampling_period(log))
 
     @cached_property
-    def software(self) -> ControllerAndDrive:
-        """What is put to the log."""
-        return controller_arrays(self.description)
+    def arrays(self) -> ControllerAndDrive:
+        """The controller and the drive as arrays."""
+        return controller_arrays(self.axis)
 
     @property
     def disturbance(self) -> Signal | None:
         """The known disturbance of the stretch, where there is one."""
-        whole = self.log.disturbance
-        return None if whole is None or np.std(whole[self.piece]) == 0 else whole[self.piece]
+        disturbance = self.log.disturbance
+        return None if disturbance is None or np.std(disturbance[self.piece]) == 0 else disturbance[self.piece]
 
-    def outputs(self, cases: Sequence[LoopSignals]) -> list[Signal]:
-        """The controller's command (N) for each, all of one length and period.
+    def controller_commands(self, cases: Sequence[LoopSignals]) -> list[Signal]:
+        """The controller's command (N) [n] for each of the signals, all of one length and period.
 
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
         """
-        fed = self.late and not is_linear(self.description.controller)
-        slower = max(1, round(cases[0].period * self.description.sampling.rate))
-        speed = speed_at(self.log, self.piece.start) / slower
-        given: list[Signal] = []
+        feeds_logged_command = self.after_transient and not is_linear(self.axis.controller)
+        upsampling = max(1, round(cases[0].period * self.axis.sampling.rate))
+        speed = speed_at(self.log, self.piece.start) / upsampling
+        commands: list[Signal] = []
         for first in range(0, len(cases), LANES):
-            some = list(cases[first : first + LANES])
-            count = len(some)
-            some += [some[-1]] * (0 if count == 1 else LANES - count)
+            batch = list(cases[first : first + LANES])
+            count = len(batch)
+            batch += [batch[-1]] * (0 if count == 1 else LANES - count)
             command = controller_commands(
-                self.software,
-                _upsample(np.stack([one.reference for one in some]), slower),
-                _upsample(np.stack([one.position for one in some]), slower),
-                some[0].period / slower,
+                self.arrays,
+                _upsample(np.stack([case.reference for case in batch]), upsampling),
+                _upsample(np.stack([case.position for case in batch]), upsampling),
+                batch[0].period / upsampling,
                 speed,
-                _upsample(some[0].command, slower) if fed else None,
+                _upsample(batch[0].command, upsampling) if feeds_logged_command else None,
             )
-            given += list(command[:count, ::slower])
-        return given
+            commands += list(command[:count, ::upsampling])
+        return commands
 
-    def judged(self, signal: Signal) -> Signal:
-        """A signal without its ends, what the controller's past reaches, and what no controller gave."""
-        within = slice(len(signal) // 2 if self.late else SETTLE, -SETTLE)
-        return signal[within][~self.not_the_controllers[within]]
+    def valid_samples(self, signal: Signal) -> Signal:
+        """A signal without its ends, the controller's initial transient, and the excluded samples."""
+        within = slice(len(signal) // 2 if self.after_transient else SETTLE, -SETTLE)
+        return signal[within][~self.excluded[within]]
 
     @cached_property
-    def not_the_controllers(self) -> np.ndarray:
-        """Samples at which the command is not the controller's: at a limit, or in a burst."""
+    def excluded(self) -> np.ndarray:
+        """Mask of the samples at which the command is not the controller's: at a limit, or in a burst."""
         command = self.log.command[self.piece]
-        found = clipped_samples(self.log.command)[self.piece]
-        for one in find_bursts(command, sampling_period(self.log)):
-            found[max(0, one.start - 2) : one.stop + 2] = True
-        return found
+        excluded = clipped_samples(self.log.command)[self.piece]
+        for burst in find_bursts(command, sampling_period(self.log)):
+            excluded[max(0, burst.start - 2) : burst.stop + 2] = True
+        return excluded
 
     def fit(self, command: Signal, *columns: Signal) -> RobustFit:
         """The command as a combination of columns, the known disturbance and a constant, in this order."""
-        known = [] if self.disturbance is None else [self.judged(self.disturbance)]
-        return robust_fit([*(self.judged(column) for column in columns), *known], self.judged(command))
+        known = [] if self.disturbance is None else [self.valid_samples(self.disturbance)]
+        return robust_fit([*(self.valid_samples(column) for column in columns), *known], self.valid_samples(command))
 
     def dynamics(self, signals: LoopSignals) -> DynamicsFit | None:
-        """The inverse dynamics of mended signals."""
+        """Mass and friction that the signals imply."""
         log, piece = self.log, self.piece
         load = 0.0 if log.load is None else log.load[piece]
         force = signals.command if log.disturbance is None else signals.command + log.disturbance[piece]
-        return inverse_dynamics(
-            signals.position, force, signals.period, self.description.drive, load, self.not_the_controllers
-        )
+        return inverse_dynamics(signals.position, force, signals.period, self.axis.drive, load, self.excluded)
 
-    def plain(self) -> tuple[Signal, RobustFit] | None:
-        """The controller's command for the log as it is, and the logged one by it; None where it gives nothing."""
-        given = self.judged(self.logged.command)
-        if len(given) < FEWEST or np.std(given) == 0:
+    def replay_as_logged(self) -> tuple[Signal, RobustFit] | None:
+        """The controller's command (N) for the log as it is, and the logged one's fit by it; None without variation."""
+        command = self.valid_samples(self.logged.command)
+        if len(command) < FEWEST or np.std(command) == 0:
             return None
-        output = self.outputs([self.logged])[0]
-        if not np.all(np.isfinite(output)) or np.std(self.judged(output)) == 0:
+        output = self.controller_commands([self.logged])[0]
+        if not np.all(np.isfinite(output)) or np.std(self.valid_samples(output)) == 0:
             return None
         return output, self.fit(self.logged.command, output)
 
 
-def _upsample(signals: np.ndarray, parts: int) -> np.ndarray:
-    """Signals [..., n] with so many samples for each of theirs, by a cubic spline through theirs."""
-    if parts == 1:
+def _upsample(signals: np.ndarray, factor: int) -> np.ndarray:
+    """Signals [..., n] at `factor` times their rate, by cubic splines."""
+    if factor == 1:
         return signals
-    at = np.arange(signals.shape[-1])
-    return CubicSpline(at, signals, axis=-1)(np.arange((len(at) - 1) * parts + 1) / parts)
+    rows = np.arange(signals.shape[-1])
+    return CubicSpline(rows, signals, axis=-1)(np.arange((len(rows) - 1) * factor + 1) / factor)
 
 
-def controller_relation(log: Log, description: Axis) -> ControllerRelation | None:
+def controller_relation(log: Log, axis: Axis) -> ControllerRelation | None:
     """The relation over the log's most varied stretch; None without a reference, at another rate, or if too short."""
-    piece, step = longest_piece(log), sampling_period(log)
+    piece, period = longest_piece(log), sampling_period(log)
     count = piece.stop - piece.start
-    forgets = is_memoryless(description.controller)
-    if log.reference is None or count < 20 * SETTLE or (not forgets and count * step < SHORTEST):
+    memoryless = is_memoryless(axis.controller)
+    if log.reference is None or count < 20 * SETTLE or (not memoryless and count * period < SHORTEST):
         return None
-    return ControllerRelation(description, log, piece)
+    return ControllerRelation(axis, log, piece)

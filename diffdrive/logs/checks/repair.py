@@ -1,4 +1,4 @@
-"""What undoes a fault of a log, as data: steps that are applied to a log one after the other."""
+"""Repairs of a log, as data: steps that are applied one after the other."""
 
 import abc
 from dataclasses import dataclass, replace
@@ -10,10 +10,10 @@ from diffdrive.logs.log import Log, Signal
 
 def shift_signal(signal: Signal, samples: float) -> Signal:
     """The signal some samples later (negative: earlier), between samples by interpolation, its end values repeated."""
-    at = np.arange(len(signal)) - samples
+    rows = np.arange(len(signal)) - samples
     if samples == round(samples):
-        return signal[np.clip(at, 0, len(signal) - 1).astype(int)]
-    return np.interp(at, np.arange(len(signal)), signal)
+        return signal[np.clip(rows, 0, len(signal) - 1).astype(int)]
+    return np.interp(rows, np.arange(len(signal)), signal)
 
 
 class RepairStep(abc.ABC):
@@ -74,12 +74,12 @@ class ShiftChannel(RepairStep):
 class SwapChannels(RepairStep):
     """Exchange two channels."""
 
-    one: str
-    other: str
+    first: str
+    second: str
 
     def apply(self, log: Log) -> Log:
         return replace(
-            log, **{self.one: _require_channel(log, self.other), self.other: _require_channel(log, self.one)}
+            log, **{self.first: _require_channel(log, self.second), self.second: _require_channel(log, self.first)}
         )
 
 
@@ -101,7 +101,7 @@ class Repair:
     steps: tuple[RepairStep, ...]
 
     def apply(self, log: Log) -> Log:
-        """The mended log; raises `KeyError` where the log has not the channel."""
+        """The repaired log; raises `KeyError` where the log lacks a channel."""
         for step in self.steps:
             log = step.apply(log)
         return log

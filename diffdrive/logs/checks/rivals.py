@@ -8,37 +8,39 @@ from diffdrive.logs.checks.finding import CAUSES
 
 def causes_of(best: LogExplanation, rivals: Sequence[LogExplanation]) -> tuple[str, ...]:
     """The causes of the rivals: those that the best explanation does not name, or of which it names another amount."""
-    found = []
-    for one in rivals:
-        more = sorted(one.causes - best.causes)
-        if more:
-            found += [cause for cause, _ in more]
-        elif one.causes == best.causes:
-            found += [fault.cause for fault in _faults_of_other_size(best, one)]
+    causes = []
+    for rival in rivals:
+        other_causes = sorted(rival.causes - best.causes)
+        if other_causes:
+            causes += [cause for cause, _ in other_causes]
+        elif rival.causes == best.causes:
+            causes += [fault.cause for fault in _faults_of_other_size(best, rival)]
         else:
-            found += [] if one.faults else ["nothing"]
-    return tuple(dict.fromkeys(found))
+            causes += [] if rival.faults else ["nothing"]
+    return tuple(dict.fromkeys(causes))
 
 
 def rivals_text(
     best: LogExplanation,
     rivals: Sequence[LogExplanation],
-    mend: Callable[[ChannelFault], str],
+    remedy_of: Callable[[ChannelFault], str],
     nothing: str = "nothing at all",
 ) -> str:
-    """The rivals as the end of a sentence, empty where there are none; `mend` says what undoes a fault.
+    """The rivals as the end of a sentence, empty where there are none; `remedy_of` gives the remedy of a fault.
 
-    `nothing` is what else it is where the log is in order.
+    `nothing` stands for the rival that the log has no fault.
     """
-    others = sorted({pair for one in rivals for pair in one.causes - best.causes})
-    amounts = [fault for one in rivals if one.causes == best.causes for fault in _faults_of_other_size(best, one)]
-    fewer = [one for one in rivals if one.causes < best.causes]
+    others = sorted({pair for rival in rivals for pair in rival.causes - best.causes})
+    amounts = [fault for rival in rivals if rival.causes == best.causes for fault in _faults_of_other_size(best, rival)]
+    fewer = [rival for rival in rivals if rival.causes < best.causes]
     parts = [f"{channel}: {CAUSES[cause]}" for cause, channel in others]
-    parts += [f"another amount ({mend(fault)})" for fault in amounts]
+    parts += [f"another amount ({remedy_of(fault)})" for fault in amounts]
     parts += [
-        "only " + " and ".join(f"{on}: {CAUSES[cause]}" for cause, on in one.causes) for one in fewer if one.faults
+        "only " + " and ".join(f"{on}: {CAUSES[cause]}" for cause, on in rival.causes)
+        for rival in fewer
+        if rival.faults
     ]
-    parts += [nothing] if any(not one.faults for one in fewer) else []
+    parts += [nothing] if any(not rival.faults for rival in fewer) else []
     return "; the log does not rule out: " + "; or ".join(parts) if parts else ""
 
 
@@ -46,5 +48,5 @@ def _faults_of_other_size(best: LogExplanation, rival: LogExplanation) -> list[C
     return [
         fault
         for fault in rival.faults
-        if not any(are_equivalent(fault.steps, one.steps) for one in best.faults if one.cause == fault.cause)
+        if not any(are_equivalent(fault.steps, other.steps) for other in best.faults if other.cause == fault.cause)
     ]

@@ -1,4 +1,4 @@
-"""Estimates that a few wild samples cannot move: scale, straight-line fits, speed; and runs of equal samples."""
+"""Robust estimates: standard deviation, linear fits, speed; and stretches of equal samples."""
 
 from typing import NamedTuple
 
@@ -9,8 +9,8 @@ from diffdrive.logs.log import Log, Signal
 
 SIGMA_PER_MAD = 1.4826  # of a normal distribution
 SMOOTHING = 0.02  # s: resolves the motion of a feed axis, and averages out its scale's counts
-_ROUNDS = 15  # of Huber's weights, at most
-_ENOUGH = 200_000  # samples: a standard error of 0.2 % of what scatters
+_MOST_ITERATIONS = 15  # of Huber's weights, at most
+_MOST_SAMPLES = 200_000  # samples: a standard error of 0.2 % of what scatters
 
 
 def robust_std(values: Signal) -> float:
@@ -30,33 +30,33 @@ def robust_fit(columns: list[Signal], y: Signal) -> RobustFit:
     """Fit y by a combination of the columns (Huber's weights); a constant column is appended and comes last.
 
     The error is measured without the worst hundredth of the samples, so that spikes, clipped peaks and reversals do
-    not decide whether two signals belong together.
+    not decide whether two signals agree.
     """
-    size = float(np.std(y))
+    std = float(np.std(y))
     tiny = np.finfo(float).tiny
     scales = np.array([max(float(np.sqrt(np.mean(column**2))), tiny) for column in columns] + [1.0])
-    stack = np.empty((len(y), len(scales)))
+    regressors = np.empty((len(y), len(scales)))
     for k, column in enumerate(columns):
-        np.divide(column, scales[k], out=stack[:, k])
-    stack[:, -1] = 1.0
+        np.divide(column, scales[k], out=regressors[:, k])
+    regressors[:, -1] = 1.0
     solution = np.zeros(len(scales))
     # of a long log every so-manieth sample decides: it holds more of them than any estimate needs
-    some, given = stack[:: 1 + len(y) // _ENOUGH], y[:: 1 + len(y) // _ENOUGH]
-    residual = given.astype(float)
+    subset, target = regressors[:: 1 + len(y) // _MOST_SAMPLES], y[:: 1 + len(y) // _MOST_SAMPLES]
+    residual = target.astype(float)
     weights = np.ones_like(residual)
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ITERATIONS):
         # a correction by the normal equations: each round refines the last one, so that their rounding does not stay
-        weighted = some * weights[:, None]
-        step = np.linalg.lstsq(weighted.T @ some, weighted.T @ residual, rcond=None)[0]
+        weighted = subset * weights[:, None]
+        step = np.linalg.lstsq(weighted.T @ subset, weighted.T @ residual, rcond=None)[0]
         solution = solution + step
-        residual = given - some @ solution
-        if float(np.max(np.abs(step))) < 1e-9 * size:
+        residual = target - subset @ solution
+        if float(np.max(np.abs(step))) < 1e-9 * std:
             break
-        width = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-9 * size, tiny)
-        weights = 1.0 / np.maximum(np.abs(residual) / width, 1.0)
-    residual = y - stack @ solution
+        residual_std = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-9 * std, tiny)
+        weights = 1.0 / np.maximum(np.abs(residual) / residual_std, 1.0)
+    residual = y - regressors @ solution
     kept = np.partition(np.abs(residual), max(0, int(0.99 * len(residual)) - 1))[: max(1, int(0.99 * len(residual)))]
-    return RobustFit(solution / scales, float(np.sqrt(np.mean(kept**2))) / max(size, tiny), residual)
+    return RobustFit(solution / scales, float(np.sqrt(np.mean(kept**2))) / max(std, tiny), residual)
 
 
 def percent(share: float) -> str:
@@ -106,24 +106,24 @@ class SmoothedSignal(NamedTuple):
     """A signal without its noise, and its first two derivatives."""
 
     value: Signal
-    rate: Signal  # per s
-    curvature: Signal  # per s^2
+    first_derivative: Signal  # per s
+    second_derivative: Signal  # per s^2
 
 
-def smooth_signal(signal: Signal, step: float, seconds: float = SMOOTHING) -> SmoothedSignal:
+def smooth_signal(signal: Signal, period: float, seconds: float = SMOOTHING) -> SmoothedSignal:
     """The signal and its derivatives by local cubics over `seconds`."""
-    return SmoothedSignal(*(derivative(signal, step, order, seconds) for order in range(3)))
+    return SmoothedSignal(*(derivative(signal, period, order, seconds) for order in range(3)))
 
 
-def derivative(signal: Signal, step: float, order: int, seconds: float = SMOOTHING) -> Signal:
+def derivative(signal: Signal, period: float, order: int, seconds: float = SMOOTHING) -> Signal:
     """One derivative of the smoothed signal; order 0 is the signal without its noise."""
-    length = window_length(1.0 / step, seconds)
+    length = window_length(1.0 / period, seconds)
     if len(signal) <= length:
         length = max(5, 2 * ((len(signal) - 1) // 2) - 1)
-    return savgol_filter(signal, length, 3, deriv=order, delta=step)
+    return savgol_filter(signal, length, 3, deriv=order, delta=period)
 
 
-def top_speed(position: Signal, step: float) -> float:
+def top_speed(position: Signal, period: float) -> float:
     """Largest speed (m/s) that is held for some milliseconds, so that no single sample makes it."""
-    speed = np.abs(derivative(position, step, 1))
+    speed = np.abs(derivative(position, period, 1))
     return float(np.quantile(speed, 0.999))

@@ -9,7 +9,7 @@ from diffdrive.logs.checks.grid import fit_count_grid
 from diffdrive.logs.checks.statistics import EqualStretch, equal_stretches, sampling_period, top_speed
 from diffdrive.logs.log import Log, Signal
 
-# Equal samples from which a stretch is looked at; noise on the counts makes a few by chance.
+# Equal samples from which a stretch counts; noise on the counts makes a few by chance.
 SHORTEST_STRETCH = 5
 # Samples at the extreme level, beside those at the next levels: a sine's crest in counts holds 2.4 times its neighbour.
 EXTREME_RATIO = 5.0
@@ -33,71 +33,71 @@ def constant(log: Log) -> Iterator[Finding]:
             )
 
 
-def samples_at_extreme(signal: Signal, at: float) -> np.ndarray | None:
+def samples_at_extreme(signal: Signal, extreme: float) -> np.ndarray | None:
     """Samples that sit exactly at an extreme value far more often than at those next to it, or None."""
     values, counts = np.unique(signal, return_counts=True)
     if len(values) < 20:  # a staircase sits at its extremes by design
         return None
-    top = counts[-1] if at == values[-1] else counts[0]
-    beside = counts[-6:-1] if at == values[-1] else counts[1:6]
-    return signal == at if top >= 20 and top > EXTREME_RATIO * beside.max() else None
+    count = counts[-1] if extreme == values[-1] else counts[0]
+    neighbours = counts[-6:-1] if extreme == values[-1] else counts[1:6]
+    return signal == extreme if count >= 20 and count > EXTREME_RATIO * neighbours.max() else None
 
 
 def clipped_samples(command: Signal) -> np.ndarray:
     """Samples at which the command sits at an extreme value far more often than next to it."""
-    there = np.zeros(len(command), bool)
-    for at in (float(np.max(command)), float(np.min(command))):
-        at_level = samples_at_extreme(command, at)
-        there |= False if at_level is None else at_level
-    return there
+    clipped = np.zeros(len(command), bool)
+    for extreme in (float(np.max(command)), float(np.min(command))):
+        at_extreme = samples_at_extreme(command, extreme)
+        clipped |= False if at_extreme is None else at_extreme
+    return clipped
 
 
 def _standing_stretches(log: Log, name: str) -> list[EqualStretch]:
     """Stretches in which a position stands although the reference goes where it should have followed."""
     signal, reference = log.channels[name], log.reference
-    runs = equal_stretches(signal, SHORTEST_STRETCH)
-    if reference is None or name == "reference" or not runs:
+    stretches = equal_stretches(signal, SHORTEST_STRETCH)
+    if reference is None or name == "reference" or not stretches:
         return []
     standing = np.zeros(len(signal), bool)
-    for run in runs:
-        if np.ptp(reference[run.start : run.stop]) > 0.01 * np.ptp(reference):
-            standing[run.start : run.stop] = True
+    for stretch in stretches:
+        if np.ptp(reference[stretch.start : stretch.stop]) > 0.01 * np.ptp(reference):
+            standing[stretch.start : stretch.stop] = True
     if not standing.any():
         return []
-    rest = (reference - signal)[~standing]
-    usual = float(np.quantile(np.abs(rest - np.median(rest)), 0.999)) if len(rest) > 100 else 0.0
+    errors = (reference - signal)[~standing]
+    usual_error = float(np.quantile(np.abs(errors - np.median(errors)), 0.999)) if len(errors) > 100 else 0.0
     return [
-        run
-        for run in runs
-        if np.ptp(reference[run.start : run.stop]) > max(BEYOND * usual, 0.01 * float(np.ptp(reference)))
+        stretch
+        for stretch in stretches
+        if np.ptp(reference[stretch.start : stretch.stop]) > max(BEYOND * usual_error, 0.01 * float(np.ptp(reference)))
     ]
 
 
 def _stretches_before_jumps(signal: Signal) -> list[EqualStretch]:
     """Stretches at whose end the signal jumps to make up for them, farther than it ever moves in one sample."""
     steps = np.abs(np.diff(signal))
-    usual = float(np.quantile(steps, 0.999)) if len(steps) else 0.0
+    usual_step = float(np.quantile(steps, 0.999)) if len(steps) else 0.0
     grid = fit_count_grid(signal)
-    least = 3 * max(usual, 3 * grid.step if grid else 0.0)
+    smallest_jump = 3 * max(usual_step, 3 * grid.step if grid else 0.0)
     return [
-        run
-        for run in equal_stretches(signal, SHORTEST_STRETCH)
-        if run.stop < len(signal) and run.start > 0 and steps[run.stop - 1] > max(least, 1e-9)
+        stretch
+        for stretch in equal_stretches(signal, SHORTEST_STRETCH)
+        if stretch.stop < len(signal) and stretch.start > 0 and steps[stretch.stop - 1] > max(smallest_jump, 1e-9)
     ]
 
 
-def _table_moved(log: Log, run: EqualStretch) -> bool:
+def _table_moved(log: Log, stretch: EqualStretch) -> bool:
     """Whether the table moved on while the reference stood: a set-point may step, and then the table waits for it.
 
     Either the table is where the reference goes next as it wakes, or it moved that way over the latter half.
     """
     reference, position = log.reference, log.position
     assert reference is not None
-    level, jump = reference[run.start], reference[run.stop] - reference[run.start]
+    level, jump = reference[stretch.start], reference[stretch.stop] - reference[stretch.start]
     position = position + float(np.median(reference - position))  # zeros may differ
-    there = (position[run.stop - 1] - level) / jump > 0.5
-    since = (position[run.stop - 1] - position[(run.start + run.stop) // 2]) / jump
-    return bool(there or since > ON_THE_MOVE)
+    has_arrived = (position[stretch.stop - 1] - level) / jump > 0.5
+    moved_lately = (position[stretch.stop - 1] - position[(stretch.start + stretch.stop) // 2]) / jump
+    return bool(has_arrived or moved_lately > ON_THE_MOVE)
 
 
 def frozen_position(log: Log) -> Iterator[Finding]:
@@ -108,21 +108,21 @@ def frozen_position(log: Log) -> Iterator[Finding]:
             continue
         frozen = _standing_stretches(log, name) or _stretches_before_jumps(signal)
         if name == "reference":
-            frozen = [run for run in frozen if _table_moved(log, run)]
+            frozen = [stretch for stretch in frozen if _table_moved(log, stretch)]
         if not frozen:
             continue
-        longest = max(frozen, key=lambda run: run.length)
+        longest = max(frozen, key=lambda stretch: stretch.length)
         level = float(signal[longest.start])
-        share = sum(run.length for run in frozen) / len(signal)
-        span = f"t = {log.time[longest.start]:.6g} to {log.time[longest.stop - 1]:.6g} s"
+        share = sum(stretch.length for stretch in frozen) / len(signal)
+        span_text = f"t = {log.time[longest.start]:.6g} to {log.time[longest.stop - 1]:.6g} s"
         if level in (float(np.max(signal)), float(np.min(signal))) and longest.start > 0:
-            what = (
+            message = (
                 f"the {name} sits at its extreme of {level:.6g} m while the axis moves on, {100 * share:.2g} % of the "
             )
             yield Finding(
                 "fatal",
                 name,
-                what + f"samples, longest {span}: clipped or frozen",
+                message + f"samples, longest {span_text}: clipped or frozen",
                 "widen the logger's range, or cut these stretches out and list the gaps",
                 "clipped",
             )
@@ -130,7 +130,8 @@ def frozen_position(log: Log) -> Iterator[Finding]:
             yield Finding(
                 "fatal",
                 name,
-                f"the {name} is frozen at {level:.6g} m, longest {span}, {100 * share:.2g} % of the samples in all",
+                f"the {name} is frozen at {level:.6g} m, longest {span_text}, {100 * share:.2g} % of the samples in "
+                "all",
                 "encoder dead or logger stuck: cut the stretch out and list the gap",
                 "frozen",
             )
@@ -141,26 +142,31 @@ def frozen_command(log: Log) -> Iterator[Finding]:
     steps = np.diff(log.command)
     if np.ptp(log.command) == 0 or np.mean(steps == 0) > 0.5:  # a coarse command stands often
         return
-    fast = top_speed(log.position, sampling_period(log))
-    at_extreme = (float(np.max(log.command)), float(np.min(log.command)))
-    runs = [run for run in equal_stretches(log.command, SHORTEST_STRETCH) if log.command[run.start] not in at_extreme]
-    lengths = sorted(run.length for run in runs)
-    for run in sorted(runs, key=lambda run: -run.length)[:1]:
-        travel = float(np.ptp(log.position[run.start : run.stop]))
+    speed = top_speed(log.position, sampling_period(log))
+    extremes = (float(np.max(log.command)), float(np.min(log.command)))
+    stretches = [
+        stretch
+        for stretch in equal_stretches(log.command, SHORTEST_STRETCH)
+        if log.command[stretch.start] not in extremes
+    ]
+    lengths = sorted(stretch.length for stretch in stretches)
+    for stretch in sorted(stretches, key=lambda stretch: -stretch.length)[:1]:
+        travel = float(np.ptp(log.position[stretch.start : stretch.stop]))
         # it must outlast the other standing stretches three times, and the table must be on the move meanwhile
         ordinary = lengths[-2] if len(lengths) > 1 else 1
-        if run.length < max(20, 3 * ordinary) or travel < 0.1 * fast * run.length * sampling_period(log):
+        if stretch.length < max(20, 3 * ordinary) or travel < 0.1 * speed * stretch.length * sampling_period(log):
             continue
         # where the error stands as well, as at a count of the scale a sample, so may the command
         if log.reference is not None:
             error = log.reference - log.position
-            if np.ptp(error[run.start : run.stop]) < 1e-6 * np.ptp(error):
+            if np.ptp(error[stretch.start : stretch.stop]) < 1e-6 * np.ptp(error):
                 continue
-        span = f"t = {log.time[run.start]:.6g} to {log.time[run.stop - 1]:.6g} s"
+        span_text = f"t = {log.time[stretch.start]:.6g} to {log.time[stretch.stop - 1]:.6g} s"
         yield Finding(
             "fatal",
             "command",
-            f"the command is frozen at {log.command[run.start]:.6g} from {span} while the table moves {travel:.3g} m",
+            f"the command is frozen at {log.command[stretch.start]:.6g} from {span_text} while the table moves "
+            f"{travel:.3g} m",
             "the logger was stuck: cut the stretch out and list the gap",
             "frozen",
         )

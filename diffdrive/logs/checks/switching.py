@@ -17,27 +17,29 @@ class SwitchedForce(NamedTuple):
     """The fit of the command by controller and switch, the switch's height in the command's unit, and how it went."""
 
     fit: RobustFit
-    height: float
-    changes: int
-    share: float  # of the samples, on
+    amplitude: float
+    switch_count: int
+    duty: float  # of the samples, on
 
 
 def find_switched_force(command: Signal, output: Signal) -> SwitchedForce | None:
     """The switch, if controller and one switch explain the command.
 
-    The increments from sample to sample tell the controller: while the switch stands still they are the controller's
+    The increments from sample to sample show the controller: between switches they are the controller's
     alone, and a robust fit ignores the rest.
     """
     increments = robust_fit([np.diff(output)], np.diff(command))
-    rest = command - increments.coefficients[0] * output
-    low, high = np.quantile(rest, [0.02, 0.98])
-    on = rest > (low + high) / 2
-    changes = int(np.sum(np.diff(on.astype(int)) != 0))
-    if not 0 < changes < RARE * len(on) or not 0.02 < np.mean(on) < 0.98:
+    residual = command - increments.coefficients[0] * output
+    low, high = np.quantile(residual, [0.02, 0.98])
+    is_on = residual > (low + high) / 2
+    switch_count = int(np.sum(np.diff(is_on.astype(int)) != 0))
+    if not 0 < switch_count < RARE * len(is_on) or not 0.02 < np.mean(is_on) < 0.98:
         return None
-    levels = float(np.median(rest[on])), float(np.median(rest[~on]))
-    if levels[0] - levels[1] < CLEAR * max(robust_std(rest[on]), robust_std(rest[~on])):
+    levels = float(np.median(residual[is_on])), float(np.median(residual[~is_on]))
+    if levels[0] - levels[1] < CLEAR * max(robust_std(residual[is_on]), robust_std(residual[~is_on])):
         return None
-    fits = [(state, robust_fit([output, state.astype(float)], command)) for state in (on, ~on)]
-    column, fit = min(fits, key=lambda one: abs(one[1].coefficients[-1]))  # off is where the controller alone is seen
-    return SwitchedForce(fit, float(fit.coefficients[1]), changes, float(np.mean(column)))
+    fits = [(state, robust_fit([output, state.astype(float)], command)) for state in (is_on, ~is_on)]
+    column, fit = min(
+        fits, key=lambda candidate: abs(candidate[1].coefficients[-1])
+    )  # off is where the controller alone is seen
+    return SwitchedForce(fit, float(fit.coefficients[1]), switch_count, float(np.mean(column)))

@@ -20,23 +20,23 @@ class _LogDynamics(NamedTuple):
     dynamics: DynamicsFit
 
 
-def contradictions(logs: Sequence[Log], description: Axis | None = None) -> Iterator[Finding]:
-    """Mass and friction that two logs of one machine ask for, where they differ by more than both may be off."""
-    seen = [_LogDynamics(log, found) for log in logs if (found := _dynamics(log, description)) is not None]
+def contradictions(logs: Sequence[Log], axis: Axis | None = None) -> Iterator[Finding]:
+    """Mass and friction of two logs of one machine, where they differ by more than their uncertainty."""
+    dynamics_of_logs = [_LogDynamics(log, found) for log in logs if (found := _dynamics(log, axis)) is not None]
     for quantity, what, unit in (("mass", "mass", "kg"), ("friction", "Coulomb friction", "N")):
-        known = [(one.log, getattr(one.dynamics, quantity)) for one in seen]
-        known = [(log, estimate) for log, estimate in known if estimate.determined and estimate.value > 0]
-        if len(known) < 2:
+        estimates = [(item.log, getattr(item.dynamics, quantity)) for item in dynamics_of_logs]
+        estimates = [(log, estimate) for log, estimate in estimates if estimate.is_determined and estimate.value > 0]
+        if len(estimates) < 2:
             continue
-        (low_log, low), (high_log, high) = (pick(known, key=lambda pair: pair[1].value) for pick in (min, max))
+        (low_log, low), (high_log, high) = (pick(estimates, key=lambda pair: pair[1].value) for pick in (min, max))
         if _distance(low, high) <= CLEAR:
             continue
-        size = _nominal(quantity, description)
+        nominal = _nominal(quantity, axis)
         yield Finding(
             "warning",
             "command",
-            f"{low_log.name} asks for {what} of {size * low.value:.3g} {unit}, {high_log.name} for "
-            f"{size * high.value:.3g} {unit}: one machine has not both",
+            f"{low_log.name} asks for {what} of {nominal * low.value:.3g} {unit}, {high_log.name} for "
+            f"{nominal * high.value:.3g} {unit}: one machine has not both",
             "logs of two machines, of two loads that no column holds, or before and after a change: identify each by "
             "itself, or state what lay on the table (--load)",
             "machines differ",
@@ -44,14 +44,14 @@ def contradictions(logs: Sequence[Log], description: Axis | None = None) -> Iter
         )
 
 
-def _dynamics(log: Log, description: Axis | None) -> DynamicsFit | None:
-    piece, step = longest_piece(log), sampling_period(log)
+def _dynamics(log: Log, axis: Axis | None) -> DynamicsFit | None:
+    piece, period = longest_piece(log), sampling_period(log)
     force = log.command[piece] + (0.0 if log.disturbance is None else log.disturbance[piece])
     if np.ptp(force) == 0 or np.ptp(log.position[piece]) == 0:
         return None
-    drive = None if description is None else description.drive
+    drive = None if axis is None else axis.drive
     load = 0.0 if log.load is None else log.load[piece]
-    return inverse_dynamics(log.position[piece], force, step, drive, load)
+    return inverse_dynamics(log.position[piece], force, period, drive, load)
 
 
 def _distance(low: DynamicsEstimate, high: DynamicsEstimate) -> float:
@@ -60,9 +60,9 @@ def _distance(low: DynamicsEstimate, high: DynamicsEstimate) -> float:
     return float(np.log(high.value / low.value) / relative)
 
 
-def _nominal(quantity: str, description: Axis | None) -> float:
-    if description is None:
+def _nominal(quantity: str, axis: Axis | None) -> float:
+    if axis is None:
         return 1.0
     if quantity == "mass":
-        return float(description.drive.plant.mass)
-    return sum(nominal_friction(description)) / 2
+        return float(axis.drive.plant.mass)
+    return sum(nominal_friction(axis)) / 2

@@ -22,20 +22,20 @@ WIDTHS = (8, 10, 12, 14, 15, 16, 18, 20, 22, 24, 32)  # bits
 def counter_span(signal: Signal) -> float | None:
     """The span of a counter that overflows within a signal; None where there is none."""
     steps = np.diff(signal)
-    size = np.abs(steps)
-    jumps = size > 0.5 * size.max(initial=0.0)
-    others = size[~jumps]
-    if not jumps.any() or len(others) < 100 or size.max() <= JUMP * max(others.max(), 1e-300):
+    magnitudes = np.abs(steps)
+    is_jump = magnitudes > 0.5 * magnitudes.max(initial=0.0)
+    others = magnitudes[~is_jump]
+    if not is_jump.any() or len(others) < 100 or magnitudes.max() <= JUMP * max(others.max(), 1e-300):
         return None
     # the span is the jump and the motion that goes on through it
-    before = np.clip(np.flatnonzero(jumps) - 1, 0, None)
-    spans = np.abs(steps[jumps] - steps[before] * ~jumps[before])
+    before = np.clip(np.flatnonzero(is_jump) - 1, 0, None)
+    spans = np.abs(steps[is_jump] - steps[before] * ~is_jump[before])
     span = float(np.median(spans))
     # it jumps where it reaches its end, and only there
-    full = np.ptp(signal) < span * (1 + ALIKE) and np.ptp(signal) > span * (1 - ALIKE)
-    meanwhile = max(ALIKE * span, 2 * float(others.max()))
-    alike = full and np.all(np.abs(spans - span) < meanwhile)
-    return span if alike and _continues_through(signal, np.flatnonzero(jumps), span) else None
+    covers_span = np.ptp(signal) < span * (1 + ALIKE) and np.ptp(signal) > span * (1 - ALIKE)
+    motion_allowance = max(ALIKE * span, 2 * float(others.max()))
+    are_equal = covers_span and np.all(np.abs(spans - span) < motion_allowance)
+    return span if are_equal and _continues_through(signal, np.flatnonzero(is_jump), span) else None
 
 
 def _continues_through(signal: Signal, jumps: np.ndarray, span: float) -> bool:
@@ -44,13 +44,13 @@ def _continues_through(signal: Signal, jumps: np.ndarray, span: float) -> bool:
     Jumps close to one another are one crossing; to and back is none.
     """
     unwrapped = np.unwrap(signal, period=span)
-    through = []
+    motions = []
     for crossing in np.split(jumps, np.flatnonzero(np.diff(jumps) > NEAR) + 1):
-        net = float(np.sum(np.diff(signal)[crossing]))
+        net_jump = float(np.sum(np.diff(signal)[crossing]))
         before, after = max(crossing[0] - NEAR, 0), min(crossing[-1] + 1 + NEAR, len(signal) - 1)
-        if abs(net) > 0.5 * span:  # downwards where it counts up
-            through.append(-np.sign(net) * (unwrapped[after] - unwrapped[before]))
-    return bool(through) and float(np.median(through)) > max(CLEAR * noise_std(unwrapped), 1e-9 * span)
+        if abs(net_jump) > 0.5 * span:  # downwards where it counts up
+            motions.append(-np.sign(net_jump) * (unwrapped[after] - unwrapped[before]))
+    return bool(motions) and float(np.median(motions)) > max(CLEAR * noise_std(unwrapped), 1e-9 * span)
 
 
 def _is_closer_to_partner(log: Log, name: str, span: float) -> bool:

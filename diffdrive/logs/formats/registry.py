@@ -36,7 +36,7 @@ READERS: dict[str, Reader] = {
 def register(*extensions: str) -> Callable[[Reader], Reader]:
     """Make a reader of files with these extensions known, as a decorator of a function from a path to a `Table`.
 
-    It raises `LogError`, one line that names the file and the mend, for a file that it cannot read. What the columns
+    It raises `LogError`, one line that names the file and the remedy, for a file that it cannot read. What the columns
     mean, their units and the clock are worked out from the table as for every format.
 
     Example:

@@ -126,7 +126,9 @@ def test_a_shift_and_pulses_may_come_together_in_a_long_log():
 
 
 def test_a_log_whose_past_is_unknown_is_judged_by_its_later_half(sine):
-    late = [explain_command(controller_relation(log, TEMPLATE)).relation.late for log in (cut(sine, 5000), sine)]
+    late = [
+        explain_command(controller_relation(log, TEMPLATE)).relation.after_transient for log in (cut(sine, 5000), sine)
+    ]
     assert late == [True, False]
     assert matching(examine(cut(sine, 5000), TEMPLATE), "note", "position", "begins in motion")
 
