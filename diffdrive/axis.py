@@ -1,7 +1,7 @@
 """An axis: the machine, its controller, and how both are sampled, limited and logged."""
 
 import difflib
-from collections.abc import Mapping as Table
+from collections.abc import Mapping
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
@@ -25,13 +25,13 @@ PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine
 
 
 class Axis(eqx.Module):
-    """What an axis file holds: the drive, its controller, sampling, the limits of the axis, and how its logs read.
+    """What a drive file holds: the drive, its controller, sampling, the limits of the axis, and how its logs read.
 
     `name` is what reports call it.
 
-    A pytree, so that it passes through `jit`, `grad` and `vmap`; no method changes it. Whatever the controller
-    believes of the machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction,
-    as in a file. A machine that differs from what its controller believes is an axis of its own: pass it as `machine`.
+    A pytree, so that it passes through `jit`, `grad` and `vmap`; no method changes it. The controller's model of the
+    machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction, as in a file. A
+    machine that differs from its controller's model is an axis of its own: pass it as `machine`.
 
     Example:
         >>> axis = paper_axis(controller="pd+fc+ls")
@@ -55,7 +55,7 @@ class Axis(eqx.Module):
     @property
     def gains(self) -> dict[str, Any]:
         """The controller's gains by name, in SI units: those that `with_gains` takes, and that are tuned."""
-        return {name: attrgetter(one.path)(self.controller) for name, one in self.controller.tunables.items()}
+        return {name: attrgetter(tunable.path)(self.controller) for name, tunable in self.controller.tunables.items()}
 
     def with_gains(self, **gains: Any) -> "Axis":
         """The axis with these gains, numbers or traced; raises `ParameterError` for an unknown one."""
@@ -70,7 +70,7 @@ class Axis(eqx.Module):
     @property
     def parameters(self) -> dict[str, Any]:
         """The machine's parameters by dotted path, such as `plant.mass`: SI numbers, or pairs (positive, negative)."""
-        return {path: _bare(value) for path, _, value in quantities(self.drive)}
+        return {path: _number_or_pair(value) for path, _, value in quantities(self.drive)}
 
     def value(self, path: str) -> Any:
         """One of `parameters`; raises `ParameterError` for an unknown path."""
@@ -79,26 +79,26 @@ class Axis(eqx.Module):
             raise ParameterError(f"{path}: {_unknown('parameter', path, known)}")
         return known[path]
 
-    def replace(self, values: Table[str, Any]) -> "Axis":
-        """The axis with other parameters, by dotted path (see `parameters`), in what its controller believes, too.
+    def replace(self, values: Mapping[str, Any]) -> "Axis":
+        """The axis with other parameters, by dotted path (see `parameters`), in its controller's model, too.
 
         A parameter that may differ between the directions takes one number or a pair (positive, negative). Raises
         `ParameterError` for an unknown path.
         """
         drive = self.drive
-        declared = {path: one for path, one, _ in quantities(drive)}
+        declared = {path: declaration for path, declaration, _ in quantities(drive)}
         for path, value in values.items():
             if path not in declared:
                 raise ParameterError(f"{path}: {_unknown('parameter', path, declared)}")
             if isinstance(value, str):
                 unit = in_unit(declared[path].unit)
-                raise ParameterError(f"{path}: must be a number{unit}, got a text")
+                raise ParameterError(f"{path}: must be a number{unit}, got a string")
             new = directional(value) if declared[path].directional else value
-            drive = eqx.tree_at(_at(drive, path), drive, new, is_leaf=lambda leaf: leaf is None)
+            drive = eqx.tree_at(_getter(drive, path), drive, new, is_leaf=lambda leaf: leaf is None)
         return self.with_drive(drive)
 
     def with_drive(self, drive: Drive) -> "Axis":
-        """The axis with another machine, in what its controller believes of it, too."""
+        """The axis with another machine, in its controller's model, too."""
         return replace(self, drive=drive, controller=self.controller.with_model(drive))
 
     def with_controller(self, controller: Controller) -> "Axis":
@@ -106,23 +106,26 @@ class Axis(eqx.Module):
         return replace(self, controller=controller)
 
     def with_effects(self, *effects: Effect) -> "Axis":
-        """The axis with these unmodelled effects beside those that it has; one of the same name replaces that.
+        """The axis with these unmodelled effects beside those that it has; an effect replaces one of its name.
 
-        Its controller goes on knowing nothing of them.
+        They are no part of its controller's model.
         """
         names = {effect.name for effect in effects}
-        kept = [effect for effect in self.drive.effects if effect.name not in names]
+        remaining = [effect for effect in self.drive.effects if effect.name not in names]
         drive = eqx.tree_at(
-            lambda d: d.effects, self.drive, in_order((*kept, *effects)), is_leaf=lambda leaf: isinstance(leaf, tuple)
+            lambda d: d.effects,
+            self.drive,
+            in_order((*remaining, *effects)),
+            is_leaf=lambda leaf: isinstance(leaf, tuple),
         )
         return self.with_drive(drive)
 
     def smooth(self) -> "Axis":
-        """The variant whose gradients mean something: no quantiser, rounded limits and switches (`loop.smooth`)."""
+        """The variant whose gradients are useful: no quantiser, rounded limits and switches (`loop.smooth`)."""
         return replace(self, drive=smooth(self.drive), controller=smooth(self.controller))
 
     def write(self, path: str | Path, comments: tuple[str, ...] = ()) -> None:
-        """Write the axis file; raises `DriveFileError` where a file cannot say this."""
+        """Write the drive file; raises `DriveFileError` where a file cannot hold this axis."""
         from diffdrive.axis_file.drive_file import write_axis  # which reads axes, too
 
         write_axis(path, self, comments)
@@ -130,40 +133,42 @@ class Axis(eqx.Module):
     def __repr__(self) -> str:
         effects = "".join(f", {effect.name}" for effect in self.drive.effects)
         mass = self.drive.plant.mass
-        shown = f"{float(mass):.4g} kg" if _is_known(mass) else "mass traced"
-        return f"Axis({shown}, {self.controller.kind or type(self.controller).__name__}, {self.rate:g} Hz{effects})"
+        mass_text = f"{float(mass):.4g} kg" if _is_concrete(mass) else "mass traced"
+        return f"Axis({mass_text}, {self.controller.kind or type(self.controller).__name__}, {self.rate:g} Hz{effects})"
 
     def summary(self) -> str:
         """Every parameter of the machine and every gain, one a line, in SI units."""
         rows = [(path, declared.unit, value) for path, declared, value in quantities(self.drive) if value is not None]
         rows += [(f"controller.{name}", "", gain) for name, gain in self.gains.items()]
         width = max(len(path) for path, *_ in rows)
-        return "\n".join([repr(self), *(f"  {path:<{width}}  {_shown(value)} {unit}" for path, unit, value in rows)])
+        return "\n".join(
+            [repr(self), *(f"  {path:<{width}}  {_formatted(value)} {unit}" for path, unit, value in rows)]
+        )
 
 
-def _is_known(value: Any) -> bool:
+def _is_concrete(value: Any) -> bool:
     return not isinstance(value, jax.core.Tracer) and np.ndim(value) == 0
 
 
-def _bare(value: Any) -> Any:
+def _number_or_pair(value: Any) -> Any:
     return (value.positive, value.negative) if isinstance(value, Directional) else value
 
 
-def _shown(value: Any) -> str:
-    values = _bare(value) if isinstance(value, Directional) else (value,)
-    several = dict.fromkeys(f"{float(one):.6g}" if _is_known(one) else "traced" for one in values)
-    return " / ".join(several)
+def _formatted(value: Any) -> str:
+    values = _number_or_pair(value) if isinstance(value, Directional) else (value,)
+    texts = dict.fromkeys(f"{float(value):.6g}" if _is_concrete(value) else "traced" for value in values)
+    return " / ".join(texts)
 
 
-def _at(drive: Drive, path: str) -> Any:
-    """What takes the parameter out of a drive."""
+def _getter(drive: Drive, path: str) -> Any:
+    """A function that returns the parameter at `path` of a drive."""
     part, *rest = path.split(".")
     if part != "effects":
         return attrgetter(path)
-    number = next(k for k, effect in enumerate(drive.effects) if effect.name == rest[0])
-    return lambda d: getattr(d.effects[number], rest[1])
+    index = next(k for k, effect in enumerate(drive.effects) if effect.name == rest[0])
+    return lambda d: getattr(d.effects[index], rest[1])
 
 
-def _unknown(what: str, name: str, known: Table[str, Any]) -> str:
+def _unknown(what: str, name: str, known: Mapping[str, Any]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     return f"no such {what}; " + (f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}")

@@ -9,7 +9,7 @@ class DiffdriveError(Exception):
     """Base of every error that diffdrive raises on purpose: one line, with control characters written out."""
 
     def __init__(self, *arguments: Any) -> None:
-        super().__init__(*(printable(one) if isinstance(one, str) else one for one in arguments))
+        super().__init__(*(printable(argument) if isinstance(argument, str) else argument for argument in arguments))
 
 
 class ParameterError(DiffdriveError, ValueError):
@@ -21,7 +21,7 @@ class MotionError(DiffdriveError, ValueError):
 
 
 class DriveFileError(DiffdriveError, ValueError):
-    """A drive file cannot be read: it names the file, the key and the mend."""
+    """A drive file cannot be read: it names the file, the key and the remedy."""
 
 
 class PrecisionError(DiffdriveError, RuntimeError):
@@ -45,7 +45,7 @@ class LoadEstimatorWarning(UserWarning):
 
 
 class LogError(DiffdriveError, ValueError):
-    """A log cannot be read, written or used: it names the file, the row or column, and the mend."""
+    """A log cannot be read, written or used: it names the file, the row or column, and the remedy."""
 
 
 class CheckpointError(DiffdriveError, ValueError):

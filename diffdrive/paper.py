@@ -24,7 +24,7 @@ LIMITS = Limits(stroke=(-PAPER_STROKE / 2, PAPER_STROKE / 2))
 
 
 def paper_controllers(drive: Drive, kp: Scalar = PAPER_KP, kd: Scalar = PAPER_KD) -> dict[str, Controller]:
-    """The paper's five controllers, and two of ours, by their kind in an axis file, with a model of exactly this drive.
+    """The paper's five controllers and two of ours, by their kind in a drive file; their model is exactly this drive.
 
     Ours are the friction observer with the load as a state (`pd+fc+ls`), and the cascade of most CNCs.
     """
@@ -49,7 +49,9 @@ def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
     `ParameterError` for another kind. Source: Lee et al. 2015, Tables 2 and 3; docs/evidence/paper.md.
     """
     drive = paper_drive(quantised=quantised)
-    known = paper_controllers(drive)
-    if controller not in known:
-        raise ParameterError(f"controller: no kind {controller!r}; known: {', '.join(known)}")
-    return Axis(drive, known[controller], SAMPLING, LIMITS, ColumnMapping(force_per_volt=PAPER_FORCE_PER_VOLT), "paper")
+    controllers = paper_controllers(drive)
+    if controller not in controllers:
+        raise ParameterError(f"controller: no kind {controller!r}; known: {', '.join(controllers)}")
+    return Axis(
+        drive, controllers[controller], SAMPLING, LIMITS, ColumnMapping(force_per_volt=PAPER_FORCE_PER_VOLT), "paper"
+    )

@@ -1,4 +1,4 @@
-"""What all results have in common: a status, a short form, a summary, and a file that programs read."""
+"""What all results have in common: a status, a short form, a summary, and a JSON file."""
 
 import abc
 import html
@@ -19,7 +19,7 @@ from diffdrive.support.atomic_write import write_text
 class Status:
     """Whether to believe a result: `ok`, a `code` for programs, and a `message` for people.
 
-    Of a simulation that went wrong also the signal that left its bounds, and when (s).
+    A failed simulation also has the signal that left its bounds, and when (s).
     """
 
     ok: bool
@@ -33,7 +33,7 @@ Own = TypeVar("Own", bound="Result")
 
 
 class Result(abc.ABC):
-    """A result: print it for the short form, `summary()` for more, `save()` for a file, `require_ok()` to insist."""
+    """A result: `repr` is the short form, `summary()` has more, `save()` writes JSON, `require_ok()` raises."""
 
     schema: ClassVar[str]  # name and version of what `as_dict` holds
     status: Status
@@ -43,7 +43,7 @@ class Result(abc.ABC):
         """One line: whether to believe it, and the numbers that matter most."""
 
     def summary(self) -> str:
-        """What was found and what it rests on, in lines of at most 100 characters."""
+        """The findings and their evidence, in lines of at most 100 characters."""
         return self.headline()
 
     @abc.abstractmethod
@@ -56,8 +56,8 @@ class Result(abc.ABC):
         path = Path(folder) / f"{kind}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         status = {"ok": self.status.ok, "code": self.status.code, "message": self.status.message}
-        whole = {"schema": self.schema, "status": status} | self.as_dict()
-        write_text(path, json.dumps(as_json(whole), indent=2, allow_nan=False) + "\n")
+        document = {"schema": self.schema, "status": status} | self.as_dict()
+        write_text(path, json.dumps(as_json(document), indent=2, allow_nan=False) + "\n")
         return path
 
     def require_ok(self: Own) -> Own:
@@ -77,11 +77,11 @@ class Result(abc.ABC):
 
 
 def as_json(value: Any) -> Any:
-    """The value as JSON can hold it; what is infinite or undefined becomes null."""
+    """The value as JSON can hold it; infinite and undefined numbers become null."""
     if isinstance(value, Mapping):
-        return {str(key): as_json(one) for key, one in value.items()}
+        return {str(key): as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_json(one) for one in value]
+        return [as_json(item) for item in value]
     if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
         return as_json(np.asarray(value).tolist())
     if isinstance(value, np.generic):

@@ -20,8 +20,8 @@ _XLA_FLAGS = (
 )
 
 
-_DEVICES = "--xla_force_host_platform_device_count"
-_WORTH_KEEPING = 0.1  # s of compilation
+_DEVICE_COUNT_FLAG = "--xla_force_host_platform_device_count"
+_MIN_COMPILE_TIME = 0.1  # s of compilation
 
 
 def cores() -> int:
@@ -30,8 +30,9 @@ def cores() -> int:
 
 
 def configure(devices: int | None = None) -> None:
-    """Double precision, hoisted loops, one CPU device per core or so many, and no GPU (`allow_accelerator` takes one);
-    what the environment sets stays.
+    """Set double precision, fast CPU scans, `devices` CPU devices (None: one per core), and no GPU.
+
+    `allow_accelerator` permits one. Environment variables that are set stay in force.
     """
     flags = os.environ.get("XLA_FLAGS", "").split()
     names = {flag.split("=")[0] for flag in flags}
@@ -40,22 +41,22 @@ def configure(devices: int | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     if "JAX_PLATFORMS" not in os.environ:  # a lane or a few take a hundred times as long on a GPU
         jax.config.update("jax_platforms", "cpu")
-    if "JAX_NUM_CPU_DEVICES" not in os.environ and _DEVICES not in names:
+    if "JAX_NUM_CPU_DEVICES" not in os.environ and _DEVICE_COUNT_FLAG not in names:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", devices or cores())
 
 
 def allow_accelerator() -> None:
-    """After `configure`: for very many lanes, on a GPU if jax finds one."""
+    """After `configure`: run on a GPU if jax finds one, which pays for very many lanes."""
     if "JAX_PLATFORMS" not in os.environ:
         jax.config.update("jax_platforms", None)
 
 
 def arithmetic_signature() -> list[str]:
-    """What the last bits of a number hang on beside the program: the device, the processor's vectors, the flags."""
+    """What the last bits of a result depend on beside the program: device, the processor's vector units, flags."""
     vectors = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found", [])
-    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_DEVICES)]
+    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(_DEVICE_COUNT_FLAG)]
     return [jax.default_backend(), jax.devices()[0].device_kind, platform.machine(), *vectors, *sorted(flags)]
 
 
@@ -74,4 +75,4 @@ def enable_compilation_cache() -> None:
         return
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_TIME)

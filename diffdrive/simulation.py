@@ -32,9 +32,9 @@ def simulate(
 ) -> Run:
     """Simulate one motion of an axis, and return every signal with a status that says whether to believe it.
 
-    `load` is in N, one number or one per sample. `machine` is an axis whose drive moves in the place of the axis's own
-    under the axis's controller: what the controller believes, and what is true, may differ. `seed` seeds the noise of
-    the scale (None: no noise). `every` keeps each n-th sample.
+    `load` is in N, one number or one per sample. `machine` is an axis whose drive replaces the axis's own under the
+    axis's controller, so that the controller's model and the true machine may differ. `seed` seeds the noise of the
+    scale (None: no noise). `every` keeps each n-th sample.
 
     Raises `ParameterError` and `MotionError` on bad input. A loop that diverges is a status, and an error
     (`DivergenceError`) only with `throw`.
@@ -44,7 +44,7 @@ def simulate(
         >>> run.status.ok, run.rms()
 
     """
-    drive = _machine(axis, machine).drive
+    drive = _checked_machine(axis, machine).drive
     run = loop.simulate(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
     )
@@ -52,7 +52,7 @@ def simulate(
 
 
 class Rollout(eqx.Module):
-    """The signals of a roll-out, [n] each, traced or not; estimates are None where the controller makes none."""
+    """The signals of a roll-out, [n] each; estimates are None where the controller makes none."""
 
     reference: Float[Array, " n"]  # m
     load: Float[Array, " n"]  # N
@@ -96,9 +96,9 @@ def rollout(
 ) -> Rollout:
     """The signals of one motion as a pure function of the axis and the load (N, one number or one per sample).
 
-    For `jit`, `grad`, `jacfwd` and `vmap`, over gains, plant, friction and loads. Nothing is checked that only
-    numbers tell: `simulate` does that. For gradients take `axis.smooth()`; the exact axis rounds and switches, and its
-    derivatives mean nothing. `machine`, as in `simulate`. `seed` seeds the noise of the scale (None: no noise).
+    For `jit`, `grad`, `jacfwd` and `vmap`, over gains, plant, friction and loads. Values, which may be traced, are not
+    checked: `simulate` does that. For gradients take `axis.smooth()`; the exact axis rounds and switches, and its
+    derivatives are of no use. `machine`, as in `simulate`. `seed` seeds the noise of the scale (None: no noise).
     Raises `ParameterError` for a motion of another rate.
 
     Example:
@@ -107,7 +107,7 @@ def rollout(
         >>> jax.grad(error)(axis.gains["kp"], 8e3)
 
     """
-    drive = _machine(axis, machine).drive
+    drive = _checked_machine(axis, machine).drive
     if abs(motion.rate / axis.rate - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
@@ -116,29 +116,29 @@ def rollout(
     reference = as_arrays(Reference(motion.position, motion.velocity, motion.acceleration))
     inputs = loop.Inputs(reference, loads, jnp.zeros_like(loads))
     key = None if seed is None else jax.random.key(seed)
-    frames = loop.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
-    estimate: Any = frames.estimate
+    signals = loop.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
+    estimate: Any = signals.estimate
     return Rollout(
         reference=reference.position,
         load=loads,
-        position=frames.position,
-        velocity=frames.velocity,
-        measured=frames.measured,
-        command=frames.command,
-        force=frames.force,
-        friction=frames.friction,
+        position=signals.position,
+        velocity=signals.velocity,
+        measured=signals.measured,
+        command=signals.command,
+        force=signals.force,
+        friction=signals.friction,
         friction_estimate=None if estimate is None else estimate.friction,
         load_estimate=None if estimate is None else estimate.load,
         rate=axis.rate,
     )
 
 
-def _machine(axis: Axis, machine: Axis | None) -> Axis:
+def _checked_machine(axis: Axis, machine: Axis | None) -> Axis:
     if machine is None:
         return axis
     if abs(machine.rate / axis.rate - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
-            f"machine: is sampled at {machine.rate:.10g} Hz, the axis at {axis.rate:.10g} Hz: delays are told in "
-            "samples; make the rates equal"
+            f"machine: is sampled at {machine.rate:.10g} Hz, the axis at {axis.rate:.10g} Hz: delays are given "
+            "in samples; make the rates equal"
         )
     return machine

@@ -1,4 +1,4 @@
-"""The [controller] table of an axis file: which controller, with which gains."""
+"""The [controller] table of a drive file: which controller, with which gains."""
 
 from typing import Any
 

@@ -238,7 +238,7 @@ def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
 
 
 def read_axis(path: str | Path) -> Axis:
-    """Read a drive file; raises `DriveFileError` naming the file, the key and the mend."""
+    """Read a drive file; raises `DriveFileError` naming the file, the key and the remedy."""
     origin = "'diffdrive template > drive.toml' writes one to start from"
     axis = parse_axis(read_toml(Path(path), DriveFileError, origin), str(path))
     return dataclasses.replace(axis, name=Path(path).stem)

@@ -46,7 +46,7 @@ class Controller(eqx.Module):
 
     @property
     def kind(self) -> str:
-        """What [controller] kind calls it in an axis file; "" where no file can state it."""
+        """What [controller] kind calls it in a drive file; "" where no file can state it."""
         return ""
 
     @property
@@ -55,8 +55,8 @@ class Controller(eqx.Module):
         return {}
 
     def table(self) -> dict[str, Any]:
-        """The keys of [controller] that state it in an axis file, but for the kind."""
-        raise ParameterError(f"no axis file can state a {type(self).__name__}: register a `Kind` of it")
+        """The keys of [controller] that state it in a drive file, but for the kind."""
+        raise ParameterError(f"no drive file can state a {type(self).__name__}: register a `Kind` of it")
 
     def with_model(self, drive: Drive) -> "Controller":
         """The same controller with this drive for what it believes of the machine."""
@@ -74,7 +74,7 @@ class Controller(eqx.Module):
 
     @property
     def pipelines(self) -> tuple[tuple[str, int], ...]:
-        """What holds values back for some samples: its name and how many."""
+        """Delay lines: the name of each, and its length in samples."""
         return ()
 
 

@@ -13,7 +13,7 @@ KINDS: dict[str, Kind] = {
 
 
 def register(kind: Kind) -> Kind:
-    """Make a kind of controller known: axis files state it, and everything that takes a controller takes it.
+    """Make a kind of controller known: drive files state it, and everything that takes a controller takes it.
 
     Its controllers answer with the kind's name to `kind`, and with their keys to `table`. Raises `ParameterError` for a
     name that another kind has.

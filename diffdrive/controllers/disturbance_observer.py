@@ -75,5 +75,5 @@ OBSERVER_KEYS = Keys("controller", DisturbanceObserver, frozenset({"mass", "damp
 
 
 def read_observer(section: Section, drive: Drive) -> DisturbanceObserver:
-    """The disturbance observer that a table of an axis file states, for this drive."""
+    """The disturbance observer that a table of a drive file states, for this drive."""
     return section.build(DisturbanceObserver, mass=drive.plant.mass, damping=drive.plant.damping)

@@ -1,4 +1,4 @@
-"""What a kind of controller is to an axis file.
+"""What a kind of controller is to a drive file.
 
 A kind says how the table [controller] of a file becomes a controller; the controller's `table` says how it becomes
 one again.
@@ -14,7 +14,7 @@ from diffdrive.support.messages import short_repr
 
 
 class Section(Protocol):
-    """One table of an axis file, as a kind takes keys out of it; what is left over is an error."""
+    """One table of a drive file, as a kind takes keys out of it; what is left over is an error."""
 
     def take(self, key: str, default: Any = ...) -> Any:
         """The raw value of a key."""
@@ -64,7 +64,7 @@ class Keys(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A controller as an axis file states it: `kind = "name"`, what its table holds, and what is built of that."""
+    """A controller as a drive file states it: `kind = "name"`, what its table holds, and what is built of that."""
 
     name: str
     meaning: str

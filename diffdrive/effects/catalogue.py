@@ -37,9 +37,9 @@ EFFECTS: dict[str, type[Effect]] = {effect.name: effect for place in EFFECTS_BY_
 def register(effect: type[EffectType]) -> type[EffectType]:
     """Make an effect of your own known, as a decorator of its class.
 
-    `simulate`, axis files, `sweep` and `diagnose` then treat it as they do those of the catalogue.
+    `simulate`, drive files, `sweep` and `diagnose` then treat it as they do those of the catalogue.
 
-    Its `name` is that of its table in an axis file ([effects.NAME]), its `part` the part of the machine that it is
+    Its `name` is that of its table in a drive file ([effects.NAME]), its `part` the part of the machine that it is
     reported as, one of `EFFECTS_BY_PART`. Registering a class of the same name again replaces it. Raises
     `ParameterError` for a class without a name, an unknown part, parameters that declare neither unit nor meaning, and
     a parameter without a default: an effect is neutral, and does nothing, at its defaults.
@@ -56,7 +56,7 @@ def register(effect: type[EffectType]) -> type[EffectType]:
     """
     name = getattr(effect, "name", None)
     if not isinstance(name, str) or not name.isidentifier():
-        raise ParameterError(f"{effect.__name__}.name: must be a word, as it stands in an axis file, got {name!r}")
+        raise ParameterError(f"{effect.__name__}.name: must be a word, as it stands in a drive file, got {name!r}")
     if effect.part not in EFFECTS_BY_PART:
         raise ParameterError(
             f"effect {name}: no part '{effect.part}' of a machine; known: {', '.join(EFFECTS_BY_PART)}"
@@ -78,6 +78,6 @@ def register(effect: type[EffectType]) -> type[EffectType]:
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Effects in the catalogue's order: axis files know no other."""
+    """Effects in the catalogue's order: drive files know no other."""
     names = list(EFFECTS)
     return tuple(sorted(effects, key=lambda one: names.index(one.name)))

@@ -14,7 +14,7 @@ from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 
 
 class ActuatorState(NamedTuple):
-    """Forces still under way, next first, the last one that arrived, and the one that acted over the last period."""
+    """Forces in the delay line, next first, the last one that left it, and the one that acted over the last period."""
 
     pending: Pipeline
     arrived: Scalar
@@ -22,18 +22,18 @@ class ActuatorState(NamedTuple):
 
 
 def init(actuator: Actuator) -> ActuatorState:
-    """No force now, none under way."""
+    """No force, and none in the delay line."""
     zero = jnp.zeros(())
     return steady_state(actuator, zero)
 
 
 def steady_state(actuator: Actuator, force: Scalar) -> ActuatorState:
-    """The same force (N) for as long as the delay lasts, and before."""
+    """The state after a long time at a constant `force` (N)."""
     return ActuatorState(filled(force, actuator.delay_samples), force, force)
 
 
 def saturate(actuator: Actuator, command: Scalar) -> Scalar:
-    """The command within the force limit; with `limit_rounding`, the limit's corners are rounded by softplus."""
+    """The command (N) within the force limit, whose corners `limit_rounding` rounds by softplus."""
     limit, width = actuator.force_limit, actuator.limit_rounding
     if limit is None:
         return command
@@ -46,6 +46,6 @@ def saturate(actuator: Actuator, command: Scalar) -> Scalar:
 def step(actuator: Actuator, state: ActuatorState, command: Scalar) -> ActuatorState:
     """The force for the coming period is `applied` of the state returned."""
     now, pending = pushed(state.pending, saturate(actuator, command))
-    share = actuator.delay_fraction
-    applied = now if share is None else share * state.arrived + (1.0 - share) * now
+    fraction = actuator.delay_fraction
+    applied = now if fraction is None else fraction * state.arrived + (1.0 - fraction) * now
     return ActuatorState(pending, now, applied)

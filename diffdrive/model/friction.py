@@ -1,4 +1,4 @@
-"""LuGre friction (paper, eqs. (4) to (6)), and its bristle after a while at one velocity.
+"""LuGre friction (paper, eqs. (4) to (6)), and the bristle's motion at constant velocity.
 
     F     = s0 z + s1 dz/dt + mu_v v
     dz/dt = v - r z ,   r = s0 |v| / g(v)
@@ -48,11 +48,11 @@ def lugre_coefficients(friction: Friction, velocity: Scalar, deflection: Scalar,
 
 
 class LoadedFriction(NamedTuple):
-    """Friction under one load, for many velocities: what does not hang on these is computed once."""
+    """Friction under one load: what does not depend on the velocity is computed once."""
 
     coulomb: Directional  # F_C, N
     gap: Directional  # F_S - F_C, N
-    halvings: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves for each m/s; of another curve 1 / v_s
+    halvings: Directional  # 1 / (v_s ln 2), s/m: how often the gap halves for each m/s; with an exponent 1 / v_s
     stiffness: Directional
     damping: Directional
     viscous: Directional
@@ -63,7 +63,7 @@ class LoadedFriction(NamedTuple):
         return self.coefficients_at_level(self.level(velocity), velocity, deflection)
 
     def coefficients_at_level(self, level: Scalar, velocity: Scalar, deflection: Scalar) -> LuGreCoefficients:
-        """The same with a friction level (N) that is known already."""
+        """`coefficients` with a friction level (N) that is computed already."""
         stiffness = self.stiffness.towards(deflection)
         return LuGreCoefficients(
             stiffness=stiffness,
@@ -93,18 +93,18 @@ class LoadedFriction(NamedTuple):
 
 def friction_under_load(friction: Friction, load: Scalar) -> LoadedFriction:
     """The friction under an applied load (N)."""
-    pressed = friction.initial_load + load
+    normal_force = friction.initial_load + load
 
     def coulomb_of(screw: Scalar, guide: Scalar) -> Scalar:
-        return screw + guide * pressed
+        return screw + guide * normal_force
 
-    screw, guide, slow = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
+    screw, guide, stribeck_velocity = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
     exponent = friction.stribeck_exponent
-    base = LOG2_E if exponent is None else 1.0
+    per_velocity = LOG2_E if exponent is None else 1.0
     return LoadedFriction(
         Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
         friction.breakaway_gap,
-        Directional(base / slow.positive, base / slow.negative),
+        Directional(per_velocity / stribeck_velocity.positive, per_velocity / stribeck_velocity.negative),
         friction.bristle_stiffness,
         friction.bristle_damping,
         friction.viscous,
@@ -127,8 +127,8 @@ def steady_friction(friction: Friction, velocity: Scalar, load: Scalar = 0.0) ->
 def steepest_stribeck_slope(friction: Friction, side: str) -> float:
     """The steepest fall of the Stribeck curve in one direction ("positive" or "negative"), N s/m, by its magnitude.
 
-    From d = 1 on it is that of the curve itself, at rest for d = 1; below, where the curve leaves rest upright, that of
-    the chord from rest to where the gap is down by a factor e.
+    For d >= 1 it is that of the curve itself, at rest for d = 1. For d < 1, where the curve is vertical at rest, it is
+    that of the chord from rest to where the gap has fallen by a factor e.
     """
     gap, width = (float(getattr(pair, side)) for pair in (friction.breakaway_gap, friction.stribeck_velocity))
     d = float(friction.exponent)
@@ -139,31 +139,33 @@ def steepest_stribeck_slope(friction: Friction, side: str) -> float:
 
 def deflection_after(deflection: Scalar, velocity: Scalar, rate: Scalar, duration: Scalar) -> Scalar:
     """The bristle's deflection after `duration` at constant `velocity`: the exact solution of dz/dt = v - r z."""
-    fade = decay(rate * duration)
-    return fade.end * deflection + duration * fade.mean * velocity
+    decayed = decay(rate * duration)
+    return decayed.remaining * deflection + duration * decayed.mean * velocity
 
 
 def nan_unless_positive(level: Scalar) -> Scalar:
-    """A friction level (N), or NaN where it is not above zero, as an effect may make it: no bristle holds then."""
+    """A friction level (N), or NaN where an effect made it zero or less, for which LuGre friction is not defined."""
     return jnp.where(level > 0.0, level, jnp.nan)
 
 
 def relaxation_map(stiffness: Scalar, level: Scalar, velocity: Scalar, duration: float) -> tuple[Scalar, Scalar]:
-    """`deflection_after` for a short `duration` (s), a b + c of a deflection b: the share a that stays, and c (m)."""
-    level, bent = once((nan_unless_positive(level), duration * stiffness * jnp.abs(velocity)))
-    fade = relaxation(bent, level)
-    share = reciprocal(fade.common_denominator)
-    return once((fade.end * share, duration * fade.mean * share * velocity))
+    """`deflection_after` for a short `duration` (s) as a b + c of a deflection b: the share a, and c (m)."""
+    level, scaled_stiffness = once((nan_unless_positive(level), duration * stiffness * jnp.abs(velocity)))
+    shares = relaxation(scaled_stiffness, level)
+    per_denominator = reciprocal(shares.common_denominator)
+    return once((shares.remaining * per_denominator, duration * shares.mean * per_denominator * velocity))
 
 
 def midpoint_friction(
     friction: LoadedFriction, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
 ) -> tuple[Scalar, Scalar]:
-    """Friction and damping at a velocity (N), in the middle of a step (s), and the bristle (m) at its end."""
+    """Friction and damping (N) in the middle of a `step` (s) at one velocity (m/s), and the bristle (m) at its end."""
     stiffness = friction.stiffness.towards(bristle)
-    stays, drawn = relaxation_map(stiffness, friction.level(velocity), velocity, 0.5 * step)
-    half = stays * bristle + drawn
-    end = stays * half + drawn
-    bending = friction.damping.towards(velocity) * ((end - bristle) * (1.0 / step))
-    force = stiffness * half + bending + (friction.viscous.towards(velocity) + damping.towards(velocity)) * velocity
+    remaining, gained = relaxation_map(stiffness, friction.level(velocity), velocity, 0.5 * step)
+    half = remaining * bristle + gained
+    end = remaining * half + gained
+    bristle_damping = friction.damping.towards(velocity) * ((end - bristle) * (1.0 / step))
+    force = (
+        stiffness * half + bristle_damping + (friction.viscous.towards(velocity) + damping.towards(velocity)) * velocity
+    )
     return force, end

@@ -1,7 +1,7 @@
-"""What a drive is: plant, friction, actuator, sensor, as pytrees in SI units.
+"""The parameters of a drive: plant, friction, actuator, sensor, as pytrees in SI units.
 
-Each field states its unit, its range and its meaning once, in `quantity(...)`; the drive-file reader, the
-range checks and the reference table in the documentation are all derived from that statement.
+Each field states its unit, its range and its meaning once, in `quantity(...)`. The drive-file reader, the range checks
+and the reference table in the documentation are derived from that statement.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from diffdrive.support.units import in_unit
 LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
 # s: the integrator is of second order, and here its error is the rounding of a position of a metre
 FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / SUBSTEP_ERROR))
-ROUNDING = 1e-6  # of a width over which something is smoothed: what the rounding of numbers may make of it
+ROUNDING = 1e-6  # largest rounding error of a smoothed limit, as a share of its width
 Scalar = Float[Array, ""] | float
 Tree = TypeVar("Tree")
 
@@ -41,13 +41,13 @@ class Quantity(NamedTuple):
 
     @property
     def range(self) -> tuple[float, float]:
-        """The lowest and the highest value, or what they must stay off."""
+        """The lowest and the highest value, inclusive or not."""
         lows = [bound for bound in (self.above, self.at_least) if bound is not None]
         highs = [bound for bound in (self.below, self.at_most) if bound is not None]
         return max(lows, default=-np.inf), min(highs, default=np.inf)
 
     def violated_bounds(self, numbers: Any) -> list[str]:
-        """The bounds that not all of these numbers keep, in words."""
+        """The bounds that some of these numbers violate, in words."""
         bounds = (
             ("above", self.above, np.greater),
             ("at least", self.at_least, np.greater_equal),
@@ -57,8 +57,8 @@ class Quantity(NamedTuple):
         unit = "" if self.unit == "1" else f" {self.unit}"
         return [
             f"{word} {bound:g}{unit}"
-            for word, bound, kept in bounds
-            if bound is not None and not np.all(kept(numbers, bound))
+            for word, bound, satisfies in bounds
+            if bound is not None and not np.all(satisfies(numbers, bound))
         ]
 
 
@@ -149,7 +149,7 @@ class Friction(eqx.Module):
 
     @property
     def exponent(self) -> Scalar:
-        """The exponent of the Stribeck curve, which the paper has not."""
+        """The exponent of the Stribeck curve; the paper's is 1."""
         return 1.0 if self.stribeck_exponent is None else self.stribeck_exponent
 
 
@@ -175,7 +175,7 @@ class Actuator(eqx.Module):
 
     @property
     def pipelines(self) -> tuple[tuple[str, int], ...]:
-        """What holds values back for some samples: its name and how many."""
+        """Delay lines: the name of each, and its length in samples."""
         return (("actuator.delay_samples", self.delay_samples),)
 
 
@@ -213,10 +213,10 @@ class Sampling(eqx.Module):
     def __check_init__(self) -> None:
         if not (isinstance(self.rate, int | float | np.number) and 10.0 <= self.rate <= 1e6):
             raise ParameterError(f"sampling.rate must lie between 10 and 1e6 Hz, got {short_repr(self.rate)}")
-        whole = isinstance(self.substeps, int) and not isinstance(self.substeps, bool)
+        is_whole = isinstance(self.substeps, int) and not isinstance(self.substeps, bool)
         if self.substeps is None:
             return
-        if not (whole and self.substeps >= 1):
+        if not (is_whole and self.substeps >= 1):
             raise ParameterError(
                 f"sampling.substeps must be a whole number of at least 1, got {short_repr(self.substeps)}"
             )
@@ -248,11 +248,11 @@ def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any
         elif dataclasses.is_dataclass(value):
             yield from quantities(value, name)
         elif isinstance(value, tuple):
-            for one in value:
-                yield from quantities(one, f"{name}.{one.name}")
+            for item in value:
+                yield from quantities(item, f"{name}.{item.name}")
 
 
-def _values(value: Any) -> Iterator[tuple[str, Any]]:
+def _by_direction(value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, Directional):
         yield " (positive direction)", value.positive
         yield " (negative direction)", value.negative
@@ -260,8 +260,8 @@ def _values(value: Any) -> Iterator[tuple[str, Any]]:
         yield "", value
 
 
-def _told(numbers: np.ndarray) -> str:
-    """One number, or the range of many."""
+def _range_text(numbers: np.ndarray) -> str:
+    """One number, or the range of several, as text."""
     low, high = float(np.min(numbers)), float(np.max(numbers))
     return f"{low:.6g} to {high:.6g}" if low < high else f"{low:.12g}"
 
@@ -269,35 +269,38 @@ def _told(numbers: np.ndarray) -> str:
 def check(module: Any, path: str = "") -> None:
     """Raise `ParameterError` naming every parameter below `module` that is not finite or out of its range.
 
-    Traced values (inside `jit`, `grad`, `vmap`) cannot be looked at and are passed over.
+    Traced values (inside `jit`, `grad`, `vmap`) are skipped.
     """
     problems = []
-    for name, declared, value in quantities(module, path):
-        if value is None and declared.optional:
+    for name, declaration, value in quantities(module, path):
+        if value is None and declaration.optional:
             continue
-        for where, number in _values(value):
+        for direction, number in _by_direction(value):
             if isinstance(number, jax.core.Tracer):
                 continue
             if isinstance(number, bool) or not isinstance(number, int | float | np.number | np.ndarray | jax.Array):
-                problems.append(f"{name}{where} must be a number{in_unit(declared.unit)}, got {short_repr(number)}")
+                problems.append(
+                    f"{name}{direction} must be a number{in_unit(declaration.unit)}, got {short_repr(number)}"
+                )
                 continue
             try:
                 numbers = np.asarray(number, dtype=float)
             except OverflowError:  # a whole number that no float holds
-                problems.append(f"{name}{where} must be finite, got {short_repr(number)}")
+                problems.append(f"{name}{direction} must be finite, got {short_repr(number)}")
                 continue
             if not np.all(np.isfinite(numbers)):
-                problems.append(f"{name}{where} must be finite, got {_told(numbers)}")
+                problems.append(f"{name}{direction} must be finite, got {_range_text(numbers)}")
                 continue
             problems += [
-                f"{name}{where} must be {bound}, got {_told(numbers)}" for bound in declared.violated_bounds(numbers)
+                f"{name}{direction} must be {bound}, got {_range_text(numbers)}"
+                for bound in declaration.violated_bounds(numbers)
             ]
     if problems:
         raise ParameterError("; ".join(problems))
 
 
 def check_drive(drive: Drive) -> None:
-    """`check`, and what only the parameters together can violate."""
+    """`check`, and the conditions that concern several parameters."""
     check(drive)
     delay = drive.actuator.delay_samples
     if not isinstance(delay, int) or delay < 0:
@@ -310,9 +313,11 @@ def check_drive(drive: Drive) -> None:
             f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
         )
     limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
-    known = limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width))
+    are_numbers = (
+        limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width))
+    )
     # the rounded limit is a difference of numbers as large as the limit
-    if known and np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
+    if are_numbers and np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
         raise ParameterError(
             f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
             f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
@@ -376,9 +381,9 @@ def as_arrays(tree: Tree) -> Tree:
 
 def in_precision_of(number: Any, tree: Tree) -> Tree:
     """The same tree with every array of floats in the precision of `number`."""
-    wanted = jnp.result_type(number)
+    dtype = jnp.result_type(number)
 
     def convert(leaf: Any) -> Any:
-        return leaf.astype(wanted) if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+        return leaf.astype(dtype) if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
     return jax.tree.map(convert, tree)

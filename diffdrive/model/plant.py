@@ -7,7 +7,7 @@ One substep h solves the mean velocity w of the substep from the momentum balanc
 with the bristle solved for the frozen velocity w (`relaxation`): its mean deflection and its mean rate are linear in w,
 so the balance is one scalar division. In stick (r -> 0) this is the implicit midpoint rule, in fast sliding (r h >> 1)
 the bristle sits in its steady state; both limits, and everything between, are stable at any practical step. The
-velocity at which a substep takes its friction is foretold by the balance of the substep before. Second order
+velocity at which a substep evaluates its friction is predicted by the balance of the substep before. Second order
 (docs/method/numerics.md).
 """
 
@@ -25,7 +25,7 @@ from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation
 
-UNROLLED = 5  # substeps in one piece: a lane by itself then takes a fifth less time (docs/evidence/performance.md)
+UNROLLED = 5  # substeps: a single lane then takes a fifth less time (docs/evidence/performance.md)
 
 
 class PlantState(NamedTuple):
@@ -36,93 +36,106 @@ class PlantState(NamedTuple):
     bristle: Scalar
 
 
-class _Table(NamedTuple):
-    """The plant under one load, by the momentum p = 2 M / h: what the substeps of a period share."""
+class _PlantUnderLoad(NamedTuple):
+    """The plant under one load, over the momentum p = 2 M / h: what all substeps of a period share."""
 
     friction: LoadedFriction
     stiffness: Directional  # s0 h / p
     damping: Directional  # s1 / p
     resistance: Directional  # 1 + (mu_v + B) / p
     momentum: Scalar  # p, N s/m
-    give: Scalar  # 1 / p, m/s per newton
+    mobility: Scalar  # 1 / p, m/s per newton
     step: float  # h, s
 
 
-def _table(drive: Drive, load: Scalar, step: float) -> _Table:
+def _plant_under_load(drive: Drive, load: Scalar, step: float) -> _PlantUnderLoad:
     friction, damping, mass = friction_under_load(drive.friction, load), drive.plant.damping, drive.plant.mass
-    give = 0.5 * step / mass
+    mobility = 0.5 * step / mass
 
-    def resisting(viscous: Scalar, damping: Scalar) -> Scalar:
-        return 1.0 + (viscous + damping) * give
+    def total_resistance(viscous: Scalar, damping: Scalar) -> Scalar:
+        return 1.0 + (viscous + damping) * mobility
 
-    # at once, or the compiler computes them anew in each substep
+    # behind a barrier, or the compiler computes them anew in each substep
     return once(
-        _Table(
+        _PlantUnderLoad(
             friction=friction,
-            stiffness=jax.tree.map(lambda one: one * (step * give), friction.stiffness),
-            damping=jax.tree.map(lambda one: one * give, friction.damping),
-            resistance=jax.tree.map(resisting, friction.viscous, damping),
+            stiffness=jax.tree.map(lambda value: value * (step * mobility), friction.stiffness),
+            damping=jax.tree.map(lambda value: value * mobility, friction.damping),
+            resistance=jax.tree.map(total_resistance, friction.viscous, damping),
             momentum=2.0 * mass / step,
-            give=give,
+            mobility=mobility,
             step=step,
         )
     )
 
 
 class _Balance(NamedTuple):
-    """A substep whose friction is frozen: linear in the table's velocity and bristle and in what pushes it."""
+    """A substep with frozen friction coefficients: linear in velocity, bristle and push (force over p, m/s)."""
 
-    moving: Scalar  # weight of the velocity at the beginning, and of the push
-    holding: Scalar  # 1/s, weight of the bristle's deflection
+    inertia_weight: Scalar  # weight of the velocity at the beginning, and of the push
+    bristle_weight: Scalar  # 1/s, weight of the bristle's deflection
     per_resistance: Scalar  # one over the weight of the mean velocity
-    stays: Scalar  # share of the bristle's deflection at the end
-    drawn: Scalar  # s, of deflection at the end per mean velocity
+    deflection_share: Scalar  # share of the bristle's deflection at the end
+    deflection_per_velocity: Scalar  # s, of deflection at the end per mean velocity
 
     def mean_velocity(self, state: PlantState, push: Scalar) -> Scalar:
         """Over the substep, m/s."""
-        return (self.moving * (state.velocity + push) - self.holding * state.bristle) * self.per_resistance
+        return (
+            self.inertia_weight * (state.velocity + push) - self.bristle_weight * state.bristle
+        ) * self.per_resistance
 
 
-def _balance(table: _Table, slip: Scalar, deflection: Scalar) -> _Balance:
+def _balance(plant: _PlantUnderLoad, friction_velocity: Scalar, deflection: Scalar) -> _Balance:
     """With the friction coefficients taken at velocity `slip`."""
-    stiffness, damping = table.stiffness.towards(deflection), table.damping.towards(slip)
-    # stages apart: what crosses is computed once, all else anew for each of its readers
-    level, bent = once((nan_unless_positive(table.friction.level(slip)), stiffness * (table.momentum * jnp.abs(slip))))
-    fade = relaxation(bent, level)
-    yielding = stiffness * fade.mean_of_mean + damping * fade.mean
-    resisting = table.resistance.towards(slip) * fade.common_denominator + yielding
-    holding = (stiffness * fade.mean - damping * fade.gone) * (1.0 / table.step)
-    holding, per_resistance = once((holding, reciprocal(resisting)))
-    share = reciprocal(fade.common_denominator)
-    return _Balance(fade.common_denominator, holding, per_resistance, fade.end * share, table.step * fade.mean * share)
+    stiffness, damping = plant.stiffness.towards(deflection), plant.damping.towards(friction_velocity)
+    # barriers between the stages: without them the compiler computes a value anew for each of its readers
+    level, scaled_stiffness = once(
+        (
+            nan_unless_positive(plant.friction.level(friction_velocity)),
+            stiffness * (plant.momentum * jnp.abs(friction_velocity)),
+        )
+    )
+    shares = relaxation(scaled_stiffness, level)
+    bristle_resistance = stiffness * shares.mean_of_mean + damping * shares.mean
+    denominator = plant.resistance.towards(friction_velocity) * shares.common_denominator + bristle_resistance
+    bristle_weight = (stiffness * shares.mean - damping * shares.released) * (1.0 / plant.step)
+    bristle_weight, per_resistance = once((bristle_weight, reciprocal(denominator)))
+    per_denominator = reciprocal(shares.common_denominator)
+    return _Balance(
+        shares.common_denominator,
+        bristle_weight,
+        per_resistance,
+        shares.remaining * per_denominator,
+        plant.step * shares.mean * per_denominator,
+    )
 
 
-class _Way(NamedTuple):
-    """The table on its way through a period."""
+class _SubstepState(NamedTuple):
+    """The table between two substeps."""
 
     state: PlantState
-    expected: Scalar  # m/s, mean velocity of the substep ahead, if the friction stayed as it was
-    slip: Scalar  # m/s, at which it takes the friction
+    predicted_velocity: Scalar  # m/s, mean velocity of the substep ahead, if the friction stayed as it was
+    friction_velocity: Scalar  # m/s, at which the friction is evaluated
 
 
-def _begin(table: _Table, state: PlantState, push: Scalar) -> _Way:
-    expected = _balance(table, state.velocity, state.bristle).mean_velocity(state, push)
-    return _Way(state, expected, expected)
+def _begin(plant: _PlantUnderLoad, state: PlantState, push: Scalar) -> _SubstepState:
+    predicted = _balance(plant, state.velocity, state.bristle).mean_velocity(state, push)
+    return _SubstepState(state, predicted, predicted)
 
 
-def _substep(table: _Table, way: _Way, push: Scalar, push_ahead: Scalar) -> _Way:
-    """`push_ahead` is that of the substep after this one."""
-    state, expected, slip = way
-    balance = _balance(table, slip, state.bristle)
+def _substep(plant: _PlantUnderLoad, current: _SubstepState, push: Scalar, push_ahead: Scalar) -> _SubstepState:
+    """One substep; `push_ahead` is the push of the next one."""
+    state, predicted, friction_velocity = current
+    balance = _balance(plant, friction_velocity, state.bristle)
     mean = once(balance.mean_velocity(state, push))
     ahead = PlantState(
-        position=state.position + table.step * mean,
+        position=state.position + plant.step * mean,
         velocity=2.0 * mean - state.velocity,
-        bristle=balance.stays * state.bristle + balance.drawn * mean,
+        bristle=balance.deflection_share * state.bristle + balance.deflection_per_velocity * mean,
     )
-    further = balance.mean_velocity(ahead, push_ahead)
+    predicted_ahead = balance.mean_velocity(ahead, push_ahead)
     # friction will change the next mean velocity by about as much as it changed this one
-    return once(_Way(ahead, further, further + (mean - expected)))
+    return once(_SubstepState(ahead, predicted_ahead, predicted_ahead + (mean - predicted)))
 
 
 def advance(
@@ -136,34 +149,34 @@ def advance(
 ) -> PlantState:
     """The state one `period` (s) later under a constant `force` (N) and applied `load` (N).
 
-    `ripple` (N) is by how much the force of each substep differs from `force`.
+    `ripple` (N) is the difference of each substep's force from `force`.
     """
-    table = _table(drive, load, period / substeps)
-    push = table.give * (force + drive.plant.constant_force)
-    course = _course(table, ripple)
+    plant = _plant_under_load(drive, load, period / substeps)
+    push = plant.mobility * (force + drive.plant.constant_force)
+    ripple_pushes = _ripple_pushes(plant, ripple)
 
-    def body(way: _Way, rippling: Any) -> tuple[_Way, None]:
-        return _substep(table, way, *_pushes(push, rippling)), None
+    def body(current: _SubstepState, ripple_push: Any) -> tuple[_SubstepState, None]:
+        return _substep(plant, current, *_pushes(push, ripple_push)), None
 
-    begin = _begin(table, state, _first(push, course))
-    return lax.scan(body, begin, course, length=substeps, unroll=min(UNROLLED, substeps))[0].state
+    begin = _begin(plant, state, _first_push(push, ripple_pushes))
+    return lax.scan(body, begin, ripple_pushes, length=substeps, unroll=min(UNROLLED, substeps))[0].state
 
 
-def _course(table: _Table, ripple: Float[Array, " substeps"] | None) -> Any:
-    """How the push of each substep, and of the one after it, differs from that of the period."""
+def _ripple_pushes(plant: _PlantUnderLoad, ripple: Float[Array, " substeps"] | None) -> Any:
+    """How the push of each substep, and of the next one, differs from that of the period."""
     if ripple is None:
         return None
-    pushes = table.give * ripple
+    pushes = plant.mobility * ripple
     return pushes, jnp.concatenate([pushes[1:], pushes[-1:]])
 
 
-def _first(push: Scalar, course: Any) -> Scalar:
-    return push if course is None else push + course[0][0]
+def _first_push(push: Scalar, ripple_pushes: Any) -> Scalar:
+    return push if ripple_pushes is None else push + ripple_pushes[0][0]
 
 
-def _pushes(push: Scalar, rippling: Any) -> tuple[Scalar, Scalar]:
-    """What pushes in a substep and in the one after it."""
-    return (push, push) if rippling is None else (push + rippling[0], push + rippling[1])
+def _pushes(push: Scalar, ripple_push: Any) -> tuple[Scalar, Scalar]:
+    """The push in a substep and in the next one."""
+    return (push, push) if ripple_push is None else (push + ripple_push[0], push + ripple_push[1])
 
 
 def advance_with_tangents(
@@ -180,23 +193,30 @@ def advance_with_tangents(
 
     All tangents are carried through one loop; the derivative of the loop would run it anew for each direction.
     """
-    table = _table(drive, load, period / substeps)
-    push = table.give * (force + drive.plant.constant_force)
-    course, pushed = _course(table, ripple), [table.give * more for _, more in directions]
+    plant = _plant_under_load(drive, load, period / substeps)
+    push = plant.mobility * (force + drive.plant.constant_force)
+    ripple_pushes, push_tangents = (
+        _ripple_pushes(plant, ripple),
+        [plant.mobility * push_tangent for _, push_tangent in directions],
+    )
 
-    def along(function: Any, at: Any, tangents: Any) -> tuple[Any, Any]:
-        value, slope = jax.linearize(function, *at)
-        return value, tuple(slope(*one) for one in tangents)
+    def linearised(function: Any, point: Any, tangents: Any) -> tuple[Any, Any]:
+        value, slope = jax.linearize(function, *point)
+        return value, tuple(slope(*tangent) for tangent in tangents)
 
-    def body(carry: Any, rippling: Any) -> tuple[Any, None]:
-        way, tangents = carry
-        ahead = [(tangent, more, more) for tangent, more in zip(tangents, pushed, strict=True)]
-        return along(lambda *now: _substep(table, *now), (way, *_pushes(push, rippling)), ahead), None
+    def body(carry: Any, ripple_push: Any) -> tuple[Any, None]:
+        current, tangents = carry
+        ahead = [
+            (tangent, push_tangent, push_tangent) for tangent, push_tangent in zip(tangents, push_tangents, strict=True)
+        ]
+        return linearised(lambda *now: _substep(plant, *now), (current, *_pushes(push, ripple_push)), ahead), None
 
-    ways = [(state, more) for (state, _), more in zip(directions, pushed, strict=True)]
-    begin = along(lambda *now: _begin(table, *now), (state, _first(push, course)), ways)
-    (way, tangents), _ = lax.scan(body, begin, course, length=substeps)
-    return way.state, [tangent.state for tangent in tangents]
+    initial_tangents = [
+        (state, push_tangent) for (state, _), push_tangent in zip(directions, push_tangents, strict=True)
+    ]
+    begin = linearised(lambda *now: _begin(plant, *now), (state, _first_push(push, ripple_pushes)), initial_tangents)
+    (current, tangents), _ = lax.scan(body, begin, ripple_pushes, length=substeps)
+    return current.state, [tangent.state for tangent in tangents]
 
 
 def at_rest(position: Scalar) -> PlantState:

@@ -7,7 +7,7 @@ from diffdrive.model.parameters import Scalar, Sensor
 
 
 def quantise(position: Scalar, resolution: Scalar) -> Scalar:
-    """Rounded to the resolution; its derivative is the straight-through one (that of no quantiser at all).
+    """The position rounded to the resolution, with the straight-through derivative (that of no quantiser).
 
     The true derivative is zero almost everywhere, which would cut the feedback loop out of every gradient.
     """

@@ -72,11 +72,11 @@ def number(text: str, unit: str, where: str) -> float:
 
 
 def require_same_rate(where: str, other: Axis, believed: Axis) -> None:
-    """Raises `ParameterError` for a machine or controller of another control rate: its delays are told in samples."""
+    """Raises `ParameterError` for a machine or controller of another control rate: its delays are in samples."""
     mine, theirs = other.sampling.rate, believed.sampling.rate
     if abs(mine / theirs - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
-            f"{where}: is sampled at {mine:.10g} Hz, the drive file at {theirs:.10g} Hz: delays are told in samples: "
+            f"{where}: is sampled at {mine:.10g} Hz, the drive file at {theirs:.10g} Hz: delays are given in samples: "
             "make the rates equal"
         )
 

@@ -1,7 +1,7 @@
-"""Values on their way through a fixed number of samples: delays, and differences over several samples.
+"""Delay lines of a fixed number of samples: for delays, and for differences over several samples.
 
-A short one is a tuple of numbers, which the compiler keeps in registers. Of a long one it would take minutes to compile
-(the time grows with the square of the length, 17 s for a thousand): that is an array, moved on by one.
+A short one is a tuple of numbers, which the compiler keeps in registers. A long tuple would take minutes to compile
+(the time grows with the square of the length, 17 s for a thousand), so a long one is an array, shifted by one.
 """
 
 from collections.abc import Iterable
@@ -24,10 +24,10 @@ def filled(value: Scalar, count: int) -> Pipeline:
 
 
 def pushed(pipeline: Pipeline, value: Scalar) -> tuple[Scalar, Pipeline]:
-    """What comes out where `value` goes in, and the pipeline after that."""
+    """The value that comes out as `value` goes in, and the pipeline after that."""
     if isinstance(pipeline, tuple):
-        out, *rest = (*pipeline, value)
-        return out, tuple(rest)
+        value_out, *rest = (*pipeline, value)
+        return value_out, tuple(rest)
     return pipeline[0], jnp.concatenate([pipeline[1:], jnp.reshape(value, (1,)).astype(pipeline.dtype)])
 
 

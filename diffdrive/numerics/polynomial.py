@@ -1,4 +1,4 @@
-"""Polynomials in the order of Horner, and quotients: what the loop's exponentials, waves and decays are made of."""
+"""Polynomials by Horner's scheme, and reciprocals: the parts of the loop's exponentials, waves and decays."""
 
 from functools import partial
 
@@ -30,26 +30,26 @@ def homogeneous(coefficients: Coefficients, x: Scalar, y: Scalar) -> Scalar:
 
 
 @homogeneous.defjvp
-def _homogeneous_slope(
+def _homogeneous_jvp(
     coefficients: Coefficients, primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
 ) -> tuple[Scalar, Scalar]:
     """By two slopes, computed once however many tangents there are."""
     degree = len(coefficients) - 1
     by_x = tuple(k * term for k, term in enumerate(coefficients))[1:] or (0.0,)
     by_y = tuple((degree - k) * term for k, term in enumerate(coefficients))[:-1] or (0.0,)
-    found = (homogeneous(coefficients, *primals), homogeneous(by_x, *primals), homogeneous(by_y, *primals))
-    value, along_x, along_y = once(found)
-    return value, along_x * tangents[0] + along_y * tangents[1]
+    values = (homogeneous(coefficients, *primals), homogeneous(by_x, *primals), homogeneous(by_y, *primals))
+    value, slope_x, slope_y = once(values)
+    return value, slope_x * tangents[0] + slope_y * tangents[1]
 
 
 @jax.custom_jvp
-def reciprocal(bottom: Scalar) -> Scalar:
-    """1 / bottom."""
-    return 1.0 / bottom
+def reciprocal(x: Scalar) -> Scalar:
+    """1 / x."""
+    return 1.0 / x
 
 
 @reciprocal.defjvp
-def _inverse_slope(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
+def _reciprocal_jvp(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     """Without a further division."""
-    found = once(reciprocal(*primals))
-    return found, -found * (found * tangents[0])  # the square of a small number is none in single precision
+    value = once(reciprocal(*primals))
+    return value, -value * (value * tangents[0])  # the square of a small number is none in single precision

@@ -43,60 +43,60 @@ _ODD_SLOPE = tuple(n * term for n, term in enumerate(_ODD))[1:]
 
 
 @jax.custom_jvp
-def _even_odd(p: Scalar) -> tuple[Scalar, Scalar]:
-    """cosh(sqrt p) and sinh(sqrt p) / sqrt p; p < 0 gives their circular sisters."""
+def _cosh_sinh_sqrt(p: Scalar) -> tuple[Scalar, Scalar]:
+    """cosh(sqrt p) and sinh(sqrt p) / sqrt p; p < 0 gives cos(sqrt -p) and sin(sqrt -p) / sqrt -p."""
     return polynomial(_EVEN, p), polynomial(_ODD, p)
 
 
-@_even_odd.defjvp
-def _even_odd_along(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Any, Any]:
-    (p,), (along,) = primals, tangents
-    even, odd = _even_odd(p)
-    return (even, odd), (0.5 * odd * along, polynomial(_ODD_SLOPE, p) * along)
+@_cosh_sinh_sqrt.defjvp
+def _cosh_sinh_sqrt_jvp(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Any, Any]:
+    (p,), (tangent,) = primals, tangents
+    even, odd = _cosh_sinh_sqrt(p)
+    return (even, odd), (0.5 * odd * tangent, polynomial(_ODD_SLOPE, p) * tangent)
 
 
 def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, time: Scalar) -> tuple[Scalar, Scalar]:
     """exp(-m t) cosh(sqrt(D) t) and exp(-m t) sinh(sqrt(D) t) / sqrt(D), for D of either sign, and at D = 0.
 
-    Far apart real eigenvalues by their exponentials; all else by series, an angle first brought within half a turn.
+    Well separated real eigenvalues by their exponentials; all else by series, an angle first reduced to half a turn.
     (A library's sin and cos do not vectorise here and cost more than the rest of the observer.)
     """
     q = discriminant * time**2
-    apart, turning = q > 0.25, q < -0.25
-    root = jnp.sqrt(jnp.where(apart | turning, jnp.abs(q), 1.0))
+    is_real, is_complex = q > 0.25, q < -0.25
+    root = jnp.sqrt(jnp.where(is_real | is_complex, jnp.abs(q), 1.0))
     per_root = 1.0 / root
     # real and apart: the slow eigenvalue from det / (m + sqrt D), which does not cancel
-    fast = mean_rate * time + jnp.where(apart, root, 0.0)
-    slow_or_mean = exp_neg(jnp.where(apart, determinant * time**2 / fast, mean_rate * time))
+    fast = mean_rate * time + jnp.where(is_real, root, 0.0)
+    slow_or_mean = exp_neg(jnp.where(is_real, determinant * time**2 / fast, mean_rate * time))
     fast_end = exp_neg(fast)
-    # both stages apart: cosh and sinh each read them, and would compute them anew
+    # cosh and sinh each read them, and would compute them anew
     slow_or_mean, fast_end = once((slow_or_mean, fast_end))
     # the rest: half the angle, or q itself, into the series; then double once
-    angle = jnp.where(turning, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)
-    p = jnp.where(apart, 0.0, jnp.where(turning, -(angle**2), q)) / 4
-    half_even, half_odd = _even_odd(p)
+    angle = jnp.where(is_complex, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)
+    p = jnp.where(is_real, 0.0, jnp.where(is_complex, -(angle**2), q)) / 4
+    half_even, half_odd = _cosh_sinh_sqrt(p)
     half_even, half_odd = once((half_even, half_odd))
-    even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(turning, angle * per_root, 1.0)
-    cosh = jnp.where(apart, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)
-    sinh = jnp.where(apart, 0.5 * (slow_or_mean - fast_end) * per_root, slow_or_mean * odd)
+    even, odd = 2 * half_even**2 - 1, half_even * half_odd * jnp.where(is_complex, angle * per_root, 1.0)
+    cosh = jnp.where(is_real, 0.5 * (slow_or_mean + fast_end), slow_or_mean * even)
+    sinh = jnp.where(is_real, 0.5 * (slow_or_mean - fast_end) * per_root, slow_or_mean * odd)
     return once((cosh, time * sinh))
 
 
 def transition(plant: Plant, bristle: LuGreCoefficients, velocity: Scalar, time: Scalar) -> Transition:
     """`Transition` over `time` (s) with the friction coefficients frozen at `velocity` (m/s)."""
     rate = bristle.rate
-    drag = bristle.viscous + plant.damping.towards(velocity)
-    lightness = 1.0 / plant.mass
-    a = (bristle.damping + drag) * lightness
-    b = (bristle.stiffness - bristle.damping * rate) * lightness
-    determinant = (bristle.stiffness + drag * rate) * lightness  # a r + b, without the cancellation
+    viscous_sum = bristle.viscous + plant.damping.towards(velocity)
+    inverse_mass = 1.0 / plant.mass
+    a = (bristle.damping + viscous_sum) * inverse_mass
+    b = (bristle.stiffness - bristle.damping * rate) * inverse_mass
+    determinant = (bristle.stiffness + viscous_sum * rate) * inverse_mass  # a r + b, without the cancellation
     per_determinant = 1.0 / determinant
     m = 0.5 * (a + rate)
-    half = 0.5 * (a - rate)
-    c, s = _cosh_sinh(m, half**2 - b, determinant, time)
+    half_difference = 0.5 * (a - rate)
+    c, s = _cosh_sinh(m, half_difference**2 - b, determinant, time)
 
     def combine(even: Scalar, odd: Scalar) -> Matrix2:
-        return ((even - odd * half, -odd * b), (odd, even + odd * half))
+        return ((even - odd * half_difference, -odd * b), (odd, even + odd * half_difference))
 
     int_s = (1.0 - c - m * s) * per_determinant
     int_c = s + m * int_s
@@ -111,6 +111,6 @@ def state_matrices(
     """Ad (3 by 3) and Bd (3) of X = [x, v, z] under a constant force (paper, eqs. (8) and (9)), as nested tuples."""
     exponential, integral, double = transition(plant, bristle, velocity, time)
     ad = ((1.0, *integral[0]), (0.0, *exponential[0]), (0.0, *exponential[1]))
-    lightness = 1.0 / plant.mass
-    bd = (double[0][0] * lightness, integral[0][0] * lightness, integral[1][0] * lightness)
+    inverse_mass = 1.0 / plant.mass
+    bd = (double[0][0] * inverse_mass, integral[0][0] * inverse_mass, integral[1][0] * inverse_mass)
     return ad, bd

@@ -49,7 +49,7 @@ class FrictionObserver(eqx.Module):
 
     @abc.abstractmethod
     def tables(self) -> dict[str, Any]:
-        """Its tables [controller.observer] and [controller.load_estimator] of an axis file."""
+        """Its tables [controller.observer] and [controller.load_estimator] of a drive file."""
 
     @property
     @abc.abstractmethod

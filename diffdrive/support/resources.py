@@ -32,21 +32,21 @@ def memory_available() -> float:
     return max(0.0, min(left))
 
 
-def require_memory(error: type[DiffdriveError], request: str, needed: float, mend: str) -> None:
+def require_memory(error: type[DiffdriveError], request: str, needed: float, remedy: str) -> None:
     """Raise `error` where `request` takes more than the memory that is there (`needed`, bytes)."""
     there = memory_available()
     if needed > there:
         takes = f"would take about {format_bytes(needed)} of memory"
-        raise error(f"{request} {takes}, and {format_bytes(there)} are free: {mend}")
+        raise error(f"{request} {takes}, and {format_bytes(there)} are free: {remedy}")
 
 
-def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed: float, mend: str) -> None:
+def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed: float, remedy: str) -> None:
     """Raise `error` where `request` writes more than there is room for on the disk of `folder` (`needed`, bytes)."""
     there = shutil.disk_usage(folder).free
     if needed > there:
         raise error(
             f"{request} would write about {format_bytes(needed)}, and {format_bytes(there)} of the disk are free: "
-            f"{mend}"
+            f"{remedy}"
         )
 
 

@@ -39,7 +39,7 @@ def decode_text(raw: bytes) -> str:
 def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> dict[str, Any]:
     """The tables of a TOML file in UTF-8, with or without a byte-order mark, or in UTF-16 or UTF-32 with one.
 
-    Raises `error`, one line that names the file (`where`), the line and the mend.
+    Raises `error`, one line that names the file (`where`), the line and the remedy.
     """
     encoding = detect_encoding(raw)
     try:

@@ -23,7 +23,7 @@ def test_means_are_those_of_what_is_left(top, bottom):
     """m1 = (1 - e) / x and m2 = (1 - m1) / x, from stick to any traverse: nothing cancels."""
     found = relaxation(jnp.asarray(top), jnp.asarray(bottom))
     whole, end, mean, mean_of_mean = (
-        float(one) for one in (found.common_denominator, found.end, found.mean, found.mean_of_mean)
+        float(one) for one in (found.common_denominator, found.remaining, found.mean, found.mean_of_mean)
     )
     x = top / bottom
     assert 0.0 <= end / whole <= 1.0
@@ -36,7 +36,7 @@ def test_means_are_those_of_what_is_left(top, bottom):
 @pytest.mark.parametrize("x", [0.0, 1e-12, 1e-6, 1e-3, 0.03, 0.1, 0.3])
 def test_it_is_the_exponential_to_the_fifth_order(x):
     found = relaxation(jnp.asarray(70.0 * x), jnp.asarray(70.0))
-    off = float(found.end / found.common_denominator) / np.exp(-x) - 1.0
+    off = float(found.remaining / found.common_denominator) / np.exp(-x) - 1.0
     assert abs(off - x**5 / 120.0) < 0.35 * x**6 + 1e-15  # the first term left out, and what follows it
 
 
@@ -95,7 +95,7 @@ def test_there_are_derivatives_of_higher_orders():
 
     def end(x):
         found = relaxation(x, jnp.asarray(1.0))
-        return found.end * reciprocal(found.common_denominator)
+        return found.remaining * reciprocal(found.common_denominator)
 
     slope = end
     for order in range(1, 6):
