@@ -30,7 +30,7 @@ def simulate(
     every: int = 1,
     throw: bool = False,
 ) -> Run:
-    """Simulate one motion of an axis, and return every signal with a status that says whether to believe it.
+    """Simulate one motion of an axis, and return every signal with a status that says whether the run is valid.
 
     `load` is in N, one number or one per sample. `machine` is an axis whose drive replaces the axis's own under the
     axis's controller, so that the controller's model and the true machine may differ. `seed` seeds the noise of the

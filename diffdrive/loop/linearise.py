@@ -1,9 +1,8 @@
 """The loop about a steady motion, by automatic differentiation of the control step itself.
 
-The loop is opened where the amplifier's force reaches the table: what comes after it (table, friction, scale) and what
-leads up to it (controller, observers, delay) are the very functions that `simulate` steps. Observers keep their own
-account of the force that they asked for, as in the machine, so a gain in the loop is an amplifier or a mass that is not
-as believed.
+The loop is opened where the amplifier's force reaches the table: the parts after it (table, friction, scale) and before
+it (controller, observers, delay) are the very functions that `simulate` steps. Observers use the force that they
+requested, as in the machine, so a gain in the loop is an amplifier or a mass that differs from the model.
 
     force -> plant -> scale -> controller with its observers -> limit and delay -> force
 
@@ -32,11 +31,16 @@ from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.observers.load_estimator import FixedLoad
 from diffdrive.support.resources import require_memory
 
-SETTLING_TIME = 0.3  # s of the motion after which filters have found their gains
-FROZEN = ("covariance", "count", "known", "started")  # no part of a small motion about the steady one
+SETTLING_TIME = 0.3  # s of the motion after which filters have converged to their gains
+FROZEN = (
+    "covariance",
+    "count",
+    "known",
+    "started",
+)  # states that do not take part in a small motion about the steady one
 BALANCING = 8  # sweeps
-MATRICES = 4  # of a loop that are in memory at once: itself, and what solving needs
-MIN_COSINE = 1e-12  # cosine below which left and right eigenvectors tell no derivative: a multiple mode
+MATRICES = 4  # of a loop that are in memory at once: itself, and the solver's
+MIN_COSINE = 1e-12  # between left and right eigenvector; below it the mode is multiple and has no derivative
 
 
 class OperatingPoint(NamedTuple):
@@ -47,7 +51,7 @@ class OperatingPoint(NamedTuple):
 
 
 class OpenLoop(eqx.Module):
-    """x' = A x + B force, asked = C x: from the force that acts on the table to the force asked for, per period."""
+    """x' = A x + B force, requested = C x: from the force on the table to the force requested, per period."""
 
     a: Float[Array, "n n"]
     b: Float[Array, " n"]
@@ -56,87 +60,104 @@ class OpenLoop(eqx.Module):
 
     @property
     def closed_loop(self) -> Float[Array, "n n"]:
-        """The loop's own matrix, when the force asked for acts."""
+        """The matrix of the closed loop, in which the requested force acts."""
         return self.a + jnp.outer(self.b, self.c)
 
 
-def open_loop(drive: Drive, controller: Controller, sampling: Sampling, at: OperatingPoint) -> OpenLoop:
-    """The loop about the steady motion `at`; give the smooth variants of drive and controller.
+def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: OperatingPoint) -> OpenLoop:
+    """The loop about the steady motion `point`, of the smooth variants of drive and controller.
 
-    Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are those that it has settled
-    to; that they too depend on its state is of second order where its innovation vanishes, and is left out.
+    Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are its steady ones; their
+    dependence on its state is of second order where its innovation vanishes, and is left out.
     """
     drive = stages.with_machine_effects(drive, drive.effects)
-    settled = _settled(drive, controller, sampling, at)
-    held = (*FROZEN, "load") if _load_is_assumed(controller) else FROZEN
-    moving, rebuild = _moving(settled, held)
-    _require_room(moving.size, 1)
-    reference = Reference(settled.plant.position, at.velocity, 0.0)
+    settled = _settled_state(drive, controller, sampling, point)
+    frozen = (*FROZEN, "load") if _load_is_assumed(controller) else FROZEN
+    vector, rebuild = _state_vector(settled, frozen)
+    _require_memory(vector.size, 1)
+    reference = Reference(settled.plant.position, point.velocity, 0.0)
 
-    def step(moving: Array, force: Scalar) -> tuple[Array, Scalar]:
-        state = rebuild(moving)
-        shown = state.plant.position + stages.scale_error(drive.effects, state.plant.position)
-        measured = sensor.measure(drive.sensor, shown, None)
-        inside, command = controller.step(
+    def step(vector: Array, force: Scalar) -> tuple[Array, Scalar]:
+        state = rebuild(vector)
+        scale_position = state.plant.position + stages.scale_error(drive.effects, state.plant.position)
+        measured = sensor.measure(drive.sensor, scale_position, None)
+        controller_state, command = controller.step(
             state.controller, reference, measured, state.actuator.applied, sampling.period
         )
-        asked = actuator.step(drive.actuator, state.actuator, command.force)
-        carried, applied = stages.actuator_output(drive.effects, state.effects, asked.applied, sampling.period)
-        table, carried, _ = step_machine(drive, sampling, state._replace(effects=carried), Push(force), 0.0, at.load)
-        return _moving(LoopState(table, asked, inside, state.count, carried), held)[0], applied.mean
+        requested = actuator.step(drive.actuator, state.actuator, command.force)
+        effect_states, applied = stages.actuator_output(
+            drive.effects, state.effects, requested.applied, sampling.period
+        )
+        table, effect_states, _ = step_machine(
+            drive, sampling, state._replace(effects=effect_states), Push(force), 0.0, point.load
+        )
+        ahead = LoopState(table, requested, controller_state, state.count, effect_states)
+        return _state_vector(ahead, frozen)[0], applied.mean
 
-    force = _steady_force(drive, at)
-    a, c = jax.jacfwd(step)(moving, force)
-    b, _ = jax.jacfwd(step, argnums=1)(moving, force)
+    force = _steady_force(drive, point)
+    a, c = jax.jacfwd(step)(vector, force)
+    b, _ = jax.jacfwd(step, argnums=1)(vector, force)
     return _balanced(a, b, c, sampling.period)
 
 
-def _steady_force(drive: Drive, at: OperatingPoint) -> Scalar:
-    sliding = steady_friction(drive.friction, at.velocity, at.load)
-    return sliding + drive.plant.damping.towards(at.velocity) * at.velocity - drive.plant.constant_force
+def _steady_force(drive: Drive, point: OperatingPoint) -> Scalar:
+    sliding = steady_friction(drive.friction, point.velocity, point.load)
+    return sliding + drive.plant.damping.towards(point.velocity) * point.velocity - drive.plant.constant_force
 
 
-def _settled(drive: Drive, controller: Controller, sampling: Sampling, at: OperatingPoint) -> LoopState:
-    """The loop after `SETTLING_TIME` of the steady motion, with what the controller made of watching it."""
-    force, velocity = _steady_force(drive, at), at.velocity
-    begin = initial_state(drive, controller, jnp.zeros(()))
-    level = stribeck_level(drive.friction, velocity, at.load)
-    deflection = jnp.sign(velocity) * level / lugre_coefficients(drive.friction, velocity, velocity, at.load).stiffness
-    inside = begin.controller
-    if isinstance(controller, FrictionCompensation):  # a filter that begins at the truth has only its gains to find
-        before = -velocity * sampling.period  # its first step ends at the first position
-        observed = inside.observer._replace(x=(before + 0.0 * force, velocity + 0.0 * force, deflection + 0.0 * force))
+def _settled_state(drive: Drive, controller: Controller, sampling: Sampling, point: OperatingPoint) -> LoopState:
+    """The loop after `SETTLING_TIME` of the steady motion."""
+    force, velocity = _steady_force(drive, point), point.velocity
+    initial = initial_state(drive, controller, jnp.zeros(()))
+    level = stribeck_level(drive.friction, velocity, point.load)
+    stiffness = lugre_coefficients(drive.friction, velocity, velocity, point.load).stiffness
+    deflection = jnp.sign(velocity) * level / stiffness
+    controller_state = initial.controller
+    if isinstance(
+        controller, FrictionCompensation
+    ):  # a filter that begins at the true state only has to find its gains
+        previous_position = -velocity * sampling.period  # its first step ends at the first position
+        observed = controller_state.observer._replace(
+            x=(previous_position + 0.0 * force, velocity + 0.0 * force, deflection + 0.0 * force)
+        )
         if not _load_is_assumed(controller):
-            observed = observed._replace(load=at.load + 0.0 * force)
-        inside = inside._replace(observer=observed)
+            observed = observed._replace(load=point.load + 0.0 * force)
+        controller_state = controller_state._replace(observer=observed)
 
-    def body(inside: Any, position: Scalar) -> tuple[Any, None]:
+    def body(controller_state: Any, position: Scalar) -> tuple[Any, None]:
         reference = Reference(position, velocity, 0.0)
-        return controller.step(inside, reference, position, force, sampling.period)[0], None
+        return controller.step(controller_state, reference, position, force, sampling.period)[0], None
 
     count = max(2, round(SETTLING_TIME * sampling.rate))
-    way = velocity * sampling.period * jnp.arange(count)
-    inside, _ = lax.scan(body, inside, way)
+    positions = velocity * sampling.period * jnp.arange(count)
+    controller_state, _ = lax.scan(body, controller_state, positions)
     table = plant.PlantState(velocity * sampling.period * count, velocity + 0.0 * force, deflection + 0.0 * force)
-    under_way = actuator.steady_state(drive.actuator, force)
-    carried = _carried(drive, sampling, at, table, force, count)
-    return LoopState(table, under_way, inside, begin.count, carried)
+    actuator_state = actuator.steady_state(drive.actuator, force)
+    effect_states = _settled_effects(drive, sampling, point, table, force, count)
+    return LoopState(table, actuator_state, controller_state, initial.count, effect_states)
 
 
-def _carried(
-    drive: Drive, sampling: Sampling, at: OperatingPoint, table: plant.PlantState, force: Scalar, count: int
+def _settled_effects(
+    drive: Drive,
+    sampling: Sampling,
+    point: OperatingPoint,
+    table: plant.PlantState,
+    force: Scalar,
+    count: int,
 ) -> tuple[Any, ...]:
-    """The effects after as long a steady motion."""
-    begin = stages.initial_states(drive.effects, force)
+    """The states of the effects after the same steady motion."""
+    initial = stages.initial_states(drive.effects, force)
     if not drive.effects:
-        return begin
+        return initial
 
-    def body(carried: Any, k: Scalar) -> tuple[Any, None]:
-        position = at.velocity * sampling.period * k
-        seen = stages.seen_by(drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, at.load)
-        return stages.table_action(drive.effects, carried, seen, drive, sampling.period)[0], None
+    def body(effect_states: Any, k: Scalar) -> tuple[Any, None]:
+        position = point.velocity * sampling.period * k
+        seen = stages.seen_by(
+            drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, point.load
+        )
+        return stages.table_action(drive.effects, effect_states, seen, drive, sampling.period)[0], None
 
-    return lax.scan(body, begin, jnp.arange(1.0, count + 1.0))[0]
+    return lax.scan(body, initial, jnp.arange(1.0, count + 1.0))[0]
 
 
 def _load_is_assumed(controller: Controller) -> bool:
@@ -144,35 +165,37 @@ def _load_is_assumed(controller: Controller) -> bool:
     return isinstance(estimator, FixedLoad)
 
 
-def _moving(state: LoopState, held: tuple[str, ...]) -> tuple[Array, Any]:
-    """What takes part in a small motion as one vector, and the way back to a whole state."""
+def _state_vector(state: LoopState, frozen: tuple[str, ...]) -> tuple[Array, Any]:
+    """The states that are not `frozen` as one vector, and the function from a vector to a complete state."""
     leaves, tree = jax.tree_util.tree_flatten_with_path(state)
-    takes_part = [not any(getattr(key, "name", None) in held for key in path) for path, _ in leaves]
-    vector, unravel = ravel_pytree([leaf for (_, leaf), moves in zip(leaves, takes_part, strict=True) if moves])
+    is_dynamic = [not any(getattr(key, "name", None) in frozen for key in path) for path, _ in leaves]
+    vector, unravel = ravel_pytree([leaf for (_, leaf), dynamic in zip(leaves, is_dynamic, strict=True) if dynamic])
 
     def rebuild(vector: Array) -> Any:
-        moved = iter(unravel(vector))
-        pairs = zip(leaves, takes_part, strict=True)
-        return tree.unflatten(next(moved) if moves else leaf for (_, leaf), moves in pairs)
+        values = iter(unravel(vector))
+        pairs = zip(leaves, is_dynamic, strict=True)
+        return tree.unflatten(next(values) if dynamic else leaf for (_, leaf), dynamic in pairs)
 
     return vector, rebuild
 
 
 def _balanced(a: Array, b: Array, c: Array, period: float) -> OpenLoop:
-    """The same loop in coordinates of like size (metres of bristle beside newtons of load), by Osborne's sweeps."""
+    """The same loop in balanced coordinates (metres of bristle beside newtons of load), by Osborne's sweeps."""
     size = len(b)
-    whole = lax.stop_gradient(jnp.abs(a) + jnp.abs(jnp.outer(b, c))) * (1.0 - jnp.eye(size))
+    magnitude = lax.stop_gradient(jnp.abs(a) + jnp.abs(jnp.outer(b, c))) * (1.0 - jnp.eye(size))
     scale = jnp.ones(size)
     for _ in range(BALANCING):
-        here = whole * scale[None, :] / scale[:, None]
-        into, out = jnp.linalg.norm(here, axis=1), jnp.linalg.norm(here, axis=0)
-        both = (into > 0) & (out > 0)
-        scale = scale * jnp.where(both, jnp.sqrt(jnp.where(both, into, 1.0) / jnp.where(both, out, 1.0)), 1.0)
+        scaled = magnitude * scale[None, :] / scale[:, None]
+        row_norms, column_norms = jnp.linalg.norm(scaled, axis=1), jnp.linalg.norm(scaled, axis=0)
+        is_coupled = (row_norms > 0) & (column_norms > 0)
+        scale = scale * jnp.where(
+            is_coupled, jnp.sqrt(jnp.where(is_coupled, row_norms, 1.0) / jnp.where(is_coupled, column_norms, 1.0)), 1.0
+        )
     return OpenLoop(a * scale[None, :] / scale[:, None], b / scale, c * scale, period)
 
 
-def _require_room(size: int, count: int) -> None:
-    """Raise `ParameterError` where the matrices of a loop with so many states, `count` of them, are too large."""
+def _require_memory(size: int, count: int) -> None:
+    """Raise `ParameterError` where `count` matrices of a loop with `size` states do not fit into memory."""
     require_memory(
         ParameterError,
         f"a linearised loop of {size} states",
@@ -196,29 +219,29 @@ def response(loop: OpenLoop, frequency: Float[Array, " f"] | Float[np.ndarray, "
     a, b, c = lax.stop_gradient((loop.a, loop.b, loop.c))
     matrix = z[:, None, None] * np.eye(len(b)) - a
     count = len(frequency)
-    _require_room(len(b), count)
+    _require_memory(len(b), count)
     right = jnp.linalg.solve(matrix, jnp.broadcast_to(b + 0j, (count, len(b)))[..., None])[..., 0]
     left = jnp.linalg.solve(jnp.swapaxes(matrix, 1, 2), jnp.broadcast_to(c + 0j, (count, len(c)))[..., None])[..., 0]
     # d/dz (z I - A)^-1 = -(z I - A)^-2, and dz = j z d(angle)
     slope = jnp.sum(left * right, axis=1) * (1j * z * angle)
     value = right @ c
-    bent = right @ (loop.c - c) + left @ (loop.b - b) + jnp.einsum("fi,ij,fj->f", left, loop.a - a, right)
-    return Response(jnp.asarray(frequency), -(value + bent), slope)
+    first_order = right @ (loop.c - c) + left @ (loop.b - b) + jnp.einsum("fi,ij,fj->f", left, loop.a - a, right)
+    return Response(jnp.asarray(frequency), -(value + first_order), slope)
 
 
 def growth_rate(loop: OpenLoop) -> Scalar:
-    """Growth rate (1/s) of the closed loop's slowest decaying motion: below zero where the loop is stable.
+    """Growth rate (1/s) of the closed loop's dominant mode: below zero where the loop is stable.
 
-    Differentiable once, where one mode or one oscillation leads: d(eigenvalue) = l dA r / (l r), by its eigenvectors.
+    Differentiable once, where one mode or one oscillation dominates: d(eigenvalue) = l dA r / (l r).
     """
     matrix = loop.closed_loop
-    fixed = lax.stop_gradient(matrix)
-    values, left, right = lax.linalg.eig(fixed)
-    leads = jnp.argmax(jnp.abs(values))
-    value, left, right = values[leads], jnp.conj(left[:, leads]), right[:, leads]
-    along = left @ right
-    share = jnp.where(jnp.abs(along) > MIN_COSINE, 1.0, 0.0) / jnp.where(
-        jnp.abs(along) > MIN_COSINE, along * value, 1.0
+    fixed_matrix = lax.stop_gradient(matrix)
+    values, left, right = lax.linalg.eig(fixed_matrix)
+    dominant = jnp.argmax(jnp.abs(values))
+    value, left, right = values[dominant], jnp.conj(left[:, dominant]), right[:, dominant]
+    cosine = left @ right
+    share = jnp.where(jnp.abs(cosine) > MIN_COSINE, 1.0, 0.0) / jnp.where(
+        jnp.abs(cosine) > MIN_COSINE, cosine * value, 1.0
     )
-    moved = jnp.real(share * (left @ (matrix - fixed) @ right))
-    return (jnp.log(jnp.abs(value)) + moved) / loop.period
+    first_order = jnp.real(share * (left @ (matrix - fixed_matrix) @ right))
+    return (jnp.log(jnp.abs(value)) + first_order) / loop.period

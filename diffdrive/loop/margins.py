@@ -21,15 +21,13 @@ from diffdrive.model.parameters import Scalar
 LOWEST_FREQUENCY = 0.5  # Hz
 POINTS_PER_DECADE = 60
 REFINEMENTS, SUBDIVISIONS = 6, 8
-NEUTRAL_GROWTH = 0.2  # 1/s: what grows no faster (a load that is not seen at rest) is not called unstable
+NEUTRAL_GROWTH = 0.2  # 1/s: slower growth (a load that is not observable at rest) does not count as unstable
 
 
 class Margins(NamedTuple):
     """How far a loop is from instability. Gains are factors, not decibels."""
 
-    growth: (
-        Scalar  # 1/s, of the slowest decaying motion; above `NEUTRAL_GROWTH` the loop is unstable, and the rest void
-    )
+    growth: Scalar  # 1/s, of the dominant mode; above `NEUTRAL_GROWTH` the loop is unstable, and the rest void
     gain_up: Scalar  # factor by which the gain may rise
     gain_down: Scalar  # factor by which the gain may fall, above 1
     phase: Scalar  # rad
@@ -45,59 +43,59 @@ def frequency_grid(rate: float) -> Float[np.ndarray, " f"]:
 
 
 def margins(loop: OpenLoop) -> Margins:
-    """The margins of a loop; pure, differentiable once."""
-    critical = lax.stop_gradient(_critical(response(loop, frequency_grid(1.0 / loop.period))))
-    found = response(loop, critical.frequency)
-    value, slope = jnp.where(critical.exists, found.loop, 1.0), found.slope
+    """Margins of an open loop; pure, differentiable once."""
+    critical = lax.stop_gradient(_critical_frequencies(response(loop, frequency_grid(1.0 / loop.period))))
+    at_critical = response(loop, critical.frequency)
+    value, slope = jnp.where(critical.exists, at_critical.loop, 1.0), at_critical.slope
 
-    def along(residual: Scalar, rate: Scalar) -> Scalar:
-        """How far the crossing lies from the frequency (its logarithm), to first order: zero, with its derivative."""
+    def newton_step(residual: Scalar, rate: Scalar) -> Scalar:
+        """The Newton step to the crossing, in the logarithm of frequency: zero, with its derivative."""
         return -residual / lax.stop_gradient(jnp.where(rate == 0, 1.0, rate))
 
-    def real(k: int) -> Scalar:
-        return -jnp.real(value[k] + slope[k] * along(jnp.imag(value[k]), jnp.imag(slope[k])))
+    def real_axis_crossing(k: int) -> Scalar:
+        return -jnp.real(value[k] + slope[k] * newton_step(jnp.imag(value[k]), jnp.imag(slope[k])))
 
-    def unit(k: int) -> Scalar:
-        return along(jnp.log(jnp.abs(value[k])), jnp.real(slope[k] / value[k]))
+    def unit_circle_shift(k: int) -> Scalar:
+        return newton_step(jnp.log(jnp.abs(value[k])), jnp.real(slope[k] / value[k]))
 
     exists = critical.exists
-    phase = jnp.abs(jnp.angle(-(value[2] + slope[2] * unit(2))))
+    phase = jnp.abs(jnp.angle(-(value[2] + slope[2] * unit_circle_shift(2))))
     return Margins(
         growth=growth_rate(loop),
-        gain_up=jnp.where(exists[0], 1.0 / jnp.where(exists[0], real(0), 1.0), jnp.inf),
-        gain_down=jnp.where(exists[1], real(1), jnp.inf),
+        gain_up=jnp.where(exists[0], 1.0 / jnp.where(exists[0], real_axis_crossing(0), 1.0), jnp.inf),
+        gain_down=jnp.where(exists[1], real_axis_crossing(1), jnp.inf),
         phase=jnp.where(exists[2], phase, jnp.inf),
         sensitivity=1.0 / jnp.abs(1.0 + value[3]),
-        crossover=jnp.where(exists[4], critical.frequency[4] * jnp.exp(unit(4)), 0.0),
+        crossover=jnp.where(exists[4], critical.frequency[4] * jnp.exp(unit_circle_shift(4)), 0.0),
     )
 
 
 class _Critical(NamedTuple):
-    """The frequencies (Hz) of gain_up, gain_down, phase, sensitivity and crossover, and which of them there are."""
+    """The frequencies (Hz) of gain_up, gain_down, phase, sensitivity and crossover, and which of them exist."""
 
     frequency: Float[Array, "5"]
     exists: Bool[Array, "5"]
 
 
-def _critical(found: Response) -> _Critical:
-    cubic = _Cubic.through(found)
+def _critical_frequencies(sampled: Response) -> _Critical:
+    cubic = _Cubic.interpolate(sampled)
 
     def nearest(candidates: Bool[Array, " i"], distance: Array, log: Array) -> tuple[Scalar, Scalar]:
         chosen = jnp.argmin(jnp.where(candidates, distance, jnp.inf))
         return jnp.exp(jnp.where(candidates, log, 0.0)[chosen]), jnp.any(candidates)  # 1 Hz where there is none
 
-    share, crosses = _crossings(cubic, jnp.imag, found.loop)  # of the real axis, on which the response ends as well
-    log = jnp.append(cubic.start + share * cubic.step, jnp.log(found.frequency[-1]))
-    real = -jnp.append(jnp.real(cubic.at(share)), jnp.real(found.loop[-1]))
+    share, crosses = _crossings(cubic, jnp.imag, sampled.loop)  # of the real axis, on which the response ends as well
+    log = jnp.append(cubic.start + share * cubic.step, jnp.log(sampled.frequency[-1]))
+    real = -jnp.append(jnp.real(cubic.at(share)), jnp.real(sampled.loop[-1]))
     crosses = jnp.append(crosses, True)
     up, down = crosses & (real > 0.0) & (real < 1.0), crosses & (real >= 1.0)
     gain_up, gain_down = nearest(up, -real, log), nearest(down, real, log)
 
-    share, crosses = _crossings(cubic, lambda loop: jnp.log(jnp.abs(loop)), found.loop)
+    share, crosses = _crossings(cubic, lambda loop: jnp.log(jnp.abs(loop)), sampled.loop)
     log = cubic.start + share * cubic.step
     phase = nearest(crosses, jnp.abs(jnp.angle(-cubic.at(share))), log)
     crossover = nearest(crosses, -log, log)
-    peak = jnp.exp(_closest(cubic)), jnp.array(True)
+    peak = jnp.exp(_nearest_to_minus_one(cubic)), jnp.array(True)
     pairs = (gain_up, gain_down, phase, peak, crossover)
     return _Critical(jnp.stack([pair[0] for pair in pairs]), jnp.stack([pair[1] for pair in pairs]))
 
@@ -113,12 +111,12 @@ class _Cubic(NamedTuple):
     c3: Complex[Array, " i"]
 
     @classmethod
-    def through(cls, found: Response) -> "_Cubic":
+    def interpolate(cls, sampled: Response) -> "_Cubic":
         """The cubics with the response's values and slopes at the ends of each interval."""
-        log = jnp.log(found.frequency)
+        log = jnp.log(sampled.frequency)
         step = jnp.diff(log)
-        before, after = found.loop[:-1], found.loop[1:]
-        first, last = found.slope[:-1] * step, found.slope[1:] * step
+        before, after = sampled.loop[:-1], sampled.loop[1:]
+        first, last = sampled.slope[:-1] * step, sampled.slope[1:] * step
         rise = after - before
         return cls(log[:-1], step, before, first, 3 * rise - 2 * first - last, first + last - 2 * rise)
 
@@ -128,40 +126,40 @@ class _Cubic(NamedTuple):
     def slope(self, share: Array) -> Complex[Array, "..."]:
         return self.c1 + share * (2.0 * self.c2 + 3.0 * share * self.c3)
 
-    def bend(self, share: Array) -> Complex[Array, "..."]:
+    def curvature(self, share: Array) -> Complex[Array, "..."]:
         return 2.0 * self.c2 + 6.0 * share * self.c3
 
 
-def _closest(cubic: _Cubic) -> Scalar:
+def _nearest_to_minus_one(cubic: _Cubic) -> Scalar:
     """The logarithm of the frequency nearest to -1: the nearest of a finer grid, and Newton's steps from there."""
     shares = jnp.linspace(0.0, 1.0, SUBDIVISIONS, endpoint=False)[:, None]
     distance = jnp.abs(1.0 + cubic.at(shares))
     best = jnp.argmin(jnp.min(distance, axis=0))
-    begin = share = shares[jnp.argmin(distance[:, best]), 0]
-    near = _Cubic(*(part[best] for part in cubic))
+    initial = share = shares[jnp.argmin(distance[:, best]), 0]
+    segment = _Cubic(*(part[best] for part in cubic))
     for _ in range(REFINEMENTS):
-        away, slope = 1.0 + near.at(share), near.slope(share)
-        rise = jnp.real(jnp.conj(away) * slope)  # of half the squared distance
-        bend = jnp.abs(slope) ** 2 + jnp.real(jnp.conj(away) * near.bend(share))
-        step = jnp.where(bend > 0.0, -rise / jnp.where(bend > 0.0, bend, 1.0), 0.0)
-        share = jnp.clip(share + step, begin - 1.0 / SUBDIVISIONS, begin + 1.0 / SUBDIVISIONS)
-    return near.start + share * near.step
+        difference, slope = 1.0 + segment.at(share), segment.slope(share)
+        rise = jnp.real(jnp.conj(difference) * slope)  # of half the squared distance
+        curvature = jnp.abs(slope) ** 2 + jnp.real(jnp.conj(difference) * segment.curvature(share))
+        step = jnp.where(curvature > 0.0, -rise / jnp.where(curvature > 0.0, curvature, 1.0), 0.0)
+        share = jnp.clip(share + step, initial - 1.0 / SUBDIVISIONS, initial + 1.0 / SUBDIVISIONS)
+    return segment.start + share * segment.step
 
 
 def _crossings(
-    cubic: _Cubic, what: Callable[[Array], Array], values: Complex[Array, " f"]
+    cubic: _Cubic, component: Callable[[Array], Array], values: Complex[Array, " f"]
 ) -> tuple[Float[Array, " i"], Bool[Array, " i"]]:
     """The share of each interval at which `what` of the response is zero, by bisecting its secant; whether it is."""
-    ends = what(values)
-    crosses = (ends[:-1] > 0) != (ends[1:] > 0)
-    low, high = jnp.zeros(len(ends) - 1), jnp.ones(len(ends) - 1)
-    below, above = ends[:-1], ends[1:]
+    values_at_knots = component(values)
+    crosses = (values_at_knots[:-1] > 0) != (values_at_knots[1:] > 0)
+    low, high = jnp.zeros(len(values_at_knots) - 1), jnp.ones(len(values_at_knots) - 1)
+    below, above = values_at_knots[:-1], values_at_knots[1:]
     share = low
     for _ in range(REFINEMENTS):
         span = jnp.where(crosses, above - below, 1.0)
         share = jnp.clip(low - below / span * (high - low), low, high)
-        now = what(cubic.at(share))
-        same = (now > 0) == (below > 0)
-        low, below = jnp.where(same, share, low), jnp.where(same, now, below)
-        high, above = jnp.where(same, high, share), jnp.where(same, above, now)
+        value = component(cubic.at(share))
+        same = (value > 0) == (below > 0)
+        low, below = jnp.where(same, share, low), jnp.where(same, value, below)
+        high, above = jnp.where(same, high, share), jnp.where(same, above, value)
     return share, crosses

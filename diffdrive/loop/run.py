@@ -1,4 +1,4 @@
-"""The result of a simulation: its signals, and a status that says whether to believe them."""
+"""The result of a simulation: its signals, and a status that says whether they are valid."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,8 +36,8 @@ class Run(Result):
 
     def headline(self) -> str:
         rms, peak = (f"{1e6 * value:.3g} um" for value in (self.rms(), self.peak()))
-        told = self.status.message if self.status.ok else f"NOT OK: {self.status.message}"
-        return f"{told}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
+        message = self.status.message if self.status.ok else f"NOT OK: {self.status.message}"
+        return f"{message}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -48,16 +48,16 @@ class Run(Result):
         }
 
     @classmethod
-    def of(cls, motion: Motion, load: np.ndarray, frames: Any, every: int) -> "Run":
-        """From the frames of a roll-out that kept each `every`-th sample."""
+    def from_frames(cls, motion: Motion, load: np.ndarray, frames: Any, every: int) -> "Run":
+        """From the frames of a roll-out that recorded each `every`-th sample."""
         count = len(frames.position)
-        kept = slice(0, count * every, every)
+        samples = slice(0, count * every, every)
         estimate = frames.estimate
         return cls(
-            time=motion.time[kept],
-            reference=motion.position[kept],
-            reference_velocity=motion.velocity[kept],
-            load=load[kept],
+            time=motion.time[samples],
+            reference=motion.position[samples],
+            reference_velocity=motion.velocity[samples],
+            load=load[samples],
             position=np.asarray(frames.measured),
             table_position=np.asarray(frames.position),
             velocity=np.asarray(frames.velocity),
@@ -74,7 +74,7 @@ class Run(Result):
         return self.reference - self.table_position
 
     def between(self, start: float, end: float) -> np.ndarray:
-        """Which samples lie in [start, end] (s): a mask of shape [n]; raises if there is none."""
+        """A mask [n] of the samples in [start, end] (s); raises `ValueError` if there is none."""
         inside = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
         if not inside.any():
             raise ValueError(
@@ -91,7 +91,7 @@ class Run(Result):
         return float(np.sqrt(np.mean(self.error[self.between(start, end)] ** 2)))
 
     def log(self, name: str = "run") -> Log:
-        """What the machine itself would have logged of this run, without what only a simulation knows."""
+        """The log that the machine itself would have written of this run."""
         signals = {channel: getattr(self, channel) for channel in ("time", "position", "command", "reference", "load")}
         return Log(name, **{channel: np.asarray(values, dtype=np.float64) for channel, values in signals.items()})
 
@@ -109,14 +109,14 @@ def divergence_bound(reference: np.ndarray, limits: Limits) -> float:
 
 
 def with_status(run: Run, limits: Limits, force_limit: float | None, effects: Sequence[str] = ()) -> Run:
-    """The run with its status: finite, within a sane distance of its reference, and how much of it saturated.
+    """The run with its status: whether it is finite, has diverged or saturates.
 
-    `effects` are those without which the same loop stays within its bounds, where that is known.
+    `effects` are the names of those without which the same loop does not diverge, for the message.
     """
-    reach = divergence_bound(run.reference, limits)
+    bound = divergence_bound(run.reference, limits)
     limit = np.inf if force_limit is None else force_limit
     with np.errstate(invalid="ignore", over="ignore"):
-        faults = [("tracking error", run.error, ~(np.abs(run.error) <= reach), f"{reach:g} m")]
+        faults = [("tracking error", run.error, ~(np.abs(run.error) <= bound), f"{bound:g} m")]
         for name in ("command", "friction_estimate", "load_estimate", "velocity"):
             signal = getattr(run, name)
             if signal is not None:
@@ -124,19 +124,20 @@ def with_status(run: Run, limits: Limits, force_limit: float | None, effects: Se
         limited = np.abs(run.command) > limit
     first = [(int(np.argmax(bad)), name, signal, bound) for name, signal, bad, bound in faults if bad.any()]
     if not first:
-        late = limited[-len(limited) // 4 :]
-        if np.mean(late) > 0.5:
-            begin = float(run.time[int(np.argmax(limited))])
+        last_quarter = limited[-len(limited) // 4 :]
+        if np.mean(last_quarter) > 0.5:
+            first_saturation = float(run.time[int(np.argmax(limited))])
             message = (
-                f"saturated: the command exceeds the force limit of {limit:g} N in {100 * np.mean(late):.0f} % of the "
-                f"last quarter, first at t = {begin:g} s: the axis is too weak for this motion and load, or the loop "
-                "oscillates between its limits; raise force_limit, slow the motion, or lower kp and kd"
+                f"saturated: the command exceeds the force limit of {limit:g} N in {100 * np.mean(last_quarter):.0f} % "
+                f"of the last quarter, first at t = {first_saturation:g} s: the axis is too weak for this motion "
+                "and load, or the loop oscillates between its limits; raise force_limit, slow the motion, or lower kp "
+                "and kd"
             )
-            return replace(run, status=Status(False, message, "command", begin, "saturated"))
+            return replace(run, status=Status(False, message, "command", first_saturation, "saturated"))
         if not limited.any():
             return run
-        share = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"
-        return replace(run, status=Status(True, share))
+        message = f"ok, but the force limit of {limit:g} N held back {100 * np.mean(limited):.2g} % of the commands"
+        return replace(run, status=Status(True, message))
     k, name, signal, bound = min(first, key=lambda fault: fault[0])
     if effects:
         cause = (

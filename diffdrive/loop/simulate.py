@@ -46,7 +46,7 @@ from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.messages import short_repr
 from diffdrive.support.resources import require_memory
 
-INPUT_ARRAYS, OUTPUT_ARRAYS, DOUBLE = (
+INPUT_ARRAYS, OUTPUT_ARRAYS, DOUBLE_BYTES = (
     8,
     14,
     8,
@@ -54,7 +54,7 @@ INPUT_ARRAYS, OUTPUT_ARRAYS, DOUBLE = (
 
 
 class Inputs(NamedTuple):
-    """What the loop is given from outside, [n] over time or scalars at one step."""
+    """The inputs of the loop, [n] over time or scalars at one step."""
 
     reference: Reference
     load: Float[Array, " n"] | Scalar  # N on the guides
@@ -62,7 +62,7 @@ class Inputs(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What one control step looks like from outside: the signals at sample k, the command given at k."""
+    """The recorded signals of one control step: those at sample k, and the command issued at k."""
 
     position: Scalar  # m, of the table
     velocity: Scalar  # m/s
@@ -74,7 +74,7 @@ class Frame(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """What is carried from one control step to the next."""
+    """The state that is carried from one control step to the next."""
 
     plant: plant.PlantState
     actuator: actuator.ActuatorState
@@ -98,23 +98,23 @@ def initial_state(drive: Drive, controller: Controller, position: Scalar) -> Loo
 def step_machine(
     drive: Drive, sampling: Sampling, state: LoopState, push: Push, disturbance: Scalar, load: Scalar
 ) -> tuple[plant.PlantState, tuple[Any, ...], Drive]:
-    """The table and the effects one period later, the actuator's `push` and a disturbance acting on the table; and the
-    drive with its friction as the effects bend it over that period.
+    """One period of the table under the actuator's `push`, a `disturbance` and a `load` (N).
 
-    `drive` has been altered.
+    `drive` has its machine effects in it. Returns the table, the states of the effects, and the drive with the friction
+    that the effects cause over that period.
     """
     table, effects, force = state.plant, drive.effects, push.mean + disturbance
     if not effects:
         return plant.advance(drive, table, force, load, sampling.period, sampling.plant_steps), (), drive
     time = sampling.period * state.count
     seen = stages.seen_by(drive, time, table.position, table.velocity, table.bristle, push.mean, disturbance, load)
-    carried, acts = stages.table_action(effects, state.effects, seen, drive, sampling.period)
-    carried, acts = once((carried, acts))
+    effect_states, acts = stages.table_action(effects, state.effects, seen, drive, sampling.period)
+    effect_states, acts = once((effect_states, acts))
     machine = stages.with_friction_offset(drive, acts)
     steps = stages.plant_substeps(effects, sampling)
     moved = plant.advance(machine, table, force + acts.force, load, sampling.period, steps)
     shift = acts.shift + stages.slope_displacement(drive, push.slope, sampling.period)
-    return moved._replace(position=moved.position + shift), carried, machine
+    return moved._replace(position=moved.position + shift), effect_states, machine
 
 
 def step(
@@ -123,30 +123,30 @@ def step(
     """One control period of the closed loop of a drive that has its machine effects in it."""
     table = state.plant
     scale_position = table.position + stages.scale_error(drive.effects, table.position)
-    normal = None
+    noise = None
     if key is not None:  # the same noise in either precision
-        drawn = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
-        normal = in_precision_of(scale_position, drawn)
-    measured = sensor.measure(drive.sensor, scale_position, normal)
+        sample = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
+        noise = in_precision_of(scale_position, sample)
+    measured = sensor.measure(drive.sensor, scale_position, noise)
     controller_state, command = controller.step(
         state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
     )
     controller_state, command = once((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
-    carried, applied = stages.actuator_output(drive.effects, state.effects, drive_state.applied, sampling.period)
-    before = state._replace(effects=carried)
-    moved, carried, bent = step_machine(drive, sampling, before, applied, inputs.disturbance, inputs.load)
-    bristle = lugre_coefficients(bent.friction, table.velocity, table.bristle, inputs.load)
+    effect_states, applied = stages.actuator_output(drive.effects, state.effects, drive_state.applied, sampling.period)
+    before = state._replace(effects=effect_states)
+    moved, effect_states, machine = step_machine(drive, sampling, before, applied, inputs.disturbance, inputs.load)
+    coefficients = lugre_coefficients(machine.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
         position=table.position,
         velocity=table.velocity,
         measured=measured,
         command=command.force,
         force=applied.mean,
-        friction=friction_force(bristle, table.velocity, table.bristle),
+        friction=friction_force(coefficients, table.velocity, table.bristle),
         estimate=command.estimate,
     )
-    return LoopState(moved, drive_state, controller_state, state.count + 1, carried), frame
+    return LoopState(moved, drive_state, controller_state, state.count + 1, effect_states), frame
 
 
 # In reverse mode a step keeps its carry alone and is computed again on the way back: a fiftieth of the memory, and
@@ -162,15 +162,15 @@ def _scanned(
         return lax.scan(rematerialised(body), begin, inputs)
     if not isinstance(checkpoint_every, int) or checkpoint_every < 1:
         raise ParameterError(f"kept must be a whole number from 1 on, got {checkpoint_every!r}")
-    whole = len(jax.tree.leaves(inputs)[0]) // checkpoint_every * checkpoint_every
-    chunks = jax.tree.map(lambda signal: signal[:whole].reshape(-1, checkpoint_every, *signal.shape[1:]), inputs)
+    blocked = len(jax.tree.leaves(inputs)[0]) // checkpoint_every * checkpoint_every
+    chunks = jax.tree.map(lambda signal: signal[:blocked].reshape(-1, checkpoint_every, *signal.shape[1:]), inputs)
     state, frames = lax.scan(
-        rematerialised(lambda state, at: lax.scan(body, state, at, unroll=checkpoint_every)), begin, chunks
+        rematerialised(lambda state, chunk: lax.scan(body, state, chunk, unroll=checkpoint_every)), begin, chunks
     )
-    frames = jax.tree.map(lambda signal: signal.reshape(whole, *signal.shape[2:]), frames)
-    if whole == len(jax.tree.leaves(inputs)[0]):
+    frames = jax.tree.map(lambda signal: signal.reshape(blocked, *signal.shape[2:]), frames)
+    if blocked == len(jax.tree.leaves(inputs)[0]):
         return state, frames
-    state, last = lax.scan(rematerialised(body), state, jax.tree.map(lambda signal: signal[whole:], inputs))
+    state, last = lax.scan(rematerialised(body), state, jax.tree.map(lambda signal: signal[blocked:], inputs))
     return state, jax.tree.map(lambda some, rest: jnp.concatenate([some, rest]), frames, last)
 
 
@@ -194,8 +194,8 @@ def rollout(
     require_double_precision()
     drive = stages.with_machine_effects(drive, drive.effects)
 
-    def body(state: LoopState, at: Inputs) -> tuple[LoopState, Frame]:
-        return step(drive, controller, sampling, key, state, at)
+    def body(state: LoopState, inputs_now: Inputs) -> tuple[LoopState, Frame]:
+        return step(drive, controller, sampling, key, state, inputs_now)
 
     begin = initial_state(drive, controller, inputs.reference.position[0]) if begin is None else begin
     if every == 1:
@@ -204,7 +204,7 @@ def rollout(
     def block(state: LoopState, chunk: Inputs) -> tuple[LoopState, Frame]:
         state, frame = rematerialised(body)(state, jax.tree.map(lambda signal: signal[0], chunk))
         rest = jax.tree.map(lambda signal: signal[1:], chunk)
-        state, _ = _scanned(lambda s, at: (body(s, at)[0], None), state, rest, checkpoint_every)
+        state, _ = _scanned(lambda s, inputs_now: (body(s, inputs_now)[0], None), state, rest, checkpoint_every)
         return state, frame
 
     blocks = len(inputs.load) // every
@@ -213,7 +213,7 @@ def rollout(
 
 
 class Costs(NamedTuple):
-    """Running costs of a roll-out over the samples that count."""
+    """Running costs of a roll-out over the samples that are counted."""
 
     rms: Scalar  # m, tracking error
     peak: Scalar  # m, largest tracking error
@@ -247,23 +247,26 @@ def running_costs(
     limit = stages.force_limit(drive)
     limit = jnp.inf if limit is None else limit
 
-    def body(carry: Any, at: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
-        state, last, (square, largest, change, missed, limited, finite) = carry
-        now, count = at
+    def body(carry: Any, inputs_now: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
+        state, last, (square, largest, change, load_error, limited, finite) = carry
+        now, count = inputs_now
         if ramp is not None:
             now = now._replace(load=now.load + ramp.at(sampling.period * state.count))
         state, frame = step(drive, controller, sampling, key, state, now)
         error = now.reference.position - frame.position
-        known = frame.estimate is not None and frame.estimate.load is not None
-        follows = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
+        has_load_estimate = frame.estimate is not None and frame.estimate.load is not None
+        counts_change = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
         # what does not count may be anything, infinite too
-        off, jump = jnp.where(count > 0.0, error, 0.0), jnp.where(follows > 0.0, frame.command - last, 0.0)
-        astray = jnp.where(count > 0.0, frame.estimate.load - now.load, 0.0) if known else None
+        tracking_error, command_change = (
+            jnp.where(count > 0.0, error, 0.0),
+            jnp.where(counts_change > 0.0, frame.command - last, 0.0),
+        )
+        load_deviation = jnp.where(count > 0.0, frame.estimate.load - now.load, 0.0) if has_load_estimate else None
         sums = (
-            square + count * off**2,
-            jnp.maximum(largest, count * jnp.abs(off)),
-            change + follows * jump**2,
-            missed + count * astray**2 if known else None,
+            square + count * tracking_error**2,
+            jnp.maximum(largest, count * jnp.abs(tracking_error)),
+            change + counts_change * command_change**2,
+            load_error + count * load_deviation**2 if has_load_estimate else None,
             limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
             finite
             + jnp.where((jnp.abs(error) <= divergence_bound) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
@@ -272,23 +275,23 @@ def running_costs(
 
     zero = jnp.zeros(())  # sums stay in double precision, whatever the loop runs in
     begin = initial_state(drive, controller, inputs.reference.position[0])
-    still = jnp.zeros_like(begin.plant.position)
-    at_first = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
-    estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, at_first)[1].estimate)
-    missed = None if estimate is None or estimate.load is None else zero
-    sums = (zero, zero, zero, missed, zero, jnp.zeros((), jnp.uint32))
-    (_, _, (square, largest, change, missed, limited, finite)), _ = _scanned(
-        body, (begin, still, sums), (inputs, counts), checkpoint_every
+    zero_command = jnp.zeros_like(begin.plant.position)
+    first_inputs = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
+    estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, first_inputs)[1].estimate)
+    load_error = None if estimate is None or estimate.load is None else zero
+    sums = (zero, zero, zero, load_error, zero, jnp.zeros((), jnp.uint32))
+    (_, _, (square, largest, change, load_error, limited, finite)), _ = _scanned(
+        body, (begin, zero_command, sums), (inputs, counts), checkpoint_every
     )
     total = jnp.sum(counts)
-    # reciprocals, once: of a division by the same number in every lane the compiler makes one at its whim
-    share, change_share = 1.0 / total, 0.5 / (total - counts[0])
+    # reciprocals, explicitly: else the compiler may or may not make one of a division, which changes the last bits
+    per_sample, per_change = 1.0 / total, 0.5 / (total - counts[0])
     return Costs(
-        rms=safe_sqrt(square * share),
+        rms=safe_sqrt(square * per_sample),
         peak=largest,
-        command_noise=safe_sqrt(change * change_share),
-        load_error=None if missed is None else safe_sqrt(missed * share),
-        saturated=limited * share,
+        command_noise=safe_sqrt(change * per_change),
+        load_error=None if load_error is None else safe_sqrt(load_error * per_sample),
+        saturated=limited * per_sample,
         steps_finite=finite,
     )
 
@@ -297,7 +300,7 @@ compiled_rollout = eqx.filter_jit(rollout)
 
 
 def loop_inputs(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
-    """A motion, a load and a disturbing force (N, [n] each; None: no force) as the arrays that `rollout` takes."""
+    """The inputs of `rollout` from a motion, a load and a disturbance force (N, [n] each; None: no force)."""
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
     force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
     return as_arrays(Inputs(reference, np.asarray(load, float), force))
@@ -314,7 +317,7 @@ def simulate(
     seed: int | None = 0,
     every: int = 1,
 ) -> Run:
-    """Simulate one motion and return every signal, with a status that says whether to believe it.
+    """Simulate one motion and return every signal, with a status that says whether the run is valid.
 
     `load` is in N, one number or one per sample. `seed` seeds the sensor noise (None: no noise). `every` keeps each
     n-th sample. Raises `ParameterError` and `MotionError` on bad input; a loop that diverges does not raise but
@@ -336,7 +339,7 @@ def simulate(
     require_memory(
         ParameterError,
         f"a run of {len(motion.time)} samples",
-        DOUBLE * len(motion.time) * (INPUT_ARRAYS + OUTPUT_ARRAYS / every),
+        DOUBLE_BYTES * len(motion.time) * (INPUT_ARRAYS + OUTPUT_ARRAYS / every),
         "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
     )
     loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
@@ -352,23 +355,24 @@ def simulate(
     noisy = seed is not None and float(drive.sensor.noise) > 0
     key = jax.random.key(seed) if noisy else None
 
-    def of(machine: Drive) -> tuple[Run, float | None]:
+    def run_machine(machine: Drive) -> tuple[Run, float | None]:
         frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, every)
         limit = stages.force_limit(machine)
-        return Run.of(motion, loads, frames, every), None if limit is None else float(limit)
+        return Run.from_frames(motion, loads, frames, every), None if limit is None else float(limit)
 
-    def sound_without(effects: Sequence[Effect]) -> bool:
+    def converges_without(effects: Sequence[Effect]) -> bool:
         machine = replace(
-            drive, effects=tuple(one for one in drive.effects if not any(one is gone for gone in effects))
+            drive,
+            effects=tuple(effect for effect in drive.effects if not any(effect is removed for removed in effects)),
         )
-        run, limit = of(machine)
+        run, limit = run_machine(machine)
         return with_status(run, limits, limit).status.ok
 
-    run, limit = of(drive)
-    found = with_status(run, limits, limit)
-    if found.status.ok or found.status.message.startswith("saturated") or not drive.effects:
-        return found
-    # gains are blamed only for what they do without the effects, too
-    single = [[one] for one in drive.effects]
-    guilty = next((some for some in (*single, list(drive.effects)) if sound_without(some)), [])
-    return with_status(run, limits, limit, [one.name for one in guilty])
+    run, limit = run_machine(drive)
+    assessed = with_status(run, limits, limit)
+    if assessed.status.ok or assessed.status.message.startswith("saturated") or not drive.effects:
+        return assessed
+    # the gains are the cause only if the loop diverges without the effects, too
+    single = [[effect] for effect in drive.effects]
+    responsible = next((group for group in (*single, list(drive.effects)) if converges_without(group)), [])
+    return with_status(run, limits, limit, [effect.name for effect in responsible])

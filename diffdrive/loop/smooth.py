@@ -1,8 +1,8 @@
-"""The smooth variant of a drive and its controller: what gradients are true of.
+"""The smooth variant of a drive and its controller, for gradients.
 
 The exact machine rounds positions, clips forces and switches estimators on and off; its tracking error is a function of
-the gains that steps and kinks at every scale, and has no useful derivative. The smooth variant keeps the physics and
-replaces these three by neighbours that can be differentiated. Tune on it, verify on the exact one.
+the gains with steps and kinks at every scale, and has no useful derivative. The smooth variant keeps the physics and
+replaces these three by differentiable approximations. Tune on it, verify on the exact one.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ def smooth(part: Part) -> Part:
     threshold; no floor under load estimates. Noise stays: for a given seed it is a fixed sequence.
     """
 
-    def replace(module: object) -> object:
+    def smoothed(module: object) -> object:
         if isinstance(module, Sensor):
             return Sensor(resolution=None, noise=module.noise)
         if isinstance(module, Actuator):
@@ -44,4 +44,4 @@ def smooth(part: Part) -> Part:
         return module
 
     replaced = (Sensor, Actuator, InnovationLoad, LoadStateObserver)
-    return jax.tree.map(replace, part, is_leaf=lambda node: isinstance(node, replaced))
+    return jax.tree.map(smoothed, part, is_leaf=lambda node: isinstance(node, replaced))

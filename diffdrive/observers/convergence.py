@@ -40,8 +40,8 @@ def steady_covariance(ad: Array, process: Array, measurement: Scalar) -> Array:
     def double(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
         a, g, h = carry
         inverse = jnp.linalg.inv(jnp.eye(size) + g @ h)
-        ahead = a @ inverse @ a
-        return (ahead, g + a @ inverse @ g @ a.T, h + a.T @ h @ inverse @ a), None
+        next_a = a @ inverse @ a
+        return (next_a, g + a @ inverse @ g @ a.T, h + a.T @ h @ inverse @ a), None
 
     (_, _, h), _ = jax.lax.scan(double, (a, g, h), None, length=30)
     return h * scale[:, None] * scale[None, :]
@@ -55,23 +55,25 @@ def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, 
     plant, friction, tuning = observer.plant, observer.friction, observer.tuning
     level = stribeck_level(friction, velocity, load)
     deflection = jnp.sign(velocity) * level / lugre_coefficients(friction, velocity, velocity, load).stiffness
-    u = (
+    force = (
         steady_friction(friction, velocity, load) + plant.damping.towards(velocity) * velocity
     )  # the force that slides it
     ad, _ = state_matrices(plant, lugre_coefficients(friction, velocity, deflection, load), velocity, period)
     ad = jnp.stack([jnp.stack([jnp.asarray(entry, jnp.float64) for entry in row]) for row in ad])
-    omega = steady_covariance(ad, jnp.stack(as_arrays(tuning.process)), tuning.measurement)
-    k = omega[:, 0] / (omega[0, 0] + tuning.measurement)
+    covariance = steady_covariance(ad, jnp.stack(as_arrays(tuning.process)), tuning.measurement)
+    gain = covariance[:, 0] / (covariance[0, 0] + tuning.measurement)
 
     def one_step(state: Array, error: Scalar) -> tuple[Array, Scalar]:
-        """The observer in the frame that moves with the table; `error` (N) is what its Coulomb friction lacks."""
-        wrong = _with_coulomb(friction, -error)
+        """The observer in the frame that moves with the table; `error` (N) is missing in its Coulomb friction."""
+        mismatched = _with_coulomb(friction, -error)
         x = tuple(state)
-        ad, bd = state_matrices(plant, lugre_coefficients(wrong, x[1], x[2], load), x[1], period)
-        predicted = jnp.stack([p + b * u for p, b in zip(kalman.matvec(ad, x), bd, strict=True)])
+        ad, bd = state_matrices(plant, lugre_coefficients(mismatched, x[1], x[2], load), x[1], period)
+        predicted = jnp.stack([p + b * force for p, b in zip(kalman.matvec(ad, x), bd, strict=True)])
         predicted = predicted.at[0].add(-velocity * period)
-        updated = predicted - k * predicted[0]
-        change = estimated_friction(wrong, tuple(updated), load) - estimated_friction(wrong, tuple(predicted), load)
+        updated = predicted - gain * predicted[0]
+        change = estimated_friction(mismatched, tuple(updated), load) - estimated_friction(
+            mismatched, tuple(predicted), load
+        )
         return updated, change
 
     settled = jnp.stack([jnp.zeros_like(level), velocity + jnp.zeros_like(level), deflection])
@@ -101,7 +103,7 @@ def convergence_gains(
     velocities = np.asarray(velocities, float)
     if not np.all(np.isfinite(velocities)) or np.any(velocities == 0):
         raise LoadEstimatorError(
-            "the convergence gain needs finite velocities other than zero: in stick there is no load to see"
+            "the convergence gain needs finite velocities other than zero: in stick the load is not observable"
         )
     return np.asarray(_gains(as_arrays(observer), jnp.asarray(velocities), period, as_arrays(load)))
 
@@ -109,25 +111,29 @@ def convergence_gains(
 def time_constants(
     observer: KalmanObserver, velocities: Sequence[float] | np.ndarray, period: float, load: float = 0.0
 ) -> Float[np.ndarray, " n"]:
-    """Time (s) in which the load error falls to 1/e at each velocity; infinite where it does not fall."""
+    """Time constant (s) of the load error at each velocity; infinite where it does not decay."""
     estimator = observer.load_estimator
     if not isinstance(estimator, InnovationLoad):
         raise LoadEstimatorError("this observer has no eq. (20) load estimator (InnovationLoad)")
     velocities = np.asarray(velocities, float)
     gains = convergence_gains(observer, velocities, period, load)
-    mu = observer.friction.load_coefficient
-    per_step = float(estimator.gain) * np.where(velocities >= 0, float(mu.positive), float(mu.negative)) * gains
+    load_coefficient = observer.friction.load_coefficient
+    per_step = (
+        float(estimator.gain)
+        * np.where(velocities >= 0, float(load_coefficient.positive), float(load_coefficient.negative))
+        * gains
+    )
     converges = (per_step > 0) & (per_step < 2)
-    kept = np.abs(1 - np.where(converges, per_step, 0.5))
-    with np.errstate(divide="ignore"):  # a gain so small that nothing is forgotten
-        return np.where(converges, -period / np.log(np.maximum(kept, 1e-300)), np.inf)
+    remaining = np.abs(1 - np.where(converges, per_step, 0.5))
+    with np.errstate(divide="ignore"):  # a gain so small that the error does not decay
+        return np.where(converges, -period / np.log(np.maximum(remaining, 1e-300)), np.inf)
 
 
 def innovation_load_observer(controller: Controller) -> KalmanObserver | None:
     """The observer with an eq. (20) estimator in this controller, if there is one; its numbers may be traced."""
     observer = controller.observer if isinstance(controller, FrictionCompensation) else None
-    printed = isinstance(observer, KalmanObserver) and isinstance(observer.load_estimator, InnovationLoad)
-    return observer if printed else None
+    has_innovation_load = isinstance(observer, KalmanObserver) and isinstance(observer.load_estimator, InnovationLoad)
+    return observer if has_innovation_load else None
 
 
 def active_innovation_load_observer(controller: Controller) -> KalmanObserver | None:
@@ -147,23 +153,25 @@ def divergent_speeds(
     It must converge in both directions and under each of `loads` (N), since G's change of sign moves with the load.
     """
     gate = float(observer.load_estimator.min_speed) if isinstance(observer.load_estimator, InnovationLoad) else np.inf
-    working = np.asarray([v for v in speeds if v > gate])
-    if not len(working):
+    moving_speeds = np.asarray([v for v in speeds if v > gate])
+    if not len(moving_speeds):
         return []
-    times = [time_constants(observer, sign * working, period, load) for sign in (1.0, -1.0) for load in loads]
-    return [float(v) for v, fine in zip(working, np.isfinite(times).all(axis=0), strict=True) if not fine]
+    times = [time_constants(observer, sign * moving_speeds, period, load) for sign in (1.0, -1.0) for load in loads]
+    return [
+        float(v) for v, converges in zip(moving_speeds, np.isfinite(times).all(axis=0), strict=True) if not converges
+    ]
 
 
 def require_convergent(
     observer: KalmanObserver, speeds: Sequence[float] | np.ndarray, period: float, loads: Sequence[float] = (0.0,)
 ) -> None:
     """Raise `LoadEstimatorError` naming the speeds (m/s) at which eq. (20) does not converge under `loads` (N)."""
-    bad = divergent_speeds(observer, speeds, period, loads)
-    if bad:
-        raise LoadEstimatorError(_verdict(bad))
+    divergent = divergent_speeds(observer, speeds, period, loads)
+    if divergent:
+        raise LoadEstimatorError(_divergence_message(divergent))
 
 
-def _verdict(speeds: Sequence[float]) -> str:
+def _divergence_message(speeds: Sequence[float]) -> str:
     listed = ", ".join(f"{1e3 * v:.3g}" for v in speeds)
     return (
         f"the eq. (20) load estimator does not converge at {listed} mm/s: its gain G is not positive there (see "
@@ -173,7 +181,7 @@ def _verdict(speeds: Sequence[float]) -> str:
 
 
 def convergence_warnings(controller: Controller, motion: Motion, load: np.ndarray, period: float) -> list[str]:
-    """What is wrong with using this controller's eq. (20) estimator on this motion under this load (N), if anything.
+    """Warnings about this controller's eq. (20) estimator on this motion under this load (N).
 
     It must converge at the motion's working speeds under its lowest and highest load, and not cruise at its gate.
     """
@@ -182,13 +190,13 @@ def convergence_warnings(controller: Controller, motion: Motion, load: np.ndarra
         return []
     deciles = np.round(np.quantile(np.abs(motion.velocity), np.linspace(0.1, 1.0, 10)), 6)
     gate = float(observer.load_estimator.min_speed)  # type: ignore[union-attr]
-    problems = []
+    warnings = []
     if gate > 0 and int(np.sum(np.abs(deciles - gate) < 0.05 * gate)) >= 2:
-        problems.append(
+        warnings.append(
             f"the motion cruises at the load estimator's min_speed of {1e3 * gate:g} mm/s: noise then decides which "
             "corrections pass the gate, and the load estimate drifts; set min_speed well below or above the speeds of "
             "the motion"
         )
     extremes = sorted({float(np.min(load)), float(np.max(load))})
-    bad = divergent_speeds(observer, np.unique(deciles), period, extremes)
-    return problems + ([_verdict(bad)] if bad else [])
+    divergent = divergent_speeds(observer, np.unique(deciles), period, extremes)
+    return warnings + ([_divergence_message(divergent)] if divergent else [])

@@ -1,7 +1,7 @@
 """The friction observer: a Kalman filter on the drive's own model (paper, section 3.1), with its load estimator.
 
-An observer is told, once a control period, the force that acted since the last one and the position measured now, and
-returns what it makes of them: friction to cancel, load, velocity.
+Once a control period an observer takes the force that acted since the last one and the position measured now, and
+returns its estimates: friction to cancel, load, velocity.
 """
 
 import abc
@@ -20,7 +20,7 @@ from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 
 
 class ObserverEstimate(NamedTuple):
-    """What an observer reports at each sample; None stands for what it does not estimate."""
+    """The estimates of an observer at each sample; None where it makes none."""
 
     friction: Scalar  # N, without the damping B_S v
     load: Scalar | None = None  # N
@@ -45,7 +45,7 @@ class FrictionObserver(eqx.Module):
     @property
     @abc.abstractmethod
     def suffix(self) -> str:
-        """What it adds to the kind pd+fc of a controller."""
+        """The suffix of the controller's kind, after pd+fc."""
 
     @abc.abstractmethod
     def tables(self) -> dict[str, Any]:
@@ -54,7 +54,7 @@ class FrictionObserver(eqx.Module):
     @property
     @abc.abstractmethod
     def gains(self) -> dict[str, str]:
-        """Paths of what may be tuned in it, by the name that a controller gives it."""
+        """Paths of its tunable parameters, by the gain's name in the controller."""
 
     @abc.abstractmethod
     def init(self, position: Scalar) -> Any:
@@ -119,33 +119,33 @@ class KalmanObserver(FrictionObserver):
     def init(self, position: Scalar) -> ObserverState:
         zero = jnp.zeros_like(position)
         x = (position, zero, zero)
-        spread = jax.tree.map(lambda q: q + zero, (*self.tuning.process,))
-        return ObserverState(x, kalman.diagonal(spread), self.load_estimator.init() + zero)
+        variances = jax.tree.map(lambda q: q + zero, (*self.tuning.process,))
+        return ObserverState(x, kalman.diagonal(variances), self.load_estimator.init() + zero)
 
     def step(
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
     ) -> tuple[ObserverState, ObserverEstimate]:
         _, velocity, deflection = state.x
-        bristle = once(lugre_coefficients(self.friction, velocity, deflection, state.load))
-        ad, bd = state_matrices(self.plant, bristle, velocity, period)
-        u = force + self.plant.constant_force
-        predicted = tuple(p + b * u for p, b in zip(kalman.matvec(ad, state.x), bd, strict=True))
-        omega = kalman.predict_covariance(state.covariance, ad, self.tuning.process)
-        predicted, omega = once((predicted, omega))
+        coefficients = once(lugre_coefficients(self.friction, velocity, deflection, state.load))
+        ad, bd = state_matrices(self.plant, coefficients, velocity, period)
+        total_force = force + self.plant.constant_force
+        predicted = tuple(p + b * total_force for p, b in zip(kalman.matvec(ad, state.x), bd, strict=True))
+        covariance = kalman.predict_covariance(state.covariance, ad, self.tuning.process)
+        predicted, covariance = once((predicted, covariance))
 
-        k = kalman.kalman_gain(omega, self.tuning.measurement)
+        gain = kalman.kalman_gain(covariance, self.tuning.measurement)
         innovation = position - predicted[0]
-        updated = tuple(p + g * innovation for p, g in zip(predicted, k, strict=True))
-        omega = kalman.update_covariance(omega, k, self.tuning.measurement)
+        updated = tuple(p + g * innovation for p, g in zip(predicted, gain, strict=True))
+        covariance = kalman.update_covariance(covariance, gain, self.tuning.measurement)
 
-        before = estimated_friction(self.friction, predicted, state.load)
-        # stages apart, or the compiler computes a stage anew for each of its readers (docs/method/numerics.md)
-        updated, omega, before = once((updated, omega, before))
-        after = once(estimated_friction(self.friction, updated, state.load))
-        load = self.load_estimator.step(state.load, velocity, before, after)
-        state = once(ObserverState(updated, omega, load))
-        assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
-        return state, ObserverEstimate(after, None if assumed else load, updated[1], innovation)
+        predicted_friction = estimated_friction(self.friction, predicted, state.load)
+        # without this barrier the compiler computes a value anew for each of its readers (docs/method/numerics.md)
+        updated, covariance, predicted_friction = once((updated, covariance, predicted_friction))
+        updated_friction = once(estimated_friction(self.friction, updated, state.load))
+        load = self.load_estimator.step(state.load, velocity, predicted_friction, updated_friction)
+        state = once(ObserverState(updated, covariance, load))
+        is_assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
+        return state, ObserverEstimate(updated_friction, None if is_assumed else load, updated[1], innovation)
 
 
 class LoadStateTuning(eqx.Module):
@@ -172,7 +172,7 @@ class LoadStateObserver(FrictionObserver):
     The paper's eq. (20) corrects the load by the change of the friction estimate, whose sign depends on speed, Q and R
     (`convergence.convergence_gain`). Here the filter's own covariance between load and position gives the
     correction: sliding at v, one newton of load bends the bristle by dz/dt = (r z / g) mu_LC, a direction that keeps
-    its sign from creep to traverse and fades by itself in stick, where the load cannot be seen.
+    its sign from creep to traverse and vanishes in stick, where the load is not observable.
     """
 
     plant: Plant
@@ -194,36 +194,38 @@ class LoadStateObserver(FrictionObserver):
 
     def init(self, position: Scalar) -> ObserverState:
         zero = jnp.zeros_like(position)
-        spread = jax.tree.map(lambda q: q + zero, self.tuning.process)
-        return ObserverState((position, zero, zero), kalman.diagonal(spread), self.initial_load + zero)
+        variances = jax.tree.map(lambda q: q + zero, self.tuning.process)
+        return ObserverState((position, zero, zero), kalman.diagonal(variances), self.initial_load + zero)
 
     def step(
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
     ) -> tuple[ObserverState, ObserverEstimate]:
         friction = self.friction
         _, velocity, deflection = state.x
-        bristle = lugre_coefficients(friction, velocity, deflection, state.load)
-        ad, bd = state_matrices(self.plant, bristle, velocity, period)
-        column = self._load_column(bristle, velocity, deflection, period)
-        u = force + self.plant.constant_force
-        predicted = tuple(p + b * u for p, b in zip(kalman.matvec(ad, state.x), bd, strict=True))
+        coefficients = lugre_coefficients(friction, velocity, deflection, state.load)
+        ad, bd = state_matrices(self.plant, coefficients, velocity, period)
+        column = self._load_column(coefficients, velocity, deflection, period)
+        total_force = force + self.plant.constant_force
+        predicted = tuple(p + b * total_force for p, b in zip(kalman.matvec(ad, state.x), bd, strict=True))
         ad4 = (*((*row, c) for row, c in zip(ad, column, strict=True)), (0.0, 0.0, 0.0, 1.0))
-        omega = kalman.predict_covariance(state.covariance, ad4, self.tuning.process)
-        predicted, omega = once((predicted, omega))
+        covariance = kalman.predict_covariance(state.covariance, ad4, self.tuning.process)
+        predicted, covariance = once((predicted, covariance))
 
-        k = kalman.kalman_gain(omega, self.tuning.measurement)
+        gain = kalman.kalman_gain(covariance, self.tuning.measurement)
         innovation = position - predicted[0]
-        updated = tuple(p + g * innovation for p, g in zip(predicted, k[:3], strict=True))
-        load = state.load + k[3] * innovation
+        updated = tuple(p + g * innovation for p, g in zip(predicted, gain[:3], strict=True))
+        load = state.load + gain[3] * innovation
         load = load if self.floor is None else jnp.maximum(load, self.floor)
-        omega = kalman.update_covariance(omega, k, self.tuning.measurement)
-        after = estimated_friction(friction, updated, load)
-        state = once(ObserverState(updated, omega, load))
-        return state, ObserverEstimate(after, load, updated[1], innovation)
+        covariance = kalman.update_covariance(covariance, gain, self.tuning.measurement)
+        updated_friction = estimated_friction(friction, updated, load)
+        state = once(ObserverState(updated, covariance, load))
+        return state, ObserverEstimate(updated_friction, load, updated[1], innovation)
 
-    def _load_column(self, bristle: Any, velocity: Scalar, deflection: Scalar, period: float) -> kalman.Vector:
+    def _load_column(self, coefficients: Any, velocity: Scalar, deflection: Scalar, period: float) -> kalman.Vector:
         """d[x, v, z]/dW over one period: the bristle is pushed by (r z / g) mu_LC per newton of load."""
-        push = bristle.rate * deflection / bristle.level * self.friction.load_coefficient.towards(velocity)
-        source = (-bristle.damping * push / self.plant.mass, push)
-        _, integral, double = transition(self.plant, bristle, velocity, period)
+        deflection_rate = (
+            coefficients.rate * deflection / coefficients.level * self.friction.load_coefficient.towards(velocity)
+        )
+        source = (-coefficients.damping * deflection_rate / self.plant.mass, deflection_rate)
+        _, integral, double = transition(self.plant, coefficients, velocity, period)
         return (kalman.dot(double[0], source), *kalman.matvec(integral, source))

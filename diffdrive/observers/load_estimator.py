@@ -10,7 +10,7 @@ from diffdrive.model.parameters import Scalar, quantity
 
 
 class FixedLoad(eqx.Module):
-    """No estimator: the load that the observer believes in stays as it was set (the paper's PD+FC)."""
+    """No estimator: the observer's load stays as it was set (the paper's PD+FC)."""
 
     load: Scalar = quantity("N", "the load that the observer assumes", default=0.0)
 
@@ -20,7 +20,7 @@ class FixedLoad(eqx.Module):
     def init(self) -> Scalar:
         return self.load
 
-    def step(self, load: Scalar, velocity: Scalar, before: Scalar, after: Scalar) -> Scalar:
+    def step(self, load: Scalar, velocity: Scalar, predicted: Scalar, updated: Scalar) -> Scalar:
         return load
 
 
@@ -28,7 +28,7 @@ class InnovationLoad(eqx.Module):
     """Eq. (20) as printed: What += sign(v) K_w (Fhat[k+1|k+1] - Fhat[k+1|k]).
 
     Two guards that the paper does not mention and that it cannot work without: no update below `min_speed`, and never
-    below `floor`. It converges only where `convergence.convergence_gain` is positive; ask before you use it.
+    below `floor`. It converges only where `convergence.convergence_gain` is positive: check that before using it.
     """
 
     gain: Scalar = quantity("1", "load estimator gain, K_w", at_least=0.0, default=100.0)
@@ -48,11 +48,11 @@ class InnovationLoad(eqx.Module):
     def init(self) -> Scalar:
         return self.initial_load
 
-    def step(self, load: Scalar, velocity: Scalar, before: Scalar, after: Scalar) -> Scalar:
+    def step(self, load: Scalar, velocity: Scalar, predicted: Scalar, updated: Scalar) -> Scalar:
         speed = jnp.abs(velocity)
         if self.rounding is None:
             gate = jnp.where(speed > self.min_speed, 1.0, 0.0)
         else:
             gate = jax.nn.sigmoid((speed - self.min_speed) / self.rounding)
-        moved = load + gate * jnp.sign(velocity) * self.gain * (after - before)
-        return moved if self.floor is None else jnp.maximum(moved, self.floor)
+        corrected = load + gate * jnp.sign(velocity) * self.gain * (updated - predicted)
+        return corrected if self.floor is None else jnp.maximum(corrected, self.floor)

@@ -77,7 +77,9 @@ def run_of(plan: SweepPlan, machine: Machine, controller: str, motion: str, ever
     inputs = loop_inputs(planned, loads)
     frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
     limit = force_limit(machine.drive)
-    return with_status(Run.of(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit))
+    return with_status(
+        Run.from_frames(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit)
+    )
 
 
 def errors_of(plan: SweepPlan, run: Run) -> tuple[float, float]:

@@ -128,7 +128,7 @@ def simulate_log(
     machine, controller, inputs = *as_arrays((machine, controller)), loop_inputs(reference, loads)
     sampling, limits, key = drive.axis.sampling, drive.axis.limits, jax.random.key(seed)
     run = with_status(
-        Run.of(reference, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
+        Run.from_frames(reference, loads, _rollout(machine, controller, inputs, sampling, key), 1), limits, None
     ).require_ok()
     signals = {name: np.asarray(getattr(run, name)) for name in ("time", "position", "command", "reference")}
     if drive.load:
