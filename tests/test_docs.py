@@ -1,5 +1,7 @@
 """What the docs say of motions is what the code does; no link leads nowhere, and a link leads to every page."""
 
+import contextlib
+import importlib
 import re
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from diffdrive.motion.text import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, pars
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SOURCES = [file for part in ("diffdrive", "tuning", "experiments", "tests") for file in (ROOT / part).rglob("*.py")]
+FILES = {file.name for file in SOURCES}
 
 
 def test_the_reference_of_motions_in_the_docs_is_current():
@@ -79,6 +83,37 @@ def test_the_readme_links_the_table_of_contents_which_leads_to_every_page():
             reached.add(page)
             ahead.extend(linked(page))
     assert set(PAGES[1:]) <= reached, sorted(page.name for page in set(PAGES[1:]) - reached)
+
+
+NAME = re.compile(r"`((?:diffdrive|tuning|experiments)(?:\.(?!json|png|toml|checkpoint)[A-Za-z_]\w*)+)")
+FILE = re.compile(r"(?<![\w./])((?:[\w-]+/)*\w+\.py)\b")
+
+
+def is_there(name):
+    """Whether a dotted name is a module, or an attribute of one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        with contextlib.suppress(ModuleNotFoundError):
+            found = importlib.import_module(".".join(parts[:count]))
+            break
+    with contextlib.suppress(AttributeError):
+        for part in parts[count:]:
+            found = getattr(found, part)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name != "history"], ids=lambda page: page.name)
+def test_what_a_page_names_of_the_code_is_there(page):
+    text = page.read_text(encoding="utf-8")
+    assert [name for name in NAME.findall(text) if not is_there(name)] == []
+    assert [file for file in FILE.findall(text) if not (ROOT / file).exists() and file not in FILES] == []
+
+
+def test_the_pages_that_the_code_names_are_there():
+    for source in SOURCES:
+        for page in re.findall(r"docs/[\w/-]+\.md", source.read_text(encoding="utf-8")):
+            assert (ROOT / page).exists(), f"{source.name}: {page}"
 
 
 def test_no_page_names_a_folder_that_a_stranger_does_not_have():
