@@ -33,7 +33,7 @@ class Axis(eqx.Module):
     machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction, as in a file. A
     machine that differs from its controller's model is an axis of its own: pass it as `machine`.
 
-    Example:
+    Examples:
         >>> axis = paper_axis(controller="pd+fc+ls")
         >>> heavier = axis.replace({"plant.mass": 130.0, "friction.coulomb_screw": (50.0, 80.0)})
         >>> stiffer = axis.with_gains(kp=1.2 * axis.gains["kp"])

@@ -44,9 +44,20 @@ def paper_controllers(drive: Drive, kp: Scalar = PAPER_KP, kd: Scalar = PAPER_KD
 def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
     """The paper's testbed: 100 kg on linear guides, 0.1 um scale, 150 mm of stroke, 10 kHz.
 
-    `controller` is one of its kinds: `pd`, `dobvsc`, `pd+ff+dob`, `pd+fc`, `pd+fc+le` (the paper's), `pd+fc+ls` (whose
-    load estimator converges at every speed) and `cascade`. `quantised=False` leaves the steps of the scale out. Raises
-    `ParameterError` for another kind. Source: Lee et al. 2015, Tables 2 and 3; docs/evidence/paper.md.
+    Source: Lee et al. 2015, Tables 2 and 3; docs/evidence/paper.md.
+
+    Args:
+        controller: Its kind: `pd`, `dobvsc`, `pd+ff+dob`, `pd+fc`, `pd+fc+le` (the paper's), `pd+fc+ls` (whose load
+            estimator converges at every speed), or `cascade`.
+        quantised: Whether the scale has steps (0.1 um).
+
+    Raises:
+        ParameterError: No controller of this kind is known.
+
+    Examples:
+        >>> paper_axis("pd+fc+ls")
+        Axis(100 kg, pd+fc+ls, 10000 Hz)
+
     """
     drive = paper_drive(quantised=quantised)
     controllers = paper_controllers(drive)

@@ -30,9 +30,17 @@ def cores() -> int:
 
 
 def configure(devices: int | None = None) -> None:
-    """Set double precision, fast CPU scans, `devices` CPU devices (None: one per core), and no GPU.
+    """Set double precision, fast CPU scans, one CPU device per core, and no GPU (`allow_accelerator` permits one).
 
-    `allow_accelerator` permits one. Environment variables that are set stay in force.
+    Call it once, before anything is computed. Environment variables that are set stay in force.
+
+    Args:
+        devices: CPU devices, over which many lanes are shared out; by default one per core.
+
+    Examples:
+        >>> import diffdrive as dd
+        >>> dd.configure()
+
     """
     flags = os.environ.get("XLA_FLAGS", "").split()
     names = {flag.split("=")[0] for flag in flags}

@@ -32,14 +32,24 @@ def simulate(
 ) -> Run:
     """Simulate one motion of an axis, and return every signal with a status that says whether the run is valid.
 
-    `load` is in N, one number or one per sample. `machine` is an axis whose drive replaces the axis's own under the
-    axis's controller, so that the controller's model and the true machine may differ. `seed` seeds the noise of the
-    scale (None: no noise). `every` keeps each n-th sample.
+    A loop that diverges is a status, and an error only with `throw`.
 
-    Raises `ParameterError` and `MotionError` on bad input. A loop that diverges is a status, and an error
-    (`DivergenceError`) only with `throw`.
+    Args:
+        axis: The drive and its controller.
+        motion: The reference, [n] samples at the axis's rate.
+        load: Force on the guides (N), one number or one per sample.
+        machine: An axis whose drive replaces the axis's own under the axis's controller, so that the controller's model
+            and the true machine may differ.
+        seed: Of the noise of the scale (None: no noise).
+        every: Keep each n-th sample.
+        throw: Raise an error where the status is not ok.
 
-    Example:
+    Raises:
+        ParameterError: A parameter is out of its range, or the rates differ.
+        MotionError: The motion leaves the axis's limits, or the load is not possible.
+        DivergenceError: The loop diverged, with `throw`.
+
+    Examples:
         >>> run = simulate(axis, motion.sine(amplitude=1e-3, frequency=10.0, duration=0.5, rate=axis.rate), load=8e3)
         >>> run.status.ok, run.rms()
 
@@ -98,10 +108,19 @@ def rollout(
 
     For `jit`, `grad`, `jacfwd` and `vmap`, over gains, plant, friction and loads. Values, which may be traced, are not
     checked: `simulate` does that. For gradients take `axis.smooth()`; the exact axis rounds and switches, and its
-    derivatives are of no use. `machine`, as in `simulate`. `seed` seeds the noise of the scale (None: no noise).
-    Raises `ParameterError` for a motion of another rate.
+    derivatives are of no use.
 
-    Example:
+    Args:
+        axis: The drive and its controller; its leaves may be traced.
+        motion: The reference, [n] samples at the axis's rate.
+        load: Force on the guides (N), one number or one per sample; may be traced.
+        machine: An axis whose drive replaces the axis's own, as in `simulate`.
+        seed: Of the noise of the scale (None: no noise).
+
+    Raises:
+        ParameterError: The motion, or the machine, has another rate than the axis.
+
+    Examples:
         >>> def error(kp, load):
         ...     return rollout(axis.smooth().with_gains(kp=kp), motion, load).rms_error()
         >>> jax.grad(error)(axis.gains["kp"], 8e3)

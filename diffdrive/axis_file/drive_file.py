@@ -238,7 +238,19 @@ def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
 
 
 def read_axis(path: str | Path) -> Axis:
-    """Read a drive file; raises `DriveFileError` naming the file, the key and the remedy."""
+    """Read a drive file (docs/reference/drive-file.md).
+
+    Args:
+        path: A TOML file; `diffdrive template > drive.toml` writes one to start from.
+
+    Raises:
+        DriveFileError: It cannot be read: names the file, the key and the remedy.
+
+    Examples:
+        >>> axis = read_axis("drive.toml")
+        >>> axis.value("plant.mass")
+
+    """
     origin = "'diffdrive template > drive.toml' writes one to start from"
     axis = parse_axis(read_toml(Path(path), DriveFileError, origin), str(path))
     return dataclasses.replace(axis, name=Path(path).stem)

@@ -10,6 +10,7 @@ KINDS: dict[str, Kind] = {
         pd.KIND, dobvsc.KIND, feedforward_dob.KIND, *friction_compensation.KINDS, cascade.KIND, unknown.KIND,
     )
 }  # fmt: skip
+"""Every known kind of controller by its name in a drive file."""
 
 
 def register(kind: Kind) -> Kind:

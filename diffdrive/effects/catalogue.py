@@ -32,6 +32,7 @@ EFFECTS_BY_PART: dict[str, tuple[type[Effect], ...]] = {
     "sensor": (LeadError, InterpolationError),
 }
 EFFECTS: dict[str, type[Effect]] = {effect.name: effect for place in EFFECTS_BY_PART.values() for effect in place}
+"""Every known effect by its name in a drive file."""
 
 
 def register(effect: type[EffectType]) -> type[EffectType]:
@@ -40,11 +41,17 @@ def register(effect: type[EffectType]) -> type[EffectType]:
     `simulate`, drive files, `sweep` and `diagnose` then treat it as they do those of the catalogue.
 
     Its `name` is that of its table in a drive file ([effects.NAME]), its `part` the part of the machine that it is
-    reported as, one of `EFFECTS_BY_PART`. Registering a class of the same name again replaces it. Raises
-    `ParameterError` for a class without a name, an unknown part, parameters that declare neither unit nor meaning, and
-    a parameter without a default: an effect is neutral, and does nothing, at its defaults.
+    reported as, one of `EFFECTS_BY_PART`. Registering a class of the same name again replaces it. An effect is neutral,
+    and does nothing, at its defaults.
 
-    Example:
+    Args:
+        effect: A class derived from `TableForce` or another of the base classes.
+
+    Raises:
+        ParameterError: The class has no name, an unknown part, a parameter that declares neither unit nor meaning, or
+            one without a default.
+
+    Examples:
         >>> @register
         ... class Counterbalance(TableForce):
         ...     name = "counterbalance"

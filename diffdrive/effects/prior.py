@@ -22,12 +22,29 @@ class Prior(NamedTuple):
 
 
 def amplitude(unit: str, meaning: str, *, usual: float, session: bool = False) -> Any:
-    """Declare how strong an effect is: linear in it, of either sign, gone at zero; `usual` is what is common."""
+    """Declare how strong an effect is: a parameter that the effect is linear in, of either sign, and gone at zero.
+
+    Args:
+        unit: Of the parameter, in SI.
+        meaning: What it is, in a few words.
+        usual: What is common of machines: the standard deviation of what is expected.
+        session: Whether it differs from log to log.
+
+    """
     return _with(quantity(unit, meaning, default=0.0), Prior(usual, amplitude=True, session=session))
 
 
 def positive(unit: str, meaning: str, *, usual: float, spread: float = 0.7, session: bool = False) -> Any:
-    """Declare a positive parameter of an effect: about `usual`, within a factor of exp(`spread`) in two of three."""
+    """Declare a positive parameter of an effect.
+
+    Args:
+        unit: Of the parameter, in SI.
+        meaning: What it is, in a few words.
+        usual: What is common of machines.
+        spread: Of its logarithm: within a factor of exp(`spread`) of `usual` in two machines of three.
+        session: Whether it differs from log to log.
+
+    """
     return _with(quantity(unit, meaning, above=0.0, default=usual), Prior(usual, spread, session=session))
 
 

@@ -56,15 +56,28 @@ def read_log(
 ) -> Log:
     """Read a log in SI units on a uniform clock; its `notes` list what was repaired.
 
-    `source` is a file (CSV, MAT, Parquet), a data frame of pandas, polars or another library, or a dict of arrays by
-    column. Which column is which channel in which unit is found by their names, or stated by the `axis` (the tables
-    [columns], [units] and [shifts] of its file), or here: `columns` by channel, such as `{"position": "ActPos"}`,
-    `units` of one unit of the column, such as `{"position": "mm", "command": "15.96 N"}`, and `shifts` by whole samples
-    of channels that were recorded early or late. `mapping` replaces the axis's.
+    Which column is which channel in which unit is found by their names, or stated by the `axis` (the tables [columns],
+    [units] and [shifts] of its file), or here.
 
-    `rate` (Hz), or else the axis's, is that of the controller: the log is checked against it, and one without a time
-    takes its time from it. `name` is the log's; a file's by default. Raises `LogError`, one line that names the file,
-    the row or column, and the remedy.
+    Args:
+        source: A file (CSV, MAT, Parquet), a data frame of pandas, polars or another library, or a dict of arrays [n]
+            by column.
+        axis: The axis that the log is of.
+        columns: The column of each channel, such as `{"position": "ActPos"}`.
+        units: What one unit of a channel's column is, such as `{"position": "mm", "command": "15.96 N"}`.
+        shifts: Whole samples by which to move channels that were recorded early or late.
+        name: The log's; by default the file's.
+        mapping: Columns, units and shifts in the place of the axis's.
+        rate: Of the controller (Hz), by default the axis's: the log is checked against it, and one without a time takes
+            its time from it.
+
+    Raises:
+        LogError: The log cannot be read or used: one line that names the file, the row or column, and the remedy.
+
+    Examples:
+        >>> log = read_log("lap.csv", axis, units={"position": "mm"})
+        >>> log.notes
+
     """
     mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
     if columns or units or shifts:
@@ -121,7 +134,18 @@ def read_logs(
     mapping: ColumnMapping | None = None,
     rate: float | None = None,
 ) -> tuple[Log, ...]:
-    """Read several logs of one machine, each as `read_log` does; raises `LogError`."""
+    """Read several logs of one machine, each as `read_log` does.
+
+    Args:
+        sources: Files, data frames, or dicts of arrays.
+        axis: The axis that they are of.
+        mapping: Columns, units and shifts in the place of the axis's.
+        rate: Of the controller (Hz), by default the axis's.
+
+    Raises:
+        LogError: One of them cannot be read or used.
+
+    """
     sources = list(sources)
     files = [Path(source) if isinstance(source, str | Path) else None for source in sources]
     logs = [

@@ -36,8 +36,24 @@ def triangular(
 ) -> Motion:
     """To and fro at constant `speed` (m/s) over `stroke` (m), each velocity reversal linear over `rounding` (s).
 
-    It starts from rest with half a rounding. `stroke` is the distance between the turning points, so that reversals are
-    centred stroke / speed + rounding / 2 apart, the first at `first_reversal` (s), by default after one such time.
+    It starts from rest with half a rounding. Reversals are centred stroke / speed + rounding / 2 apart, so that
+    `stroke` is the distance between the turning points.
+
+    Args:
+        speed: Between the reversals (m/s).
+        stroke: Distance between the turning points (m).
+        rounding: Time that a reversal takes (s).
+        duration: Length of the motion (s).
+        rate: Samples per second (Hz), the axis's.
+        first_reversal: When the first one is centred (s); by default one such time after the start.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    Examples:
+        >>> triangular(speed=0.010, stroke=0.005, rounding=0.1, duration=1.0, rate=10_000.0)
+
     """
     require_positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
     with guarded_arithmetic("triangular motion"):
@@ -67,7 +83,19 @@ def triangular(
 
 
 def constant_speed(*, speed: float, ramp: float, duration: float, rate: float, start: float = 0.0) -> Motion:
-    """From rest to `speed` (m/s, either sign) at constant acceleration over `ramp` (s), then on at that speed."""
+    """From rest to `speed` (m/s, either sign) at constant acceleration over `ramp` (s), then on at that speed.
+
+    Args:
+        speed: Of either sign (m/s).
+        ramp: Time to get there (s).
+        duration: Length of the motion (s).
+        rate: Samples per second (Hz), the axis's.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    """
     require_positive("constant speed", speed=abs(speed), ramp=ramp, duration=duration)
     with guarded_arithmetic("constant speed"):
         acceleration = speed / ramp
@@ -101,7 +129,21 @@ def trapezoidal(
     repeats: int = 1,
     start: float = 0.0,
 ) -> Motion:
-    """Strokes of `distance` (m) there and back, acceleration-limited, resting `dwell` (s) in between."""
+    """Strokes of `distance` (m) there and back, acceleration-limited, resting `dwell` (s) in between.
+
+    Args:
+        distance: Of a stroke, of either sign (m).
+        speed: Highest (m/s).
+        acceleration: Highest (m/s^2).
+        rate: Samples per second (Hz), the axis's.
+        dwell: Rest before and after each stroke (s).
+        repeats: Strokes there and back.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    """
     require_positive("trapezoidal stroke", distance=abs(distance), speed=speed, acceleration=acceleration)
     stroke = partial(stroke_pieces, speed=speed, acceleration=acceleration)
     return _to_and_fro("trapezoidal", stroke, distance, dwell, repeats, rate, start)
@@ -118,7 +160,22 @@ def jerk_limited(
     repeats: int = 1,
     start: float = 0.0,
 ) -> Motion:
-    """Strokes of `distance` (m) there and back with limited `jerk` (m/s^3), resting `dwell` (s) in between."""
+    """Strokes of `distance` (m) there and back with limited `jerk` (m/s^3), resting `dwell` (s) in between.
+
+    Args:
+        distance: Of a stroke, of either sign (m).
+        speed: Highest (m/s).
+        acceleration: Highest (m/s^2).
+        jerk: Highest (m/s^3).
+        rate: Samples per second (Hz), the axis's.
+        dwell: Rest before and after each stroke (s).
+        repeats: Strokes there and back.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    """
     require_positive("jerk-limited stroke", distance=abs(distance), speed=speed, acceleration=acceleration, jerk=jerk)
     stroke = partial(jerk_stroke_pieces, speed=speed, acceleration=acceleration, jerk=jerk)
     return _to_and_fro("jerk-limited", stroke, distance, dwell, repeats, rate, start)
@@ -135,8 +192,19 @@ def multisine(
 ) -> Motion:
     """A sum of sines (amplitudes m, frequencies Hz, phases rad; by default Schroeder's, which keep the peak low).
 
-    It starts at `start`; its first velocity is not zero in general: fade in with a `from_array` of your own if the axis
-    must start from rest.
+    Its first velocity is not zero in general: fade in with a `from_array` of your own if the axis must start from rest.
+
+    Args:
+        amplitudes: Of each sine (m).
+        frequencies: Of each sine (Hz), below half of the rate.
+        duration: Length of the motion (s).
+        rate: Samples per second (Hz), the axis's.
+        phases: Of each sine (rad); by default Schroeder's, which keep the peak low.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
     """
     return _waves("multisine", amplitudes, frequencies, phases, duration, rate, start)
 
@@ -170,7 +238,22 @@ def _waves(
 
 
 def sine(*, amplitude: float, frequency: float, duration: float, rate: float, start: float = 0.0) -> Motion:
-    """One sine that begins at its turning point, hence from rest: start + amplitude (1 - cos(2 pi f t))."""
+    """One sine that begins at its turning point, hence from rest: start + amplitude (1 - cos(2 pi f t)).
+
+    Args:
+        amplitude: Half of the stroke (m).
+        frequency: Of the sine (Hz).
+        duration: Length of the motion (s).
+        rate: Samples per second (Hz), the axis's.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    Examples:
+        >>> sine(amplitude=0.015, frequency=0.5, duration=6.0, rate=10_000.0)
+
+    """
     require_positive("sine", amplitude=amplitude, frequency=frequency)
     return _waves("sine", [amplitude], [frequency], [-np.pi / 2], duration, rate, start)
 
@@ -178,7 +261,20 @@ def sine(*, amplitude: float, frequency: float, duration: float, rate: float, st
 def chirp(
     *, amplitude: float, from_frequency: float, to_frequency: float, duration: float, rate: float, start: float = 0.0
 ) -> Motion:
-    """A sine whose frequency rises linearly from `from_frequency` to `to_frequency` (Hz), starting from rest."""
+    """A sine whose frequency rises linearly from `from_frequency` to `to_frequency` (Hz), starting from rest.
+
+    Args:
+        amplitude: Half of the stroke (m).
+        from_frequency: At the start (Hz).
+        to_frequency: At the end (Hz).
+        duration: Length of the motion (s).
+        rate: Samples per second (Hz), the axis's.
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    """
     require_positive("chirp", amplitude=amplitude, from_frequency=from_frequency, to_frequency=to_frequency)
     require_finite("chirp", start=start)
     time = time_grid("chirp", duration, rate)
@@ -204,7 +300,20 @@ def chirp(
 def staircase(
     *, speeds: Sequence[float], travel: float, acceleration: float, rate: float, dwell: float = 0.2, start: float = 0.0
 ) -> Motion:
-    """For each of `speeds` (m/s): a stroke of `travel` (m) out and back with dwells (s), as for a Stribeck curve."""
+    """For each of `speeds` (m/s): a stroke of `travel` (m) out and back with dwells (s), as for a Stribeck curve.
+
+    Args:
+        speeds: One for each step (m/s).
+        travel: Length of the strokes (m).
+        acceleration: Highest (m/s^2).
+        rate: Samples per second (Hz), the axis's.
+        dwell: Rest between the strokes (s).
+        start: Position of the first sample (m).
+
+    Raises:
+        MotionError: A value is not positive and finite, or the motion has too many or too few samples.
+
+    """
     if not len(speeds):
         raise MotionError("staircase: give at least one speed")
     require_positive(
@@ -221,7 +330,20 @@ def staircase(
 
 
 def from_array(time: Sequence[float], position: Sequence[float], *, name: str = "own array") -> Motion:
-    """Your own reference (s, m) on a uniform time grid; velocity and acceleration from its cubic spline."""
+    """Your own reference (s, m) on a uniform time grid; velocity and acceleration from its cubic spline.
+
+    Args:
+        time: Of the samples, [n], uniform (s).
+        position: Where the table should be, [n] (m).
+        name: What messages call it.
+
+    Raises:
+        MotionError: The samples are not uniform in time, not finite, or not equally many.
+
+    Examples:
+        >>> from_array(np.arange(1001) / 1000.0, 1e-3 * np.sin(np.arange(1001) / 100.0))
+
+    """
     t, x = np.asarray(time, float), np.asarray(position, float)
     if t.ndim != 1 or t.shape != x.shape or len(t) < 4:
         raise MotionError(f"{name}: time and position must be one-dimensional, equally long, with at least 4 samples")

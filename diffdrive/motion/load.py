@@ -9,6 +9,8 @@ import numpy as np
 from diffdrive.errors import MotionError
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 
+__all__ = ["Ramp", "constant", "material_removal", "piecewise", "ramp", "step"]
+
 GRAVITY = 9.80665  # m/s^2
 
 
@@ -18,10 +20,10 @@ class Ramp(NamedTuple):
     For many lanes at once, each with a load of its own that no array over time needs to hold.
     """
 
-    load: Scalar
-    change: Scalar
-    begin: Scalar
-    end: Scalar
+    load: Scalar  # N, before the change
+    change: Scalar  # N
+    begin: Scalar  # s
+    end: Scalar  # s
 
     def at(self, time: Scalar) -> Scalar:
         """The load (N) at a time (s); where `end` does not come after `begin`, a step there."""
@@ -30,24 +32,66 @@ class Ramp(NamedTuple):
 
 
 def constant(time: np.ndarray, load: float) -> np.ndarray:
-    """The same load (N) throughout."""
+    """The same load (N) throughout.
+
+    Args:
+        time: Of the samples, [n] (s): `motion.time`.
+        load: On the guides (N).
+
+    """
     return np.full(len(time), float(load))
 
 
 def step(time: np.ndarray, *, at: float, to: float, before: float = 0.0) -> np.ndarray:
-    """`before` (N) until `at` (s), `to` (N) from then on."""
+    """`before` (N) until `at` (s), `to` (N) from then on.
+
+    Args:
+        time: Of the samples, [n] (s): `motion.time`.
+        at: When it changes (s).
+        to: The load from then on (N).
+        before: The load until then (N).
+
+    Raises:
+        MotionError: The time is not finite.
+
+    Examples:
+        >>> simulate(axis, lap, load=step(lap.time, at=0.5, to=8_000.0))
+
+    """
     if not np.isfinite(at):
         raise MotionError(f"load step: at = {at!r} must be a finite time in s")
     return np.where(np.asarray(time) < at, float(before), float(to))
 
 
 def ramp(time: np.ndarray, *, start: float, end: float, to: float, before: float = 0.0) -> np.ndarray:
-    """Linear from `before` (N) at `start` (s) to `to` (N) at `end` (s)."""
+    """Linear from `before` (N) at `start` (s) to `to` (N) at `end` (s).
+
+    Args:
+        time: Of the samples, [n] (s): `motion.time`.
+        start: When the change begins (s).
+        end: When it is done (s).
+        to: The load from then on (N).
+        before: The load until the start (N).
+
+    Raises:
+        MotionError: The end does not come after the start.
+
+    """
     return piecewise(time, times=[start, end], loads=[before, to])
 
 
 def piecewise(time: np.ndarray, *, times: Sequence[float], loads: Sequence[float]) -> np.ndarray:
-    """Linear between the points (times s, loads N), constant outside."""
+    """Linear between the points (times s, loads N), constant outside.
+
+    Args:
+        time: Of the samples, [n] (s): `motion.time`.
+        times: Of the points, increasing (s).
+        loads: At the points (N).
+
+    Raises:
+        MotionError: The times do not increase, or there are not as many loads as times.
+
+    """
     t, w = np.asarray(times, float), np.asarray(loads, float)
     if t.shape != w.shape or t.ndim != 1 or not len(t):
         raise MotionError("piecewise load: give as many times as loads, at least one of each")
@@ -61,7 +105,18 @@ def piecewise(time: np.ndarray, *, times: Sequence[float], loads: Sequence[float
 def material_removal(
     time: np.ndarray, *, workpiece: float, removal_rate: float, cuts: Sequence[tuple[float, float]]
 ) -> np.ndarray:
-    """Weight of a workpiece (kg) that loses `removal_rate` (kg/s) while cutting; `cuts` are (from, to) in s."""
+    """Weight of a workpiece (kg) that loses `removal_rate` (kg/s) while cutting; `cuts` are (from, to) in s.
+
+    Args:
+        time: Of the samples, [n] (s): `motion.time`.
+        workpiece: Its mass at the start (kg).
+        removal_rate: What a cut takes off (kg/s).
+        cuts: From when to when each cut lasts (s).
+
+    Raises:
+        MotionError: A cut ends before it starts, or the workpiece is used up.
+
+    """
     time = np.asarray(time, float)
     if not (0 <= workpiece < np.inf and 0 <= removal_rate < np.inf):
         raise MotionError(

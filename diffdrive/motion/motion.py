@@ -11,11 +11,11 @@ from diffdrive.errors import MotionError
 class Motion:
     """A reference on a uniform time grid; arrays of shape [n] in s, m, m/s, m/s^2."""
 
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    name: str = "motion"
+    time: np.ndarray  # s, of the samples
+    position: np.ndarray  # m
+    velocity: np.ndarray  # m/s
+    acceleration: np.ndarray  # m/s^2
+    name: str = "motion"  # what messages and results call it
 
     def __post_init__(self) -> None:
         require_samples(
@@ -41,9 +41,9 @@ class Motion:
 class Limits:
     """What the axis can do: stroke [lowest, highest] (m), speed (m/s), acceleration (m/s^2)."""
 
-    stroke: tuple[float, float] = (-np.inf, np.inf)
-    speed: float = np.inf
-    acceleration: float = np.inf
+    stroke: tuple[float, float] = (-np.inf, np.inf)  # m, lowest and highest position
+    speed: float = np.inf  # m/s
+    acceleration: float = np.inf  # m/s^2
 
     def __post_init__(self) -> None:
         low, high = self.stroke

@@ -31,11 +31,20 @@ def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
     """Write everything that a result tells into a folder, and return it.
 
     The result as JSON, its tables as CSV, its figures as PNG, and what other tools take: `run.csv` of a simulation,
-    `identified.toml`, `tuned.toml`, and of a diagnosis `augmented.toml` and the page `report.html`. Unless `quiet`,
-    what the command would print is printed. Raises `ParameterError` for a result of a kind that is not known, or a
-    folder that cannot be written to.
+    `identified.toml`, `tuned.toml`, and of a diagnosis `augmented.toml` and the page `report.html`. A result of your
+    own joins them: `@section.register` a function of the result and a `Report`.
 
-    A result of your own joins them: `@section.register` a function of the result and a `Report`.
+    Args:
+        result: Of `simulate`, or a function of `tuning`.
+        folder: Where the files go; made if need be.
+        quiet: Print nothing; otherwise what the command would print.
+
+    Raises:
+        ParameterError: No report is known of such a result, or the folder cannot be written to.
+
+    Examples:
+        >>> report(simulate(axis, lap), "run")
+
     """
     out = Path(folder)
     with Report(

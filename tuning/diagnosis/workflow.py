@@ -108,17 +108,25 @@ def diagnose(
 ) -> DiagnosisResult:
     """Find which unmodelled effects make an axis differ from its logs, and how far the gap shrinks with them.
 
-    `logs` are one or several of `Log`, files, data frames or dicts of arrays: every sample of the controller, in both
-    directions and at two speeds. They are looked over first, and a finding that is fatal caps the confidence of every
-    cause, or forbids the search. `without` are effects that are not to be considered, `most_effects` is how many are
-    looked for, `tolerance` the relative uncertainty of the axis's nominal parameters, `loads` (N) by the log's name
-    what was on the table where the log does not say it. `store` keeps finished parts, from which the same call
-    continues. `progress` is called with (stage, done, of how many).
+    The logs are looked over first: a finding that is fatal caps the confidence of every cause, or forbids the search.
+    Method: docs/method/diagnosis-method.md; how often it is right: docs/evidence/diagnosis-proof.md.
 
-    Raises `LogError` for logs that cannot be used, and `ParameterError` for unknown effects. Method:
-    docs/method/diagnosis-method.md; how often it is right: docs/evidence/diagnosis-proof.md.
+    Args:
+        axis: What is believed of the machine, right to `tolerance`.
+        logs: One or several of `Log`, files, data frames or dicts of arrays [n]: every sample of the controller, in
+            both directions and at two speeds.
+        without: Effects that are not to be considered, by name.
+        most_effects: How many are looked for.
+        tolerance: Relative uncertainty of the axis's parameters.
+        loads: Force on the guides (N) by the log's name, where the log does not say it.
+        store: Where finished parts are kept, from which the same call continues.
+        progress: Called with (stage, done, of how many).
 
-    Example:
+    Raises:
+        LogError: A log cannot be used.
+        ParameterError: No effect has this name.
+
+    Examples:
         >>> why = diagnose(axis, ["lap1.csv", "lap2.csv"])
         >>> print(why)
         >>> why.axis.write("augmented.toml")

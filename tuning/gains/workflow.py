@@ -310,16 +310,32 @@ def tune(
 ) -> TuningResult:
     """Tune the gains of an axis's controller, and verify them on what they were not tuned on.
 
-    The gains minimise the `objective`, by default the RMS tracking error, over a `motion` (by default a reversal at
-    10 mm/s) under loads (N) from the lowest to the highest, on the axis's machine and others whose parameters differ by
-    the relative `spread`, within the `requirements`. What counts begins after `settle` (s; by default a third of the
-    motion, at most 0.4 s). `friction` tunes what the observer believes of the friction along. `checkpoint` is a file
-    from which an interrupted call continues. `progress` is called with (stage, done, of how many).
+    The gains minimise the `objective` within the `requirements`, over loads, speeds and machines. Method:
+    docs/method/tuning.md.
 
-    Raises `ParameterError` and `MotionError` for what cannot be tuned, and `ResultError` with `throw` where the result
-    is not accepted. Method: docs/method/tuning.md.
+    Args:
+        axis: The drive, and the controller with the gains to start from.
+        motion: What it is tuned on, at the axis's rate; by default a reversal at 10 mm/s.
+        loads: Lowest and highest force on the guides (N).
+        requirements: Margins, command noise and load error that the tuned loop must keep.
+        objective: What is minimised; by default the RMS tracking error.
+        friction: Tune what the observer believes of the friction along.
+        spread: Relative difference of the machines' parameters from the axis's.
+        machines: How many machines it is tuned on, the axis's own among them.
+        settle: From when on errors count (s); by default a third of the motion, at most 0.4 s.
+        starts: Starting points of the search.
+        seed: Of the machines, the noise, and the starting points.
+        max_steps: Steps of each search.
+        checkpoint: A file from which an interrupted call continues.
+        progress: Called with (stage, done, of how many).
+        throw: Raise an error where the result is not accepted.
 
-    Example:
+    Raises:
+        ParameterError: What is asked for cannot be tuned, or kept by any loop.
+        MotionError: The motion leaves the axis's limits.
+        ResultError: The result is not accepted, with `throw`.
+
+    Examples:
         >>> best = tune(axis, lap, requirements=Requirements(phase_margin=35.0))
         >>> best.held_out.rms_after, best.margins.phase_margin
         >>> best.axis.write("tuned.toml")

@@ -110,16 +110,27 @@ def identify(
 ) -> IdentificationResult:
     """Identify mass, friction and delay of an axis from logs of it, starting from what the axis says.
 
-    `logs` are one or several of `Log`, files, data frames or dicts of arrays, all at the controller's rate. They are
-    looked over first: one that would mislead is refused (`LogError`), unless `force`. `fixed` names parameters that
-    stay as they are, `bounds` those with bounds of their own (SI units); `loads` (N) by the log's name says what was on
-    the table where the log does not. `starts` and `seed` are of the search. `store` keeps finished searches, from which
-    the same call continues. `progress` is called with (stage, done, of how many).
+    The logs are looked over first: one that would mislead is refused. Method: docs/method/identification.md.
 
-    Raises `LogError` for logs that cannot be used, `ParameterError` for unknown names, and `ResultError` with `throw`
-    where the search does not converge. Method: docs/method/identification.md.
+    Args:
+        axis: What is believed of the machine; names the controller and the sampling, too.
+        logs: One or several of `Log`, files, data frames or dicts of arrays [n], all at the controller's rate.
+        fixed: Parameters that stay as they are, by path (`plant.mass`) or name.
+        bounds: Lowest and highest values of parameters, in SI units.
+        loads: Force on the guides (N) by the log's name, where the log does not say it.
+        starts: Starting points of the search.
+        seed: Of the starting points.
+        force: Identify from logs that would mislead, all the same.
+        store: Where finished searches are kept, from which the same call continues.
+        progress: Called with (stage, done, of how many).
+        throw: Raise an error where the search does not converge.
 
-    Example:
+    Raises:
+        LogError: A log cannot be used, or would mislead.
+        ParameterError: No parameter has this name.
+        ResultError: The search did not converge, with `throw`.
+
+    Examples:
         >>> fit = identify(axis, ["lap1.csv", "lap2.csv"])
         >>> fit.interval("plant.mass")
         >>> fit.axis.write("identified.toml")

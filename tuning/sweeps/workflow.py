@@ -150,20 +150,33 @@ def sweep(
 ) -> SweepResult:
     """Run an axis on many machines, under many loads, with noise of its own each, and say how often it misses.
 
-    `vary` says what differs from machine to machine, as one line of text for each quantity: `{"load": "uniform:0..12
-    kN", "plant.mass": "lognormal:3%", "effects.cogging.cosine": "normal:2 N"}`. Every controller, the axis's own and
-    those of the axes `against` it by name, is run on the same machines. `machine` is what they vary about, where that
-    is not the axis itself. `tolerance` (m) is for the error `by`: `peak_m` or `rms_m`, after `settle` (s). `load` (N)
-    is what all bear besides.
+    With a folder `out` the runs are kept there as they are done; the same call continues an interrupted sweep, and ends
+    with the same numbers to the last bit. Method: docs/method/sweeps.md.
 
-    With a folder `out` the runs are kept there as they are done; the same call continues an interrupted sweep, and
-    ends with the same numbers to the last bit. `engine` shares the parts out among processes (`tuning.sweeps.workers`,
-    `tuning.sweeps.cluster`). `progress` is called with (stage, done, of how many).
+    Args:
+        axis: The drive and its controller.
+        motion: One or several motions, at the axis's rate.
+        vary: What differs from machine to machine, a line of text for each quantity: `{"load": "uniform:0..12 kN",
+            "plant.mass": "lognormal:3%", "effects.cogging.cosine": "normal:2 N"}`.
+        against: Other axes by name, whose controllers are run on the same machines.
+        machine: The axis that the machines vary about, where that is not the axis itself.
+        samples: Machines.
+        tolerance: Of the error `by` (m).
+        load: Force on the guides that all bear besides (N).
+        by: The error that counts: `peak_m` or `rms_m`.
+        settle: From when on errors count (s).
+        seed: Of the machines and their noise.
+        method: How machines are drawn: `sobol`, `latin-hypercube` or `random`.
+        precision: `double`, or `single`.
+        out: A folder for the runs.
+        engine: Shares the parts out among processes (`tuning.sweeps.workers`, `tuning.sweeps.cluster`).
+        progress: Called with (stage, done, of how many).
 
-    Raises `ParameterError` and `MotionError` for a sweep that cannot be, naming what is wrong. Method:
-    docs/method/sweeps.md.
+    Raises:
+        ParameterError: A sweep that cannot be; names what is wrong.
+        MotionError: A motion leaves the axis's limits.
 
-    Example:
+    Examples:
         >>> swept = sweep(axis, lap, vary={"load": "uniform:0..12 kN"}, samples=4096, tolerance=2e-6)
         >>> swept.exceedance(axis.name).interval
 

@@ -39,7 +39,7 @@ def register(*extensions: str) -> Callable[[Reader], Reader]:
     It raises `LogError`, one line that names the file and the remedy, for a file that it cannot read. What the columns
     mean, their units and the clock are worked out from the table as for every format.
 
-    Example:
+    Examples:
         >>> @register(".trc")
         ... def read_trace(path):
         ...     values = numpy.loadtxt(path)
