@@ -17,8 +17,8 @@ from diffdrive.motion.builders import triangular
 from experiments.studies.recovery.random_drive import random_drive
 
 SUBSTEPS = (1, 2, 3, 5, 8, 16)
-REFERENCE = 1024
-DRIVES, CONVERGED = 64, 16  # random ones, and substeps in each of the default's
+REFERENCE_SUBSTEPS = 1024
+DRIVES, CONVERGED_FACTOR = 64, 16  # random ones, and substeps in each of the default's
 RATES = (10_000.0, 1_000.0)
 CASES = ((0.0002, 0.2), (0.010, 0.3), (0.200, 0.2))  # speed m/s, rounding of the reversal s
 
@@ -34,9 +34,9 @@ def integrator_errors() -> list[list[Any]]:
     rows = []
     for speed, rounding in CASES:
         inputs = _motion_inputs(speed, rounding, 10_000.0)
-        truth = np.asarray(_positions(models, inputs, Sampling(substeps=REFERENCE)))
-        found = [np.asarray(_positions(models, inputs, Sampling(substeps=n))) for n in SUBSTEPS]
-        rows.append([1e3 * speed, *(1e9 * float(np.max(np.abs(one - truth))) for one in found)])
+        reference = np.asarray(_positions(models, inputs, Sampling(substeps=REFERENCE_SUBSTEPS)))
+        positions = [np.asarray(_positions(models, inputs, Sampling(substeps=n))) for n in SUBSTEPS]
+        rows.append([1e3 * speed, *(1e9 * float(np.max(np.abs(position - reference))) for position in positions)])
     return rows
 
 
@@ -53,7 +53,7 @@ def errors_of_random_drives() -> list[list[Any]]:
     """
     rng = np.random.default_rng(0)
     drives = [dataclasses.replace(random_drive(rng), sensor=Sensor()) for _ in range(DRIVES)]
-    machines = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(as_arrays(one) for one in drives))
+    machines = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(as_arrays(drive) for drive in drives))
     control = as_arrays(PD(Tracking(PDGains(PAPER_KP, PAPER_KD))))
 
     @partial(jax.jit, static_argnums=1)
@@ -62,11 +62,11 @@ def errors_of_random_drives() -> list[list[Any]]:
 
     rows = []
     for rate in RATES:
-        usual = Sampling(rate)
-        fine = Sampling(rate, CONVERGED * usual.plant_steps)
+        default = Sampling(rate)
+        fine = Sampling(rate, CONVERGED_FACTOR * default.plant_steps)
         for speed, rounding in CASES:
             inputs = _motion_inputs(speed, rounding, rate)
-            found, truth = (np.asarray(positions(inputs, sampling)) for sampling in (usual, fine))
-            error = 1e9 * np.abs(found - truth).max(axis=1)
+            position, reference = (np.asarray(positions(inputs, sampling)) for sampling in (default, fine))
+            error = 1e9 * np.abs(position - reference).max(axis=1)
             rows.append([rate, 1e3 * speed, *np.quantile(error, (0.5, 0.95, 1.0)), len(error)])
     return rows

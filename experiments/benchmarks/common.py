@@ -1,4 +1,4 @@
-"""What every part of the benchmark runs."""
+"""The drive, rate and units that all parts of the benchmark share."""
 
 from diffdrive.controllers import Controller
 from diffdrive.model.parameters import Drive
@@ -7,15 +7,15 @@ from experiments.benchmarks import clock
 from experiments.studies.paper import scenario as paper
 
 RATE = 10_000.0
-COARSE = 3  # substeps, as the tuner takes them
+TUNER_SUBSTEPS = 3  # substeps, as the tuner takes them
 
 
 def nominal() -> tuple[Drive, Controller]:
-    """The paper's drive and its own controller."""
+    """The paper's drive and its controller, PD+FC+LE."""
     drive = paper_drive()
     return drive, paper.controllers(drive)["PD+FC+LE"]
 
 
-def nanoseconds(timing: clock.Timing, steps: int, lanes: int = 1) -> float:
-    """Of a step of a lane, at best."""
+def ns_per_step(timing: clock.Timing, steps: int, lanes: int = 1) -> float:
+    """Nanoseconds of a step of a lane, of the best round."""
     return 1e9 * timing.best / (steps * lanes)

@@ -15,17 +15,17 @@ PANELS = {
 }
 
 
-def drawn(tables: dict[str, Any]) -> Any:
-    """What was measured, a panel for each part that was run and has one; None where none has."""
+def bench_figure(tables: dict[str, Any]) -> Any:
+    """A panel for each part that was run and has one; None where no part has."""
     panels = [name for name in PANELS if name in tables]
     if not panels:
         return None
     figure, axes = new_figure(len(panels), 1, width=9.0, height=4.2, share_x=False)
-    every = [axes] if len(panels) == 1 else list(axes)
-    for axis, name in zip(every, panels, strict=True):
+    panel_axes = [axes] if len(panels) == 1 else list(axes)
+    for axis, name in zip(panel_axes, panels, strict=True):
         rows = tables[name]["rows"]
         if name == "single":
-            rows = [[f"{who}, {substeps} substeps", None, ns] for substeps, who, ns, *_ in rows]
+            rows = [[f"{implementation}, {substeps} substeps", None, ns] for substeps, implementation, ns, *_ in rows]
         if name == "lanes":
             axis.plot([row[0] for row in rows], [row[1] for row in rows], "o-")
             axis.set(xscale="log", yscale="log", xlabel="lanes", ylabel="ns a lane-step", title=PANELS[name])

@@ -17,12 +17,12 @@ SOURCE = Path(__file__).with_name("step.c")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
 
 
-def at(values: np.ndarray) -> Any:
+def pointer(values: np.ndarray) -> Any:
     """The address of an array of doubles."""
     return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
-class InC:
+class HandWrittenStep:
     """`roll` and `sweep` of step.c."""
 
     def __init__(self, code: ctypes.CDLL) -> None:
@@ -33,7 +33,16 @@ class InC:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Costs (RMS and peak error, m; RMS load error, N) and the table's position, [n]; `reference` is [3, n]."""
         costs, position, n = np.zeros(3), np.zeros(load.size), ctypes.c_long(load.size)
-        self._code.roll(at(row), at(reference), at(load), n, ctypes.c_double(period), substeps, at(costs), at(position))
+        self._code.roll(
+            pointer(row),
+            pointer(reference),
+            pointer(load),
+            n,
+            ctypes.c_double(period),
+            substeps,
+            pointer(costs),
+            pointer(position),
+        )
         return costs, position
 
     def sweep(
@@ -41,28 +50,40 @@ class InC:
     ) -> np.ndarray:
         """Costs of each lane, [lanes, 3]."""
         costs, n, lanes = np.zeros((len(rows), 3)), ctypes.c_long(load.size), ctypes.c_long(len(rows))
-        self._code.sweep(at(rows), lanes, at(reference), at(load), n, ctypes.c_double(period), substeps, at(costs))
+        self._code.sweep(
+            pointer(rows),
+            lanes,
+            pointer(reference),
+            pointer(load),
+            n,
+            ctypes.c_double(period),
+            substeps,
+            pointer(costs),
+        )
         return costs
 
 
 @contextmanager
 def library(source: Path, *flags: str, compiler: str = "gcc") -> Iterator[ctypes.CDLL]:
     """A source file compiled for this processor into a temporary library; `DiffdriveError` without a compiler."""
-    found = shutil.which(compiler)
-    if found is None:
+    compiler_path = shutil.which(compiler)
+    if compiler_path is None:
         raise DiffdriveError(f"no {compiler} on this machine: install one to compare with C, or leave C out")
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / f"{source.stem}.so"
-        done = subprocess.run(
-            [found, *FLAGS, *flags, str(source), "-o", str(made), "-lm"], capture_output=True, text=True, check=False
+        output = Path(folder) / f"{source.stem}.so"
+        result = subprocess.run(
+            [compiler_path, *FLAGS, *flags, str(source), "-o", str(output), "-lm"],
+            capture_output=True,
+            text=True,
+            check=False,
         )
-        if done.returncode:
-            raise DiffdriveError(f"{compiler} does not compile {source.name}: {done.stderr.strip()}")
-        yield ctypes.CDLL(str(made))
+        if result.returncode:
+            raise DiffdriveError(f"{compiler} does not compile {source.name}: {result.stderr.strip()}")
+        yield ctypes.CDLL(str(output))
 
 
 @contextmanager
-def compiled(compiler: str = "gcc") -> Iterator[InC]:
+def compiled(compiler: str = "gcc") -> Iterator[HandWrittenStep]:
     """The step by hand; `DiffdriveError` without a compiler."""
     with library(SOURCE, "-std=c11", compiler=compiler) as code:
-        yield InC(code)
+        yield HandWrittenStep(code)

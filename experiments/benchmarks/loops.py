@@ -1,4 +1,4 @@
-"""The loops that are timed: one lane, many lanes, derivatives; each with what the compiler made of it."""
+"""The loops that are timed: one lane, many lanes, derivatives; each with its compile time, memory and kernels."""
 
 import re
 import time
@@ -19,7 +19,7 @@ from experiments.studies.paper import scenario as paper
 from tuning.optimisation.least_squares import levenberg_marquardt
 
 # eight parameters that a tuner of PD+FC+LE moves
-EIGHT = (
+TUNED_PARAMETERS = (
     lambda c: c.tracking.gains.kp,
     lambda c: c.tracking.gains.kd,
     lambda c: c.observer.tuning.position,
@@ -30,13 +30,13 @@ EIGHT = (
     lambda c: c.observer.friction.coulomb_screw.positive,
 )
 
-KEPT = {1: "reverse", 2: "reverse, every second step kept", 4: "reverse, every fourth step kept"}
+CHECKPOINTS = {1: "reverse", 2: "reverse, every second step kept", 4: "reverse, every fourth step kept"}
 
-MANY = 50  # trips, from which a loop is one over time
-AWAY = 0.2  # of a logarithm, how far from there a search begins
+MIN_TIME_TRIPS = 50  # a loop of at least so many trips is one over time
+START_OFFSET = 0.2  # of a logarithm: from there to the start of a search
 
 
-class Loop(NamedTuple):
+class CompiledLoop(NamedTuple):
     """A compiled function with its arguments."""
 
     run: Callable[[], Any]
@@ -48,24 +48,24 @@ class Loop(NamedTuple):
 def one_kernel(text: str) -> bool:
     """Whether a compiled program runs its loops over time as native kernels (CPU).
 
-    Loops of `MANY` trips or more, or of a number that is not known, must lie within a call that is marked so; loops
-    within loops count together. Shorter ones, over blocks of lanes or the columns of a matrix, may be where they are.
-    That there is a mark says nothing by itself: the plant's inner loop always carries it.
+    Loops of `MIN_TIME_TRIPS` trips or more, or of an unknown number, must lie within a call that is marked as a small
+    call; trips of nested loops multiply. Shorter ones, over blocks of lanes or columns of a matrix, need not. A mark alone
+    says nothing: the plant's inner loop always has one.
     """
     bodies = dict(re.findall(r"^(?:ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", text, re.S | re.M))
     called = {name: re.findall(_CALLS, body) for name, body in bodies.items()}
     marked = [line for line in text.splitlines() if "xla_cpu_small_call" in line]
-    native = _reached(re.findall(r"to_apply=%?([\w.\-]+)", "\n".join(marked)), called)
+    native = _reachable(re.findall(r"to_apply=%?([\w.\-]+)", "\n".join(marked)), called)
 
     @cache
     def trips(name: str) -> int:
-        """Of the longest nest of loops there that is not native."""
+        """Of the longest nest of loops in a computation that is not native."""
         if name in native or name not in bodies:
             return 1
         nests = ((_trips(line), re.findall(_CALLS, line)) for line in bodies[name].splitlines())
-        return max((count * trips(one) for count, every in nests for one in every), default=1)
+        return max((count * trips(callee) for count, callees in nests for callee in callees), default=1)
 
-    return bool(native) and max(map(trips, bodies)) < MANY
+    return bool(native) and max(map(trips, bodies)) < MIN_TIME_TRIPS
 
 
 _CALLS = r"(?:calls|to_apply|body|condition|true_computation|false_computation)=%?([\w.\-]+)"
@@ -75,161 +75,174 @@ def _trips(line: str) -> int:
     if " while(" not in line:
         return 1
     known = re.search(r'"known_trip_count":\{"n":"(\d+)"', line)
-    return MANY if known is None else int(known[1])
+    return MIN_TIME_TRIPS if known is None else int(known[1])
 
 
-def _reached(names: Iterable[str], called: Mapping[str, Sequence[str]]) -> set[str]:
+def _reachable(names: Iterable[str], called: Mapping[str, Sequence[str]]) -> set[str]:
     """The computations of these names and all that they call."""
-    found: set[str] = set()
-    left = list(names)
-    while left:
-        one = left.pop()
-        if one not in found:
-            found.add(one)
-            left += called.get(one, ())
-    return found
+    reached: set[str] = set()
+    pending = list(names)
+    while pending:
+        name = pending.pop()
+        if name not in reached:
+            reached.add(name)
+            pending += called.get(name, ())
+    return reached
 
 
-def loop(function: Any, *arguments: Any) -> Loop:
+def compile_loop(function: Any, *arguments: Any) -> CompiledLoop:
     """The function compiled for the arguments."""
-    began = time.perf_counter()
-    built = jax.jit(function).lower(*arguments).compile()
-    took = time.perf_counter() - began
-    memory = built.memory_analysis()
-    return Loop(
-        lambda: jax.block_until_ready(built(*arguments)),
-        took,
-        one_kernel(built.as_text()),
+    start = time.perf_counter()
+    executable = jax.jit(function).lower(*arguments).compile()
+    compile_seconds = time.perf_counter() - start
+    memory = executable.memory_analysis()
+    return CompiledLoop(
+        lambda: jax.block_until_ready(executable(*arguments)),
+        compile_seconds,
+        one_kernel(executable.as_text()),
         0 if memory is None else int(memory.temp_size_in_bytes),
     )
 
 
-def inputs(steps: int, rate: float = 10_000.0) -> Inputs:
-    """The paper's motion for so many steps, again and again if it is shorter, under a load that grows to 8 kN."""
-    there = paper.canonical().motion
-    again = np.arange(steps) % len(there.time)
-    signals = (np.asarray(one)[again] for one in (there.position, there.velocity, there.acceleration))
+def paper_inputs(steps: int, rate: float = 10_000.0) -> Inputs:
+    """The paper's motion for `steps` steps, repeated if it is shorter, under a load that grows to 8 kN."""
+    motion = paper.canonical().motion
+    index = np.arange(steps) % len(motion.time)
+    signals = (np.asarray(signal)[index] for signal in (motion.position, motion.velocity, motion.acceleration))
     return as_arrays(Inputs(Reference(*signals), np.linspace(0.0, 8e3, steps), np.zeros(steps)))
 
 
-def costs(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, kept: int = 1) -> Any:
+def rms_cost(
+    drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, checkpoint_every: int = 1
+) -> Any:
     """RMS error as a function of machine, controller and the factor on the load."""
-    counts = jnp.ones_like(given.load)
+    counts = jnp.ones_like(inputs.load)
 
-    def of(drive: Drive, controller: Controller, factor: Any) -> Any:
-        now = given._replace(load=factor * given.load)
-        return running_costs(drive, controller, now, counts, sampling, checkpoint_every=kept).rms
+    def cost(drive: Drive, controller: Controller, factor: Any) -> Any:
+        scaled_inputs = inputs._replace(load=factor * inputs.load)
+        return running_costs(drive, controller, scaled_inputs, counts, sampling, checkpoint_every=checkpoint_every).rms
 
-    return of
+    return cost
 
 
-def single(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> Loop:
+def single(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling) -> CompiledLoop:
     """One lane with its costs."""
     models = as_arrays((drive, controller))
-    return loop(costs(drive, controller, given, sampling), *models, jnp.asarray(1.0))
+    return compile_loop(rms_cost(drive, controller, inputs, sampling), *models, jnp.asarray(1.0))
 
 
 def lanes(
-    drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int, precision: str = "double"
-) -> Loop:
-    """Many machines side by side on one core, each with parameters and a load of its own."""
+    drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, count: int, precision: str = "double"
+) -> CompiledLoop:
+    """Many machines side by side on one core, each with its own parameters and load."""
     machine, control = as_arrays((drive, controller))
     machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), machine)
-    models = (machines, control, jnp.linspace(0.5, 1.5, count), given)
-    machines, control, factors, given = in_precision_of(jnp.zeros((), precision), models)
-    many = jax.vmap(costs(drive, controller, given, sampling), in_axes=(0, None, 0))
-    return loop(many, machines, control, factors)
+    models = (machines, control, jnp.linspace(0.5, 1.5, count), inputs)
+    machines, control, factors, inputs = in_precision_of(jnp.zeros((), precision), models)
+    many = jax.vmap(rms_cost(drive, controller, inputs, sampling), in_axes=(0, None, 0))
+    return compile_loop(many, machines, control, factors)
 
 
-class _Eight(NamedTuple):
+class _TunedLoop(NamedTuple):
     """A smooth machine under a controller of eight free parameters, given as logarithms."""
 
     machine: Drive
     control: Controller
-    at: Any
+    theta: Any
 
     @classmethod
-    def of(cls, drive: Drive, controller: Controller) -> "_Eight":
+    def of(cls, drive: Drive, controller: Controller) -> "_TunedLoop":
         machine, control = as_arrays(smooth((drive, controller)))
-        return cls(machine, control, jnp.log(jnp.stack([part(control) for part in EIGHT])))
+        return cls(machine, control, jnp.log(jnp.stack([part(control) for part in TUNED_PARAMETERS])))
 
-    def placed(self, y: Any) -> Controller:
-        parts: Sequence[Any] = list(jnp.exp(y))
-        return eqx.tree_at(lambda c: [part(c) for part in EIGHT], self.control, parts)
+    def controller_at(self, theta: Any) -> Controller:
+        values: Sequence[Any] = list(jnp.exp(theta))
+        return eqx.tree_at(lambda c: [part(c) for part in TUNED_PARAMETERS], self.control, values)
 
 
-def reverse(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, count: int) -> dict[str, Loop]:
-    """Many lanes forward, and in reverse mode: each with a load of its own, all under the same eight parameters."""
-    eight, factors = _Eight.of(drive, controller), jnp.linspace(0.5, 1.5, count)
+def reverse(
+    drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, count: int
+) -> dict[str, CompiledLoop]:
+    """Many lanes forward, and in reverse mode: each with its own load, all under the same eight parameters."""
+    tuned, factors = _TunedLoop.of(drive, controller), jnp.linspace(0.5, 1.5, count)
 
-    def each(y: Any, kept: int) -> Any:
-        of = costs(eight.machine, eight.control, given, sampling, kept)
-        return jax.vmap(lambda factor: of(eight.machine, eight.placed(y), factor))(factors)
+    def lane_costs(theta: Any, checkpoint_every: int) -> Any:
+        cost = rms_cost(tuned.machine, tuned.control, inputs, sampling, checkpoint_every)
+        return jax.vmap(lambda factor: cost(tuned.machine, tuned.controller_at(theta), factor))(factors)
 
-    def backwards(kept: int) -> Loop:
-        return loop(jax.grad(lambda y: jnp.mean(each(y, kept))), eight.at)
+    def gradient_loop(checkpoint_every: int) -> CompiledLoop:
+        return compile_loop(jax.grad(lambda theta: jnp.mean(lane_costs(theta, checkpoint_every))), tuned.theta)
 
-    return {"forward": loop(lambda y: each(y, 1), eight.at)} | {name: backwards(kept) for kept, name in KEPT.items()}
+    return {"forward": compile_loop(lambda theta: lane_costs(theta, 1), tuned.theta)} | {
+        name: gradient_loop(checkpoint_every) for checkpoint_every, name in CHECKPOINTS.items()
+    }
 
 
 def tuner(
-    drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, steps: int
-) -> tuple[Loop, Callable[[], Any], int]:
-    """One pass that gives residuals and Jacobian; and a Levenberg-Marquardt search of so many steps, with how many it
-    takes.
-    """
-    eight = _Eight.of(drive, controller)
+    drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, steps: int
+) -> tuple[CompiledLoop, Callable[[], Any], int]:
+    """One pass for residuals and Jacobian; a Levenberg-Marquardt search of at most `steps` steps; how many it takes."""
+    tuned = _TunedLoop.of(drive, controller)
 
-    def residuals(y: Any, args: Any) -> Any:
+    def residuals(theta: Any, args: Any) -> Any:
         machine, reference = args
-        return reference - rollout(machine, eight.placed(y), given, sampling).position
+        return reference - rollout(machine, tuned.controller_at(theta), inputs, sampling).position
 
-    def along(y: Any, args: Any) -> Any:
-        return jax.vmap(lambda way: jax.jvp(lambda y: residuals(y, args), (y,), (way,)), out_axes=(None, 0))(
-            jnp.eye(len(y))
-        )
+    def value_and_jacobian(theta: Any, args: Any) -> Any:
+        return jax.vmap(
+            lambda direction: jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,)), out_axes=(None, 0)
+        )(jnp.eye(len(theta)))
 
-    args = (eight.machine, given.reference.position)
-    start = np.asarray(eight.at) + AWAY * (-1.0) ** np.arange(len(EIGHT))
+    args = (tuned.machine, inputs.reference.position)
+    start = np.asarray(tuned.theta) + START_OFFSET * (-1.0) ** np.arange(len(TUNED_PARAMETERS))
 
     def search() -> Any:
         return levenberg_marquardt(residuals, start, args, max_steps=steps, tolerance=1e-15, enough=0.0)
 
-    return loop(along, jnp.asarray(start), args), search, search().steps
+    return compile_loop(value_and_jacobian, jnp.asarray(start), args), search, search().steps
 
 
 def by_parameters(
-    drive: Drive, controller: Controller, given: Inputs, sampling: Sampling, counts: Sequence[int]
-) -> dict[int, Loop]:
-    """One lane forward, as none, and its derivative in forward mode by so many of the eight parameters."""
-    eight = _Eight.of(drive, controller)
+    drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, counts: Sequence[int]
+) -> dict[int, CompiledLoop]:
+    """One lane forward (0), and its derivative in forward mode by each number of the eight parameters."""
+    tuned = _TunedLoop.of(drive, controller)
 
-    def rms(some: Any) -> Any:
-        y = jnp.concatenate([some, eight.at[len(some) :]])
-        return costs(eight.machine, eight.control, given, sampling)(eight.machine, eight.placed(y), jnp.asarray(1.0))
+    def rms(free: Any) -> Any:
+        theta = jnp.concatenate([free, tuned.theta[len(free) :]])
+        return rms_cost(tuned.machine, tuned.control, inputs, sampling)(
+            tuned.machine, tuned.controller_at(theta), jnp.asarray(1.0)
+        )
 
-    return {0: loop(rms, eight.at)} | {count: loop(jax.jacfwd(rms), eight.at[:count]) for count in counts}
+    return {0: compile_loop(rms, tuned.theta)} | {
+        count: compile_loop(jax.jacfwd(rms), tuned.theta[:count]) for count in counts
+    }
 
 
-def derivatives(drive: Drive, controller: Controller, given: Inputs, sampling: Sampling) -> dict[str, Loop]:
+def derivatives(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling) -> dict[str, CompiledLoop]:
     """One lane forward, and its derivatives by eight parameters in several ways."""
-    eight = _Eight.of(drive, controller)
-    machine, control, at, placed = eight.machine, eight.control, eight.at, eight.placed
+    tuned = _TunedLoop.of(drive, controller)
+    machine, control, theta_0, controller_at = tuned.machine, tuned.control, tuned.theta, tuned.controller_at
 
-    def residuals(y: Any) -> Any:
-        return given.reference.position - rollout(machine, placed(y), given, sampling).position
+    def residuals(theta: Any) -> Any:
+        return inputs.reference.position - rollout(machine, controller_at(theta), inputs, sampling).position
 
-    def rms(y: Any, kept: int = 1) -> Any:
-        return costs(machine, control, given, sampling, kept)(machine, placed(y), jnp.asarray(1.0))
+    def rms(theta: Any, checkpoint_every: int = 1) -> Any:
+        return rms_cost(machine, control, inputs, sampling, checkpoint_every)(
+            machine, controller_at(theta), jnp.asarray(1.0)
+        )
 
-    def normal(y: Any) -> Any:
-        residual, slope = residuals(y), jax.jacfwd(residuals)(y)
-        return slope.T @ slope, slope.T @ residual
+    def normal_equations(theta: Any) -> Any:
+        residual, jacobian = residuals(theta), jax.jacfwd(residuals)(theta)
+        return jacobian.T @ jacobian, jacobian.T @ residual
 
     return {
-        "forward": loop(rms, at),
-        "forward, residuals": loop(residuals, at),
-        "jacfwd, 8 parameters": loop(jax.jacfwd(rms), at),
-        "Jacobian of residuals": loop(jax.jacfwd(residuals), at),
-        "Gauss-Newton": loop(normal, at),
-    } | {name: loop(jax.grad(partial(rms, kept=kept)), at) for kept, name in KEPT.items()}
+        "forward": compile_loop(rms, theta_0),
+        "forward, residuals": compile_loop(residuals, theta_0),
+        "jacfwd, 8 parameters": compile_loop(jax.jacfwd(rms), theta_0),
+        "Jacobian of residuals": compile_loop(jax.jacfwd(residuals), theta_0),
+        "Gauss-Newton": compile_loop(normal_equations, theta_0),
+    } | {
+        name: compile_loop(jax.grad(partial(rms, checkpoint_every=checkpoint_every)), theta_0)
+        for checkpoint_every, name in CHECKPOINTS.items()
+    }

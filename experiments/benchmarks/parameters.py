@@ -11,11 +11,11 @@ from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 
 
-class Row(NamedTuple):
-    """What one lane is made of, in the order of `step.c`."""
+class LaneParameters(NamedTuple):
+    """The parameters of one lane, in the order of `step.c`."""
 
     machine: list[float]
-    believed: list[float]
+    model: list[float]
     resolution: float
     gains: list[float]
     observer: list[float]
@@ -24,9 +24,9 @@ class Row(NamedTuple):
     @property
     def numbers(self) -> np.ndarray:
         """All in one row."""
-        return np.r_[
-            self.machine, self.believed, self.resolution, self.gains, self.observer, self.load_amplitude
-        ].astype(float)
+        return np.r_[self.machine, self.model, self.resolution, self.gains, self.observer, self.load_amplitude].astype(
+            float
+        )
 
 
 def _pair(value: Directional) -> list[float]:
@@ -42,7 +42,7 @@ def _machine(plant: Plant, friction: Friction) -> list[float]:
     ]  # fmt: skip
 
 
-def row(drive: Drive, controller: Controller, load_amplitude: float = 1.0) -> np.ndarray:
+def lane_parameters(drive: Drive, controller: Controller, load_amplitude: float = 1.0) -> np.ndarray:
     """The numbers of one lane; its load is `load_amplitude` times the one that all lanes share.
 
     Raises `ParameterError` for what the hand-written steps have not: limits, delays, effects, noise, other controllers.
@@ -53,7 +53,7 @@ def row(drive: Drive, controller: Controller, load_amplitude: float = 1.0) -> np
     if not (isinstance(observer, KalmanObserver) and isinstance(estimator, InnovationLoad) and plain):
         raise ParameterError("the hand-written steps know PD+FC+LE on a drive without limit, delay or effects alone")
     gains, forward, q = controller.tracking.gains, controller.tracking.feedforward, observer.tuning
-    return Row(
+    return LaneParameters(
         _machine(drive.plant, drive.friction),
         _machine(observer.plant, observer.friction),
         float(drive.sensor.resolution or 0.0),

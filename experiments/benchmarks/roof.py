@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from experiments.benchmarks.in_c import at, library
+from experiments.benchmarks.in_c import library, pointer
 
 SOURCE = Path(__file__).with_name("roof.c")
 FLAGS = ("-ffp-contract=fast", "-std=gnu11")
-ROUNDS, VECTOR, CHAINS = 200_000, 8, 12  # as in roof.c
-OPERATIONS = ROUNDS * VECTOR * CHAINS
+ROUNDS, VECTOR_SIZE, CHAINS = 200_000, 8, 12  # as in roof.c
+OPERATIONS = ROUNDS * VECTOR_SIZE * CHAINS
 KERNELS = {"fused": 2, "added": 1, "multiplied": 1, "divided": 1}  # operations that each counts as
 START = 5.0  # makes the factor 1: products neither grow nor vanish
-READ = 1 << 25  # doubles, more than any cache holds
+READ_SIZE = 1 << 25  # doubles, more than any cache holds
 
 
 @contextmanager
@@ -29,13 +29,15 @@ def kernels() -> Iterator[tuple[dict[str, Callable[[], Any]], float]]:
         for name in KERNELS:
             getattr(code, name).restype = ctypes.c_double
         code.read_through.restype = ctypes.c_double
-        room = np.ones(READ + VECTOR)
-        begin = (-room.ctypes.data // room.itemsize) % VECTOR  # a vector is read from an address of its own size
-        values = room[begin : begin + READ]
+        buffer = np.ones(READ_SIZE + VECTOR_SIZE)
+        offset = (
+            -buffer.ctypes.data // buffer.itemsize
+        ) % VECTOR_SIZE  # a vector is read from an address of its own size
+        values = buffer[offset : offset + READ_SIZE]
 
         def job(name: str) -> Callable[[], Any]:
             return lambda: getattr(code, name)(ctypes.c_long(ROUNDS), ctypes.c_double(START))
 
         jobs = {name: job(name) for name in KERNELS}
-        jobs["read"] = lambda: code.read_through(at(values), ctypes.c_long(READ))
+        jobs["read"] = lambda: code.read_through(pointer(values), ctypes.c_long(READ_SIZE))
         yield jobs, float(values.nbytes)

@@ -2,7 +2,8 @@
 
    Equation for equation the step of diffdrive: scale, Kalman observer with the closed-form transition, eq. (20) load
    estimator, PD with feed-forward, plant in substeps that foretell the velocity of the next.
-   `tests/test_bench_steps.py` holds it to the JAX roll-out. The layout of `p` is that of `experiments/benchmarks/parameters.py`. */
+   `tests/experiments/benchmarks/test_bench_steps.py` compares it with the JAX roll-out. The layout of `p` is that of
+   `experiments/benchmarks/parameters.py`. */
 
 #include <math.h>
 
@@ -16,7 +17,7 @@ enum {
 };
 
 typedef struct { double s0, s1, viscous, level, rate; } bristle;
-typedef struct { double moving, holding, once, stays, drawn; } balance;
+typedef struct { double moving, holding, per_resistance, stays, drawn; } balance;
 
 static inline double side(const double *p, int name, int ahead) { return p[name + 1 - ahead]; }
 
@@ -46,11 +47,12 @@ static inline balance balance_at(const double *p, double z, double slip, double 
     double give = 0.5 * h / p[MASS], g = b.level, q = b.s0 * h * fabs(slip);
     double first = ((q * (1.0 / 24) + g * (1.0 / 6)) * q + 0.5 * g * g) * q + g * g * g;
     double mean_of_mean = g * (((q * (1.0 / 24) + 0.125 * g) * q + (1.0 / 3) * g * g) * q + 0.5 * g * g * g);
-    double mean = g * first, end = g * g * g * g, gone = q * first, whole = end + gone, share = 1.0 / whole;
+    double mean = g * first, end = g * g * g * g, gone = q * first;
+    double common_denominator = end + gone, share = 1.0 / common_denominator;
     double resistance = 1.0 + (b.viscous + side(p, DAMPING_P, slip >= 0.0)) * give;
-    found.moving = whole;
+    found.moving = common_denominator;
     found.holding = give * (b.s0 * mean - b.s1 * gone / h);
-    found.once = 1.0 / (resistance * whole + give * (b.s0 * h * mean_of_mean + b.s1 * mean));
+    found.per_resistance = 1.0 / (resistance * common_denominator + give * (b.s0 * h * mean_of_mean + b.s1 * mean));
     found.stays = end * share;
     found.drawn = h * mean * share;
     return found;
@@ -58,7 +60,7 @@ static inline balance balance_at(const double *p, double z, double slip, double 
 
 static inline double mean_velocity(balance b, double v, double z, double push)
 {
-    return (b.moving * (v + push) - b.holding * z) * b.once;
+    return (b.moving * (v + push) - b.holding * z) * b.per_resistance;
 }
 
 static inline void transition(const double *p, bristle b, double v, double T, double ad[3][3], double bd[3])
@@ -96,55 +98,55 @@ static inline void transition(const double *p, bristle b, double v, double T, do
 void roll(const double *p, const double *reference, const double *load, long n, double T, int substeps, double *costs,
           double *position)
 {
-    const double *own = p, *believed = p + MACHINE, *xr = reference, *vr = reference + n, *ar = reference + 2 * n;
-    double h = T / substeps, x = xr[0], v = 0.0, z = 0.0, applied = 0.0, last = 0.0;
+    const double *machine = p, *model = p + MACHINE, *xr = reference, *vr = reference + n, *ar = reference + 2 * n;
+    double h = T / substeps, x = xr[0], v = 0.0, z = 0.0, applied = 0.0, last_error = 0.0;
     double e[3] = {xr[0], 0.0, 0.0}, o[3][3] = {{p[Q_X], 0, 0}, {0, p[Q_V], 0}, {0, 0, p[Q_Z]}}, estimate = 0.0;
-    double square = 0.0, peak = 0.0, missed = 0.0;
+    double square = 0.0, peak = 0.0, load_square = 0.0;
     for (long k = 0; k < n; k++) {
-        double now = p[LOAD_AMPLITUDE] * load[k];
+        double true_load = p[LOAD_AMPLITUDE] * load[k];
         double measured = p[RESOLUTION] > 0.0 ? p[RESOLUTION] * rint(x / p[RESOLUTION]) : x;
 
         double ad[3][3], bd[3], moved[3][3], w[3][3], predicted[3], gain[3], updated[3];
-        double speed = e[1], u = applied + believed[CONSTANT];
-        transition(believed, bristle_at(believed, speed, e[2], estimate), speed, T, ad, bd);
-        predicted[0] = e[0] + ad[0][1] * e[1] + ad[0][2] * e[2] + bd[0] * u;
-        for (int i = 1; i < 3; i++) predicted[i] = ad[i][1] * e[1] + ad[i][2] * e[2] + bd[i] * u;
+        double speed = e[1], force = applied + model[CONSTANT];
+        transition(model, bristle_at(model, speed, e[2], estimate), speed, T, ad, bd);
+        predicted[0] = e[0] + ad[0][1] * e[1] + ad[0][2] * e[2] + bd[0] * force;
+        for (int i = 1; i < 3; i++) predicted[i] = ad[i][1] * e[1] + ad[i][2] * e[2] + bd[i] * force;
         for (int i = 0; i < 3; i++)
             for (int j = 0; j < 3; j++) moved[i][j] = ad[i][0] * o[0][j] + ad[i][1] * o[1][j] + ad[i][2] * o[2][j];
         for (int i = 0; i < 3; i++)
             for (int j = i; j < 3; j++)
                 w[i][j] = w[j][i] = moved[i][0] * ad[j][0] + moved[i][1] * ad[j][1] + moved[i][2] * ad[j][2]
                                     + (i == j ? p[Q_X + i] : 0.0);
-        double spread = w[0][0] + p[R], innovation = measured - predicted[0];
+        double var = w[0][0] + p[R], innovation = measured - predicted[0];
         for (int i = 0; i < 3; i++) {
-            gain[i] = w[0][i] / spread;
+            gain[i] = w[0][i] / var;
             updated[i] = predicted[i] + gain[i] * innovation;
         }
         for (int i = 0; i < 3; i++)
             for (int j = i; j < 3; j++)
-                o[i][j] = o[j][i] = w[i][j] - gain[i] * w[0][j] - gain[j] * w[0][i] + gain[i] * gain[j] * spread;
-        double before = friction_force(bristle_at(believed, predicted[1], predicted[2], estimate), predicted[1],
+                o[i][j] = o[j][i] = w[i][j] - gain[i] * w[0][j] - gain[j] * w[0][i] + gain[i] * gain[j] * var;
+        double prior = friction_force(bristle_at(model, predicted[1], predicted[2], estimate), predicted[1],
                                        predicted[2]);
-        double after = friction_force(bristle_at(believed, updated[1], updated[2], estimate), updated[1], updated[2]);
-        if (fabs(speed) > p[MIN_SPEED]) estimate += copysign(1.0, speed) * p[KW] * (after - before);
+        double posterior = friction_force(bristle_at(model, updated[1], updated[2], estimate), updated[1], updated[2]);
+        if (fabs(speed) > p[MIN_SPEED]) estimate += copysign(1.0, speed) * p[KW] * (posterior - prior);
         estimate = fmax(estimate, p[FLOOR]);
         for (int i = 0; i < 3; i++) e[i] = updated[i];
 
-        double error = xr[k] - measured, change = k ? (error - last) / T : 0.0;
+        double error = xr[k] - measured, change = k ? (error - last_error) / T : 0.0;
         applied = p[KP] * error + p[KD] * change + p[FF_MASS] * ar[k] + side(p, FF_DAMPING_P, vr[k] >= 0.0) * vr[k]
-                  + after;
-        last = error;
+                  + posterior;
+        last_error = error;
 
-        double off = xr[k] - x;
-        square += off * off;
-        peak = fmax(peak, fabs(off));
-        missed += (estimate - now) * (estimate - now);
+        double table_error = xr[k] - x;
+        square += table_error * table_error;
+        peak = fmax(peak, fabs(table_error));
+        load_square += (estimate - true_load) * (estimate - true_load);
         if (position) position[k] = x;
 
-        double push = (applied + own[CONSTANT]) * 0.5 * h / own[MASS];
-        double expected = mean_velocity(balance_at(own, z, v, now, h), v, z, push), slip = expected;
+        double push = (applied + machine[CONSTANT]) * 0.5 * h / machine[MASS];
+        double expected = mean_velocity(balance_at(machine, z, v, true_load, h), v, z, push), slip = expected;
         for (int j = 0; j < substeps; j++) {
-            balance b = balance_at(own, z, slip, now, h);
+            balance b = balance_at(machine, z, slip, true_load, h);
             double mean = mean_velocity(b, v, z, push);
             x += h * mean;
             v = 2.0 * mean - v;
@@ -156,7 +158,7 @@ void roll(const double *p, const double *reference, const double *load, long n, 
     }
     costs[0] = sqrt(square / n);
     costs[1] = peak;
-    costs[2] = sqrt(missed / n);
+    costs[2] = sqrt(load_square / n);
 }
 
 void sweep(const double *p, long lanes, const double *reference, const double *load, long n, double T, int substeps,

@@ -32,11 +32,11 @@ def timed(benchmark):
 @pytest.mark.parametrize("name", ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE"])
 @pytest.mark.parametrize("lanes", [1, 64])
 def test_controllers(timed, name, lanes):
-    controller, given = paper.controllers(DRIVE)[name], loops.inputs(STEPS)
+    controller, given = paper.controllers(DRIVE)[name], loops.paper_inputs(STEPS)
     one = loops.single if lanes == 1 else loops.lanes
     timed(one(DRIVE, controller, given, SAMPLING, *([] if lanes == 1 else [lanes])), lanes)
 
 
 @pytest.mark.parametrize("name", ["forward", "jacfwd, 8 parameters", "Gauss-Newton", "reverse"])
 def test_derivatives(timed, name):
-    timed(loops.derivatives(DRIVE, paper.controllers(DRIVE)["PD+FC+LE"], loops.inputs(STEPS), SAMPLING)[name])
+    timed(loops.derivatives(DRIVE, paper.controllers(DRIVE)["PD+FC+LE"], loops.paper_inputs(STEPS), SAMPLING)[name])

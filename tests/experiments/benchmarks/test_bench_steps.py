@@ -13,7 +13,7 @@ from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Actuator, Directional, Drive, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from experiments.benchmarks import in_c
-from experiments.benchmarks.parameters import row
+from experiments.benchmarks.parameters import lane_parameters
 from experiments.studies.paper import scenario as paper
 
 SCENARIO = paper.canonical()
@@ -21,7 +21,7 @@ REFERENCE = np.stack([SCENARIO.motion.position, SCENARIO.motion.velocity, SCENAR
 ROLLOUT = eqx.filter_jit(rollout)
 
 
-def lopsided(quantised):
+def asymmetric_drive(quantised):
     """The paper's drive with different sides throughout, so that no pair can be taken for the other."""
     drive = paper_drive(quantised=quantised)
     plant = eqx.tree_at(lambda p: p.constant_force, drive.plant, -7.0)
@@ -58,11 +58,11 @@ def by_numba(numbers, load, sampling):
 def test_a_hand_written_step_is_the_projects_own(hand_written, quantised):
     if hand_written is by_c and shutil.which("gcc") is None:
         pytest.skip("no gcc")
-    drive, machine = paper_drive(quantised=quantised), lopsided(quantised)
+    drive, machine = paper_drive(quantised=quantised), asymmetric_drive(quantised)
     controller = paper.controllers(drive)["PD+FC+LE"]
     inputs = loop_inputs(SCENARIO.motion, 0.7 * SCENARIO.load)
     frame = ROLLOUT(*as_arrays((machine, controller)), inputs, paper.SAMPLING)
-    costs, position, both = hand_written(row(machine, controller, 0.7), SCENARIO.load, paper.SAMPLING)
+    costs, position, both = hand_written(lane_parameters(machine, controller, 0.7), SCENARIO.load, paper.SAMPLING)
     # a quantised loop magnifies rounding: where two roll-outs fall to either side of half a quantum, they part
     until = 3_000 if quantised else len(position)
     assert np.max(np.abs(position - np.asarray(frame.position))[:until]) < 1e-10
@@ -82,7 +82,7 @@ def test_what_the_hand_written_steps_have_not_is_refused():
         (Drive(drive.plant, drive.friction, Actuator(500.0)), estimating),
     ):
         with pytest.raises(ParameterError, match="hand-written"):
-            row(machine, controller)
+            lane_parameters(machine, controller)
 
 
 def test_a_missing_compiler_is_said():
