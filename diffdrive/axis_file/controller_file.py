@@ -8,12 +8,12 @@ from diffdrive.support.messages import short_repr
 
 
 def _kinds_with(table: str, key: str) -> list[str]:
-    """The kinds of controller whose `table` may hold `key`: said of one that is left where the kind was changed."""
+    """The kinds of controller whose `table` may hold `key`, for the message about a key of another kind."""
     return [name for name, kind in KINDS.items() if kind.has(table, key)]
 
 
 def build_controller(section: Any, drive: Drive) -> Controller:
-    """The controller that a `Section` describes, its model being the file's own plant and friction."""
+    """The controller that a `Section` specifies; its model is the file's own plant and friction."""
     name = section.take("kind", None)
     if name is None:
         raise section.fail("kind", f"is missing; known: {', '.join(KINDS)}")
@@ -24,5 +24,5 @@ def build_controller(section: Any, drive: Drive) -> Controller:
 
 
 def controller_table(controller: Controller) -> dict[str, Any]:
-    """The [controller] table that describes this controller; raises `ParameterError` where none does."""
+    """The [controller] table of this controller; raises `ParameterError` if no table can state it."""
     return {"kind": controller.kind} | controller.table()

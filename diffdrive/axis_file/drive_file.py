@@ -1,4 +1,4 @@
-"""Drive files: what the engineer believes about the axis, as TOML in SI units or with units spelled out.
+"""Drive files: the nominal axis, as TOML in SI units or with units spelled out.
 
     [plant]       mass = 100.0              or  mass = "100 kg"
                   damping = [380.0, 260.0]      one value per direction: [positive, negative]
@@ -48,15 +48,15 @@ from diffdrive.support.units import in_unit, to_si
 
 
 class TomlSection:
-    """One table of a drive file; takes keys out one by one and complains about what is left."""
+    """One table of a drive file; takes keys out one by one and raises for those that are left."""
 
     def __init__(self, source: str, name: str, table: Any) -> None:
         if not isinstance(table, dict):
             raise DriveFileError(f"{source}: [{name}] must be a table, got {short_repr(table)}")
-        self.source, self.name, self.table, self._left = source, name, table, dict(table)
-        self._known: list[str] = []
-        self.kind: str | None = None  # of the controller, where keys hang on it
-        self.kinds_with: Callable[[str], list[str]] = lambda key: []  # those that have a key that this one has not
+        self.source, self.name, self.table, self._remaining = source, name, table, dict(table)
+        self._accepted: list[str] = []
+        self.kind: str | None = None  # of the controller, where the accepted keys depend on it
+        self.kinds_with: Callable[[str], list[str]] = lambda key: []  # the other kinds that accept a key
 
     def fail(self, key: str, problem: str) -> DriveFileError:
         """The error for a bad `key`."""
@@ -64,22 +64,22 @@ class TomlSection:
 
     def take(self, key: str, default: Any = dataclasses.MISSING) -> Any:
         """The raw value of `key`, or the default."""
-        self._known.append(key)
-        if key not in self._left:
+        self._accepted.append(key)
+        if key not in self._remaining:
             if default is dataclasses.MISSING:
                 raise self.fail(key, "is missing")
             return default
-        return self._left.pop(key)
+        return self._remaining.pop(key)
 
     def subsection(self, key: str) -> "TomlSection":
         """The table below `key`, empty if it is absent."""
-        below = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}))
+        subsection = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}))
         if self.kind is not None:
-            below.set_kind(self.kind, self._kinds_of_table)
-        return below
+            subsection.set_kind(self.kind, self._kinds_of_table)
+        return subsection
 
     def set_kind(self, kind: str, kinds_with: Callable[[str, str], list[str]]) -> None:
-        """From now on it knows which other kinds have a key that is left in a table."""
+        """Set the controller's kind, and the function from table and key to the kinds that accept it."""
         self.kind, self._kinds_of_table = kind, kinds_with
         self.kinds_with = lambda key: kinds_with(self.name, key)
 
@@ -89,15 +89,13 @@ class TomlSection:
 
     def _number(self, key: str, value: Any, unit: str) -> Any:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
-            worded = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
-            raise self.fail(key, f"must be a number{in_unit(unit)}{worded}, got {short_repr(value)}")
+            or_text = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
+            raise self.fail(key, f"must be a number{in_unit(unit)}{or_text}, got {short_repr(value)}")
         if not isinstance(value, str):
             try:
                 return float(value)
             except OverflowError:
-                raise self.fail(
-                    key, f"{short_repr(value)} is larger than any number that a computer reckons with"
-                ) from None
+                raise self.fail(key, f"{short_repr(value)} is larger than any floating-point number") from None
         try:
             return to_si(value, unit)
         except ValueError as problem:
@@ -105,11 +103,11 @@ class TomlSection:
 
     def quantity(self, key: str, declared: Quantity, default: Any) -> Any:
         """The value of one declared parameter: a number, or a pair where it may differ by direction."""
-        if default is dataclasses.MISSING and key not in self._left:
-            near = difflib.get_close_matches(key, self._left, n=1)
-            meant = f"; is it meant by '{near[0]}'?" if near else ""
+        if default is dataclasses.MISSING and key not in self._remaining:
+            close = difflib.get_close_matches(key, self._remaining, n=1)
+            hint = f"; is it meant by '{close[0]}'?" if close else ""
             raise self.fail(
-                key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{meant}"
+                key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{hint}"
             )
         value = self.take(key, default)
         if value is default:
@@ -121,33 +119,33 @@ class TomlSection:
                 raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {short_repr(value)}")
             if len(value) != 2:
                 raise self.fail(key, f"needs two values, [positive, negative], got {short_repr(value)}")
-            return Directional(*(self._number(key, one, declared.unit) for one in value))
+            return Directional(*(self._number(key, side, declared.unit) for side in value))
         return self._number(key, value, declared.unit)
 
-    def build(self, cls: Any, **given: Any) -> Any:
-        """An instance of a parameter class from the keys of this section, beside those `given`."""
+    def build(self, cls: Any, **values: Any) -> Any:
+        """An instance of a parameter class from the keys of this section, beside `values`."""
         for field in dataclasses.fields(cls):
-            if "quantity" in field.metadata and field.name not in given:
-                given[field.name] = self.quantity(field.name, field.metadata["quantity"], field.default)
+            if "quantity" in field.metadata and field.name not in values:
+                values[field.name] = self.quantity(field.name, field.metadata["quantity"], field.default)
         try:
-            built = cls(**given)
+            built = cls(**values)
             check(built, self.name)
         except ParameterError as error:
             raise DriveFileError(f"{self.source}: {error}") from None
         return built
 
     def done(self) -> None:
-        """Raise if keys are left that nobody asked for."""
-        if not self._left:
+        """Raise if keys are left that were never taken."""
+        if not self._remaining:
             return
-        key = next(iter(self._left))
+        key = next(iter(self._remaining))
         if kinds := self.kinds_with(key):
-            foreign = [other for other in self._left if self.kinds_with(other)]
+            foreign = [other for other in self._remaining if self.kinds_with(other)]
             raise self.fail(
                 key, f"belongs to kind {', '.join(kinds)}; for kind {self.kind} remove {', '.join(foreign)}"
             )
-        near = difflib.get_close_matches(key, self._known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(set(self._known)))}"
+        close = difflib.get_close_matches(key, self._accepted, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known here: {', '.join(sorted(set(self._accepted)))}"
         raise self.fail(key, f"unknown key; {hint}")
 
 
@@ -158,34 +156,36 @@ def _limits(section: TomlSection) -> Limits:
     else:
         if not isinstance(stroke, list) or len(stroke) != 2:
             raise section.fail("stroke", f"must be [lowest, highest], such as [0.0, 0.15], got {short_repr(stroke)}")
-        bare = [end for end in stroke if not isinstance(end, str)]
-        if len(bare) == 1 and bare[0] != 0:  # 75 beside "-75 mm" would be 75 m
+        plain = [end for end in stroke if not isinstance(end, str)]
+        if len(plain) == 1 and plain[0] != 0:  # 75 beside "-75 mm" would be 75 m
             raise section.fail(
                 "stroke", f"give both ends a unit, or neither where they are in m, got {short_repr(stroke)}"
             )
         ends = tuple(section._number("stroke", value, "m") for value in stroke)
         if not ends[0] < ends[1]:
             raise section.fail("stroke", f"the lowest position must be below the highest, got {short_repr(stroke)}")
-    most = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
-    for key, value in most.items():
+    limits = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
+    for key, value in limits.items():
         if not value > 0:
             raise section.fail(key, f"must be positive, got {short_repr(value)}")
-    return Limits(stroke=ends, **most)
+    return Limits(stroke=ends, **limits)
 
 
 def _effects(section: TomlSection) -> tuple[Effect, ...]:
-    """[effects.cogging] and its like, in the catalogue's order."""
-    found = []
+    """The effects of the tables [effects.NAME], in the catalogue's order."""
+    effects = []
     for name, effect in EFFECTS.items():
         if section.take(name, None) is not None:
-            own = TomlSection(section.source, f"effects.{name}", section.table[name])
-            found.append(own.build(effect))
-            own.done()
+            subsection = TomlSection(section.source, f"effects.{name}", section.table[name])
+            effects.append(subsection.build(effect))
+            subsection.done()
     section.done()
-    screws = [one.name for one in found if isinstance(one, Transmission)]
-    if len(screws) > 1:
-        raise section.fail(screws[0], f"a machine has one screw: [effects.{screws[1]}] is one, too; keep either")
-    return tuple(found)
+    transmissions = [effect.name for effect in effects if isinstance(effect, Transmission)]
+    if len(transmissions) > 1:
+        raise section.fail(
+            transmissions[0], f"a machine has one screw: [effects.{transmissions[1]}] is one, too; keep either"
+        )
+    return tuple(effects)
 
 
 def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
@@ -256,20 +256,20 @@ def read_axis(path: str | Path) -> Axis:
     return dataclasses.replace(axis, name=Path(path).stem)
 
 
-def axis_tables(description: Axis) -> dict[str, Any]:
-    """The tables of a drive file that `parse_axis` reads back to the same description."""
-    drive, limits = description.drive, description.limits
+def axis_tables(axis: Axis) -> dict[str, Any]:
+    """The tables of a drive file that `parse_axis` reads back to the same axis."""
+    drive, limits = axis.drive, axis.limits
     tables = {
         "plant": quantity_table(drive.plant),
         "friction": quantity_table(drive.friction),
         "actuator": quantity_table(drive.actuator) | {"delay_samples": drive.actuator.delay_samples},
         "sensor": quantity_table(drive.sensor),
-        "controller": controller_table(description.controller),
-        "sampling": {"rate": description.sampling.rate},
+        "controller": controller_table(axis.controller),
+        "sampling": {"rate": axis.sampling.rate},
         "limits": {},
     }
-    if description.sampling.substeps is not None:
-        tables["sampling"]["substeps"] = description.sampling.substeps
+    if axis.sampling.substeps is not None:
+        tables["sampling"]["substeps"] = axis.sampling.substeps
     if np.isfinite(limits.stroke).any():
         tables["limits"]["stroke"] = list(limits.stroke)
     for name in ("speed", "acceleration"):
@@ -277,16 +277,16 @@ def axis_tables(description: Axis) -> dict[str, Any]:
             tables["limits"][name] = getattr(limits, name)
     if drive.effects:
         tables["effects"] = {effect.name: quantity_table(effect) for effect in drive.effects}
-    return tables | mapping_tables(description.mapping)
+    return tables | mapping_tables(axis.mapping)
 
 
-def write_axis(path: str | Path, description: Axis, comments: Sequence[str] = ()) -> None:
-    """Write a drive file in SI units, below lines of comments; raises if it could not say what the description says."""
-    tables = axis_tables(description)
+def write_axis(path: str | Path, axis: Axis, comments: Sequence[str] = ()) -> None:
+    """Write a drive file in SI units, below lines of comments; raises `DriveFileError` if no file can hold the axis."""
+    tables = axis_tables(axis)
     read_back = parse_axis(tables, str(path))
     for name in ("drive", "controller"):
-        ours, theirs = (jax.tree.flatten(getattr(one, name)) for one in (description, read_back))
-        if ours[1] != theirs[1] or [*map(float, ours[0])] != [*map(float, theirs[0])]:
+        written, reread = (jax.tree.flatten(getattr(side, name)) for side in (axis, read_back))
+        if written[1] != reread[1] or [*map(float, written[0])] != [*map(float, reread[0])]:
             raise DriveFileError(
                 f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
                 "their model from [plant] and [friction]"

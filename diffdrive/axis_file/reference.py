@@ -16,28 +16,28 @@ _PARTS: tuple[tuple[str, Any], ...] = (
 )
 
 
-def _label(kinds: list[str]) -> str:
-    """Those kinds of controller, or what they are all but."""
+def _kinds_label(kinds: list[str]) -> str:
+    """The kinds of controller, or "all but" the others where these are fewer."""
     others = [name for name in KINDS if name not in kinds]
     return f"all but {', '.join(others)}" if len(others) < len(kinds) else ", ".join(kinds)
 
 
-def _of_controllers() -> Iterator[tuple[str, str, Keys]]:
+def _controller_keys() -> Iterator[tuple[str, str, Keys]]:
     """Table, kinds and keys of every class of parameters that a controller has."""
-    every = list(dict.fromkeys(keys for kind in KINDS.values() for keys in kind.keys))
-    for keys in sorted(every, key=lambda one: one.table):
-        yield keys.table, _label([name for name, kind in KINDS.items() if keys in kind.keys]), keys
+    all_keys = list(dict.fromkeys(keys for kind in KINDS.values() for keys in kind.keys))
+    for keys in sorted(all_keys, key=lambda keys: keys.table):
+        yield keys.table, _kinds_label([name for name, kind in KINDS.items() if keys in kind.keys]), keys
 
 
-def _options() -> Iterator[tuple[str, ...]]:
+def _option_rows() -> Iterator[tuple[str, ...]]:
     """Rows of the keys of [controller] that no class declares."""
     for option in dict.fromkeys(option for kind in KINDS.values() for option in kind.options):
-        kinds = _label([name for name, kind in KINDS.items() if option in kind.options])
+        kinds = _kinds_label([name for name, kind in KINDS.items() if option in kind.options])
         yield ("controller", kinds, *option)
 
 
 # what the parameter classes do not declare: choices, whole numbers, and what is about the axis and not in its equations
-_OTHERS = (
+_OTHER_ROWS = (
     ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification and diagnosis"),
     ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
     ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),
@@ -77,28 +77,28 @@ def _default(field: Any, declared: Quantity) -> str:
     return f"{getattr(field.default, 'positive', field.default):g}"
 
 
-def _declared(table: str, kind: str, cls: Any, names: Container[str] | None = None) -> Iterator[tuple[str, ...]]:
+def _parameter_rows(table: str, kind: str, cls: Any, names: Container[str] | None = None) -> Iterator[tuple[str, ...]]:
     """Rows of the parameters of a class, or of those `names`."""
     for field in dataclasses.fields(cls):
         if "quantity" not in field.metadata or (names is not None and field.name not in names):
             continue
         declared: Quantity = field.metadata["quantity"]
-        each = " (per direction)" if declared.directional else ""
+        direction_note = " (per direction)" if declared.directional else ""
         unit = "-" if declared.unit == "1" else declared.unit
-        meaning = declared.meaning + each
+        meaning = declared.meaning + direction_note
         yield f"[{table}]", kind, field.name, unit, _range(declared), _default(field, declared), meaning
 
 
 def reference() -> Iterator[tuple[str, ...]]:
     """Rows of `COLUMNS`, one per key."""
-    first, *others = _OTHERS
-    yield from ((f"[{table}]", *row) for table, *row in (first, *_options(), *others))
+    first, *others = _OTHER_ROWS
+    yield from ((f"[{table}]", *row) for table, *row in (first, *_option_rows(), *others))
     for table, cls in _PARTS:
-        yield from _declared(table, "", cls)
-    for table, kinds, keys in _of_controllers():
-        yield from _declared(table, kinds, keys.parameters, set(keys.names()))
+        yield from _parameter_rows(table, "", cls)
+    for table, kinds, keys in _controller_keys():
+        yield from _parameter_rows(table, kinds, keys.parameters, set(keys.names()))
     for name, effect in EFFECTS.items():
-        yield from _declared(f"effects.{name}", "", effect)
+        yield from _parameter_rows(f"effects.{name}", "", effect)
 
 
 def markdown() -> str:

@@ -37,7 +37,7 @@ class Tunable(NamedTuple):
     factor: float
 
 
-# margins hold the feedback gains back long before these factors do; noise covariances are known to no better than 1e3
+# margins limit the feedback gains long before these factors do; noise covariances are known to no better than 1e3
 FEEDBACK_FACTOR, FILTER_FACTOR, CUTOFF_FACTOR = 30.0, 1e3, 10.0
 
 
@@ -46,7 +46,7 @@ class Controller(eqx.Module):
 
     @property
     def kind(self) -> str:
-        """What [controller] kind calls it in a drive file; "" where no file can state it."""
+        """Its `kind` in the table [controller] of a drive file; "" if no file can state it."""
         return ""
 
     @property
@@ -55,11 +55,11 @@ class Controller(eqx.Module):
         return {}
 
     def table(self) -> dict[str, Any]:
-        """The keys of [controller] that state it in a drive file, but for the kind."""
+        """Its keys of [controller] in a drive file, without the kind."""
         raise ParameterError(f"no drive file can state a {type(self).__name__}: register a `Kind` of it")
 
     def with_model(self, drive: Drive) -> "Controller":
-        """The same controller with this drive for what it believes of the machine."""
+        """The same controller with this drive as its model of the machine."""
         return self
 
     @abc.abstractmethod
@@ -98,11 +98,11 @@ class Feedforward(eqx.Module):
 
     @property
     def is_on(self) -> bool:
-        """Whether it feeds anything forward; a traced one is taken to."""
+        """Whether it feeds anything forward; true for traced parameters."""
         return isinstance(self.mass, jax.core.Tracer) or bool(np.all(np.asarray(self.mass) > 0.0))
 
     def with_model(self, plant: Plant) -> "Feedforward":
-        """That of another plant; off where it is off."""
+        """The feed-forward of another plant; one that is off stays off."""
         return Feedforward.of(plant) if self.is_on else self
 
 

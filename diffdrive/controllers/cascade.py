@@ -53,8 +53,8 @@ class Cascade(Controller):
         return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
 
     def table(self) -> dict[str, Any]:
-        fed = {"feedforward": self.feedforward.is_on, "velocity_samples": self.velocity_samples}
-        return fed | quantity_table(self)
+        options = {"feedforward": self.feedforward.is_on, "velocity_samples": self.velocity_samples}
+        return options | quantity_table(self)
 
     def with_model(self, drive: Drive) -> "Cascade":
         return replace(self, feedforward=self.feedforward.with_model(drive.plant))
@@ -72,13 +72,13 @@ class Cascade(Controller):
         self, state: CascadeState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[CascadeState, Command]:
         # before the first sample the table stood where it is first measured
-        past = jax.tree.map(lambda p: state.started * p + (1.0 - state.started) * position, state.past)
-        oldest, past = pushed(past, position)
-        velocity = (position - oldest) / (self.velocity_samples * period)
-        wanted = self.kp * (reference.position - position) + self.velocity_feedforward * reference.velocity
-        integral = state.integral + self.ki * period * (wanted - velocity)
-        force = self.kv * (wanted - velocity) + integral + self.feedforward.force(reference)
-        return CascadeState(past, integral, jnp.ones_like(position)), Command(force)
+        history = jax.tree.map(lambda p: state.started * p + (1.0 - state.started) * position, state.past)
+        oldest_position, history = pushed(history, position)
+        velocity = (position - oldest_position) / (self.velocity_samples * period)
+        velocity_reference = self.kp * (reference.position - position) + self.velocity_feedforward * reference.velocity
+        integral = state.integral + self.ki * period * (velocity_reference - velocity)
+        force = self.kv * (velocity_reference - velocity) + integral + self.feedforward.force(reference)
+        return CascadeState(history, integral, jnp.ones_like(position)), Command(force)
 
 
 VELOCITY_SAMPLES = Option("velocity_samples", "-", ">= 1, whole", "1", "samples over which the velocity is differenced")

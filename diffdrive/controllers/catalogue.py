@@ -1,4 +1,4 @@
-"""The kinds of controller by name, and how one of your own joins them."""
+"""The kinds of controller by name, and `register` for further ones."""
 
 from diffdrive.controllers import cascade, dobvsc, feedforward_dob, friction_compensation, pd, unknown
 from diffdrive.controllers.kinds import Kind
@@ -16,8 +16,8 @@ KINDS: dict[str, Kind] = {
 def register(kind: Kind) -> Kind:
     """Make a kind of controller known: drive files state it, and everything that takes a controller takes it.
 
-    Its controllers answer with the kind's name to `kind`, and with their keys to `table`. Raises `ParameterError` for a
-    name that another kind has.
+    `kind` of its controllers must return this name, and `table` their keys. Raises `ParameterError` for a name that
+    another kind has.
     """
     if kind.name in KINDS:
         raise ParameterError(f"controller kind {kind.name!r}: there is one of this name; choose another")

@@ -16,13 +16,13 @@ class _Lag(NamedTuple):
     last_input: Scalar
 
     def step(self, value: Scalar, tau: Scalar, period: float) -> "_Lag":
-        keep = jnp.exp(-period / tau)
-        share = (1.0 - keep) * tau / period
-        return _Lag(keep * self.output + (share - keep) * self.last_input + (1.0 - share) * value, value)
+        decay = jnp.exp(-period / tau)
+        share = (1.0 - decay) * tau / period
+        return _Lag(decay * self.output + (share - decay) * self.last_input + (1.0 - share) * value, value)
 
 
 class DisturbanceState(NamedTuple):
-    """Two lags in a row, once for the position and once for the force."""
+    """Two lags in series, for the position and for the force."""
 
     position: tuple[_Lag, _Lag]
     force: tuple[Scalar, Scalar]
@@ -57,23 +57,23 @@ class DisturbanceObserver(eqx.Module):
     def step(
         self, state: DisturbanceState, position: Scalar, force: Scalar, period: float
     ) -> tuple[DisturbanceState, Scalar]:
-        """`force` (N) acted over the last period and is explained already; `position` (m) is measured now."""
+        """The disturbance (N); `force` (N) acted over the last period, `position` (m) is measured now."""
         tau = 1.0 / (2.0 * jnp.pi * self.cutoff)
         first = state.position[0].step(position, tau, period)
         second = state.position[1].step(first.output, tau, period)
-        keep = jnp.exp(-period / tau)
-        force1 = keep * state.force[0] + (1.0 - keep) * force
-        force2 = keep * state.force[1] + (1.0 - keep) * force1
+        decay = jnp.exp(-period / tau)
+        force1 = decay * state.force[0] + (1.0 - decay) * force
+        force2 = decay * state.force[1] + (1.0 - decay) * force1
         velocity = (first.output - second.output) / tau
         acceleration = (position - 2.0 * first.output + second.output) / tau**2
-        resisting = force2 - self.mass * acceleration - self.damping.towards(velocity) * velocity
-        return DisturbanceState((first, second), (force1, force2)), resisting
+        disturbance = force2 - self.mass * acceleration - self.damping.towards(velocity) * velocity
+        return DisturbanceState((first, second), (force1, force2)), disturbance
 
 
-# what a disturbance observer believes of the machine is no key of its own
+# its model of the machine is that of [plant]
 OBSERVER_KEYS = Keys("controller", DisturbanceObserver, frozenset({"mass", "damping"}))
 
 
 def read_observer(section: Section, drive: Drive) -> DisturbanceObserver:
-    """The disturbance observer that a table of a drive file states, for this drive."""
+    """The disturbance observer that a table of a drive file specifies, with this drive as its model."""
     return section.build(DisturbanceObserver, mass=drive.plant.mass, damping=drive.plant.damping)

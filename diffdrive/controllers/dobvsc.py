@@ -60,8 +60,8 @@ class DOBVSC(Controller):
 
     @property
     def tunables(self) -> Mapping[str, Tunable]:
-        own = {name: Tunable(name, SURFACE_FACTOR) for name in ("reach", "layer", "slope")}
-        return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)} | own
+        surface_gains = {name: Tunable(name, SURFACE_FACTOR) for name in ("reach", "layer", "slope")}
+        return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)} | surface_gains
 
     def table(self) -> dict[str, Any]:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
@@ -80,9 +80,9 @@ class DOBVSC(Controller):
         surface = (error - state.last_error.value_or(error)) / period + self.slope * error
         switching = self.reach * jnp.clip(surface / self.layer, -1.0, 1.0)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
-        disturbance, resisting = self.observer.step(state.disturbance, position, applied, period)
-        estimate = ObserverEstimate(resisting)
-        return DOBVSCState(last_error, disturbance), Command(force + switching + resisting, estimate)
+        observer_state, disturbance = self.observer.step(state.disturbance, position, applied, period)
+        estimate = ObserverEstimate(disturbance)
+        return DOBVSCState(last_error, observer_state), Command(force + switching + disturbance, estimate)
 
 
 def _build(section: Section, drive: Drive) -> DOBVSC:

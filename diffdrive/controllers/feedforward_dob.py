@@ -73,15 +73,15 @@ class PDFeedforwardDOB(Controller):
     def step(
         self, state: FeedforwardState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[FeedforwardState, Command]:
-        bristle = lugre_coefficients(self.friction, reference.velocity, state.bristle, self.load)
-        deflection = deflection_after(state.bristle, reference.velocity, bristle.rate, period)
-        predicted = friction_force(bristle, reference.velocity, deflection)
+        coefficients = lugre_coefficients(self.friction, reference.velocity, state.bristle, self.load)
+        deflection = deflection_after(state.bristle, reference.velocity, coefficients.rate, period)
+        predicted = friction_force(coefficients, reference.velocity, deflection)
         unexplained = applied - state.last_feedforward
-        disturbance, resisting = self.observer.step(state.disturbance, position, unexplained, period)
+        observer_state, disturbance = self.observer.step(state.disturbance, position, unexplained, period)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
-        estimate = ObserverEstimate(predicted + resisting)
-        state = FeedforwardState(last_error, deflection, predicted, disturbance)
-        return state, Command(force + predicted + resisting, estimate)
+        estimate = ObserverEstimate(predicted + disturbance)
+        state = FeedforwardState(last_error, deflection, predicted, observer_state)
+        return state, Command(force + predicted + disturbance, estimate)
 
 
 def _build(section: Section, drive: Drive) -> PDFeedforwardDOB:

@@ -34,7 +34,7 @@ from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 
 
 class FrictionCompensationState(NamedTuple):
-    """Last error and the observer's own state."""
+    """Last error and the observer's state."""
 
     last_error: LastError
     observer: Any
@@ -56,8 +56,10 @@ class FrictionCompensation(Controller):
 
     @property
     def tunables(self) -> Mapping[str, Tunable]:
-        observed = {name: Tunable(f"observer.{path}", FILTER_FACTOR) for name, path in self.observer.gains.items()}
-        return TRACKING_GAINS | observed
+        observer_gains = {
+            name: Tunable(f"observer.{path}", FILTER_FACTOR) for name, path in self.observer.gains.items()
+        }
+        return TRACKING_GAINS | observer_gains
 
     def table(self) -> dict[str, Any]:
         return self.tracking.table() | self.observer.tables()
@@ -72,12 +74,12 @@ class FrictionCompensation(Controller):
     def step(
         self, state: FrictionCompensationState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[FrictionCompensationState, Command]:
-        observed, estimate = self.observer.step(state.observer, applied, position, period)
+        observer_state, estimate = self.observer.step(state.observer, applied, position, period)
         last_error, force = self.tracking.step(state.last_error, reference, position, period)
-        return FrictionCompensationState(last_error, observed), Command(force + estimate.friction, estimate)
+        return FrictionCompensationState(last_error, observer_state), Command(force + estimate.friction, estimate)
 
 
-def _with(
+def _builder_with(
     load: type[FixedLoad] | type[InnovationLoad],
 ) -> Callable[[Section, Drive], FrictionCompensation]:
     """How a friction observer with this load estimator is built."""
@@ -93,7 +95,7 @@ def _with(
     return build
 
 
-def _with_load_state(section: Section, drive: Drive) -> FrictionCompensation:
+def _build_with_load_state(section: Section, drive: Drive) -> FrictionCompensation:
     tracking = read_tracking(section, drive)
     tuning, estimator = section.subsection("observer"), section.subsection("load_estimator")
     observer = estimator.build(
@@ -109,18 +111,18 @@ def _keys(tuning: type, estimator: type) -> tuple[Keys, ...]:
 
 
 KINDS = (
-    Kind("pd+fc", "friction observer", _with(FixedLoad), _keys(Tuning, FixedLoad), TRACKING_OPTIONS),
+    Kind("pd+fc", "friction observer", _builder_with(FixedLoad), _keys(Tuning, FixedLoad), TRACKING_OPTIONS),
     Kind(
         "pd+fc+le",
         "friction observer with the load estimator of the paper's eq. (20)",
-        _with(InnovationLoad),
+        _builder_with(InnovationLoad),
         _keys(Tuning, InnovationLoad),
         TRACKING_OPTIONS,
     ),
     Kind(
         "pd+fc+ls",
         "friction observer with the load as a state, which converges at every speed",
-        _with_load_state,
+        _build_with_load_state,
         _keys(LoadStateTuning, LoadStateObserver),
         TRACKING_OPTIONS,
     ),

@@ -1,7 +1,6 @@
-"""What a kind of controller is to a drive file.
+"""The kinds of controller in a drive file.
 
-A kind says how the table [controller] of a file becomes a controller; the controller's `table` says how it becomes
-one again.
+A `Kind` builds a controller from the table [controller] of a file; the controller's `table` is the way back.
 """
 
 import dataclasses
@@ -14,13 +13,13 @@ from diffdrive.support.messages import short_repr
 
 
 class Section(Protocol):
-    """One table of a drive file, as a kind takes keys out of it; what is left over is an error."""
+    """One table of a drive file, from which a kind takes keys; a key that is left over is an error."""
 
     def take(self, key: str, default: Any = ...) -> Any:
         """The raw value of a key."""
 
-    def build(self, cls: Any, **given: Any) -> Any:
-        """An instance of a parameter class from its keys, beside those `given`."""
+    def build(self, cls: Any, **values: Any) -> Any:
+        """An instance of a parameter class from its keys, beside `values`."""
 
     def subsection(self, key: str) -> "Section":
         """The table below a key, empty if it is absent."""
@@ -29,7 +28,7 @@ class Section(Protocol):
         """The error for a bad key."""
 
     def done(self) -> None:
-        """Raise if keys are left that nobody asked for."""
+        """Raise if keys are left that were never taken."""
 
 
 class Option(NamedTuple):
@@ -50,7 +49,7 @@ DERIVATIVE = Option("derivative", "", "backward-difference", "backward-differenc
 
 
 class Keys(NamedTuple):
-    """The declared parameters of a class as keys of a table, but for those that are the plant's."""
+    """The declared parameters of a class as keys of a table, without those taken from the plant."""
 
     table: str  # "controller", or one below it
     parameters: type
@@ -58,13 +57,13 @@ class Keys(NamedTuple):
 
     def names(self) -> Iterator[str]:
         """The keys."""
-        declared = (one.name for one in dataclasses.fields(self.parameters) if "quantity" in one.metadata)
-        return (name for name in declared if name not in self.from_plant)
+        parameters = (field.name for field in dataclasses.fields(self.parameters) if "quantity" in field.metadata)
+        return (name for name in parameters if name not in self.from_plant)
 
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A controller as a drive file states it: `kind = "name"`, what its table holds, and what is built of that."""
+    """A kind of controller in a drive file: its name, the keys of its table, and the function that builds it."""
 
     name: str
     meaning: str
@@ -74,26 +73,26 @@ class Kind:
 
     def has(self, table: str, key: str) -> bool:
         """Whether its `table` may hold `key`."""
-        below = {one.table.removeprefix("controller.") for one in self.keys if one.table != "controller"}
-        own = {one.key for one in self.options} | below if table == "controller" else set()
-        return key in own or any(key in keys.names() for keys in self.keys if keys.table == table)
+        subtables = {entry.table.removeprefix("controller.") for entry in self.keys if entry.table != "controller"}
+        options = {entry.key for entry in self.options} | subtables if table == "controller" else set()
+        return key in options or any(key in keys.names() for keys in self.keys if keys.table == table)
 
 
 def read_feedforward(section: Section, drive: Drive, default: bool) -> Feedforward:
-    """The motion feed-forward that a table asks for: that of the drive's inertia and damping, or none."""
-    wanted = section.take("feedforward", default)
-    if not isinstance(wanted, bool):
-        raise section.fail("feedforward", f"must be true or false, got {short_repr(wanted)}")
-    return Feedforward.of(drive.plant) if wanted else Feedforward()
+    """The motion feed-forward that a table specifies: that of the drive's inertia and damping, or none."""
+    enabled = section.take("feedforward", default)
+    if not isinstance(enabled, bool):
+        raise section.fail("feedforward", f"must be true or false, got {short_repr(enabled)}")
+    return Feedforward.of(drive.plant) if enabled else Feedforward()
 
 
 def read_tracking(section: Section, drive: Drive, feedforward: bool = True) -> Tracking:
-    """Feedback and feed-forward of the paper's controllers, as a table states them."""
-    fed = read_feedforward(section, drive, feedforward)
+    """Feedback and feed-forward of the paper's controllers, as a table specifies them."""
+    feedforward_part = read_feedforward(section, drive, feedforward)
     derivative = section.take("derivative", DERIVATIVE.default)
     if derivative != DERIVATIVE.default:
         raise section.fail("derivative", f"only '{DERIVATIVE.default}' is known, got {short_repr(derivative)}")
-    return Tracking(section.build(PDGains), fed)
+    return Tracking(section.build(PDGains), feedforward_part)
 
 
 TRACKING_KEYS = Keys("controller", PDGains)

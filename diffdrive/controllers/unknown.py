@@ -1,4 +1,4 @@
-"""A controller that nobody knows: logs can be identified from, but no loop can be simulated."""
+"""A controller whose law is unknown: logs can be identified, but no loop can be simulated."""
 
 from typing import Any, NoReturn
 
@@ -9,7 +9,7 @@ from diffdrive.model.parameters import Scalar
 
 
 class UnknownController(Controller):
-    """Stands in a drive description for a controller of which only the logged command is known."""
+    """An axis's controller of which only the logged command is known."""
 
     @property
     def kind(self) -> str:

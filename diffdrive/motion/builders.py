@@ -1,4 +1,4 @@
-"""Motions of every kind: triangular, trapezoidal, jerk-limited, sines, chirps, staircases, and one of your own.
+"""Motions: triangular, trapezoidal, jerk-limited, sines, chirps, staircases, and arrays of the user.
 
 Every stroke is a chain of pieces of constant jerk, integrated exactly, so that position, velocity and acceleration
 agree to rounding at any sample rate.
@@ -62,17 +62,17 @@ def triangular(
     require_positive("triangular motion", first_reversal=first)
     if rounding > min(apart, first) * (1 + 1e-9):
         raise MotionError(
-            f"triangular motion: a rounding of {rounding:g} s does not fit between reversals {min(apart, first):g} s "
-            "apart: round less, or lengthen the stroke"
+            f"triangular motion: a rounding of {rounding:g} s does not fit between reversals "
+            f"{min(reversal_interval, first):g} s apart: round less, or lengthen the stroke"
         )
     require_positive("triangular motion", rate=rate)
     if apart * rate < 1.0:
         raise MotionError(
-            f"triangular motion: reversals {apart:g} s apart are closer than the samples at {rate:g} Hz: lengthen the "
-            "stroke, or slow the motion"
+            f"triangular motion: reversals {reversal_interval:g} s apart are closer than the samples at {rate:g} Hz: "
+            "lengthen the stroke, or slow the motion"
         )
     with guarded_arithmetic("triangular motion"):
-        require_motion_memory("triangular motion", duration, rate, pieces=2 * int(duration / apart))
+        require_motion_memory("triangular motion", duration, rate, pieces=2 * int(duration / reversal_interval))
     pieces = [(rounding / 2, acceleration, 0.0), (max(first - rounding, 0.0), 0.0, 0.0)]
     direction, elapsed = 1.0, first - rounding / 2
     while elapsed < duration:
@@ -102,7 +102,7 @@ def constant_speed(*, speed: float, ramp: float, duration: float, rate: float, s
     return motion_of_pieces("constant speed", [(ramp, acceleration, 0.0)], rate, start, duration)
 
 
-def _to_and_fro(
+def _there_and_back(
     name: str, stroke: Callable[[float], list[Piece]], distance: float,
     dwell: float, repeats: int, rate: float, start: float,
 ) -> Motion:  # fmt: skip
@@ -146,7 +146,7 @@ def trapezoidal(
     """
     require_positive("trapezoidal stroke", distance=abs(distance), speed=speed, acceleration=acceleration)
     stroke = partial(stroke_pieces, speed=speed, acceleration=acceleration)
-    return _to_and_fro("trapezoidal", stroke, distance, dwell, repeats, rate, start)
+    return _there_and_back("trapezoidal", stroke, distance, dwell, repeats, rate, start)
 
 
 def jerk_limited(
@@ -178,7 +178,7 @@ def jerk_limited(
     """
     require_positive("jerk-limited stroke", distance=abs(distance), speed=speed, acceleration=acceleration, jerk=jerk)
     stroke = partial(jerk_stroke_pieces, speed=speed, acceleration=acceleration, jerk=jerk)
-    return _to_and_fro("jerk-limited", stroke, distance, dwell, repeats, rate, start)
+    return _there_and_back("jerk-limited", stroke, distance, dwell, repeats, rate, start)
 
 
 def multisine(
@@ -229,8 +229,8 @@ def _waves(
     with guarded_arithmetic(name):
         angle = 2 * np.pi * np.outer(time, frequency) + phase
         omega = 2 * np.pi * frequency
-        place = np.sin(angle) @ amplitude
-        position = start + (place - place[0])
+        displacement = np.sin(angle) @ amplitude
+        position = start + (displacement - displacement[0])
         velocity = np.cos(angle) @ (amplitude * omega)
         acceleration = -np.sin(angle) @ (amplitude * omega**2)
     require_resolved_positions(name, position, velocity)

@@ -13,7 +13,7 @@ from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import quoted_names, shortened
 from diffdrive.support.text_file import decode_text
 
-# a log holds both: where the table should be is asked for again, not where the scale saw it
+# a log holds both: the reference is repeated, not the measured position
 _PREFERRED = ("reference", "position")
 
 
@@ -28,9 +28,9 @@ def read_motion(path: Path) -> str:
 def parse_motion_table(text: str, path: str) -> Motion:
     """A motion from the text of a CSV file with a column time and a column reference or position; `path` names it.
 
-    Units stand in the header as in a log's ('position [mm]'); without one a column is in SI. Where both columns are
-    there the reference is taken, and the motion's name says so. Raises `MotionError` for a column that is missing or
-    there twice, or in what is no unit of it.
+    Units stand in the header as in a log's ('position [mm]'); without one a column is in SI. If both columns exist the
+    reference is taken, and the motion's name says so. Raises `MotionError` for a column that is missing, duplicate, or
+    in a wrong unit.
     """
     first, _, rest = text.partition("\n")
     try:
@@ -41,17 +41,17 @@ def parse_motion_table(text: str, path: str) -> Motion:
     except (ValueError, csv.Error) as error:
         problem = shortened(str(error).partition("\n")[0], 200)
         raise MotionError(f"{path}: not a comma-separated table of numbers under one header line: {problem}") from None
-    found = {channel: _columns(header, channel) for channel in ("time", *_PREFERRED)}
-    taken = next((channel for channel in _PREFERRED if found[channel]), None)
-    if not found["time"] or taken is None or table.shape[1] != len(header):
+    columns = {channel: _columns(header, channel) for channel in ("time", *_PREFERRED)}
+    position_channel = next((channel for channel in _PREFERRED if columns[channel]), None)
+    if not columns["time"] or position_channel is None or table.shape[1] != len(header):
         raise MotionError(
             f"{path}: needs a header line with the columns time and position (or reference), each with its unit unless "
             "it is s and m, such as 'time [s],position [mm]'; has "
-            f"{quoted_names(header, taken or 'position', 'columns')}"
+            f"{quoted_names(header, position_channel or 'position', 'columns')}"
         )
-    time, place = (_in_si(table, header, channel, found[channel], path) for channel in ("time", taken))
+    time, position = (_in_si(table, header, channel, columns[channel], path) for channel in ("time", position_channel))
     name = Path(path).name
-    return from_array(time, place, name=f"{name} (column reference)" if all(found.values()) else name)
+    return from_array(time, position, name=f"{name} (column reference)" if all(columns.values()) else name)
 
 
 def _columns(header: list[str], channel: str) -> list[int]:

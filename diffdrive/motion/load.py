@@ -1,4 +1,4 @@
-"""Applied load on the guides over time, in newtons: functions of the time grid, and a ramp of four numbers."""
+"""Applied load on the guides over time (N): functions of the time grid, and a ramp of four numbers."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,7 +17,7 @@ GRAVITY = 9.80665  # m/s^2
 class Ramp(NamedTuple):
     """A load (N) that changes linearly by `change` (N) from `begin` to `end` (s), constant outside: four numbers.
 
-    For many lanes at once, each with a load of its own that no array over time needs to hold.
+    For many lanes at once, each with its own load without an array over time.
     """
 
     load: Scalar  # N, before the change
@@ -135,32 +135,32 @@ def material_removal(
     return GRAVITY * mass
 
 
-def require_resolved_friction(drive: Drive, highest: Scalar, fastest: float, sampling: Sampling) -> None:
+def require_resolved_friction(drive: Drive, max_load: Scalar, max_speed: float, sampling: Sampling) -> None:
     """Raise `MotionError` where rounding of the friction force alone moves the table as fast as the motion.
 
-    `highest` is the load (N), `fastest` the speed (m/s); drive and load are numbers, or arrays over machines. A force F
-    is known to eps F, and in a substep h that is a velocity of eps F h / M.
+    `max_load` is in N, `max_speed` in m/s; drive and load are numbers, or arrays over machines. A force F has a
+    rounding error of eps F, which in a substep h is a velocity of eps F h / M.
     """
     friction = drive.friction
     forces = [
         getattr(friction.coulomb_screw, side)
-        + getattr(friction.load_coefficient, side) * (friction.initial_load + highest)
+        + getattr(friction.load_coefficient, side) * (friction.initial_load + max_load)
         + np.maximum(getattr(friction.breakaway_gap, side), 0.0)
         for side in ("positive", "negative")
     ]
     step = sampling.period / sampling.plant_steps
     for force in forces:
         rounding = np.max(np.finfo(float).eps * step * np.asarray(force) / np.asarray(drive.plant.mass))
-        if fastest > 0.0 and rounding > fastest:
+        if max_speed > 0.0 and rounding > max_speed:
             raise MotionError(
-                f"under a load of {np.max(highest):g} N the rounding of the friction, {np.max(force):.3g} N, alone "
-                f"moves the table by {rounding:.2g} m/s, the motion by {fastest:.2g}: check the units of [friction], "
+                f"under a load of {np.max(max_load):g} N the rounding of the friction, {np.max(force):.3g} N, alone "
+                f"moves the table by {rounding:.2g} m/s, the motion by {max_speed:.2g}: check the units of [friction], "
                 "load and speed"
             )
 
 
 def validated_load(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """The load unchanged, or a `MotionError`: it must be finite, as long as the motion, and above minus the preload."""
+    """The load (N, [n]) unchanged; raises `MotionError` unless it is finite, [n], and above minus the preload."""
     load = np.asarray(load, float)
     if load.shape != np.shape(time):
         raise MotionError(f"the load has shape {load.shape}, the motion {len(time)} samples: give one load per sample")

@@ -1,4 +1,4 @@
-"""A motion: where the table should be at each control step; and the limits of what an axis can do."""
+"""A motion: the reference of the table at each control step; and the limits of an axis."""
 
 from dataclasses import dataclass
 
@@ -39,7 +39,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the axis can do: stroke [lowest, highest] (m), speed (m/s), acceleration (m/s^2)."""
+    """Limits of an axis: stroke [lowest, highest] (m), speed (m/s), acceleration (m/s^2)."""
 
     stroke: tuple[float, float] = (-np.inf, np.inf)  # m, lowest and highest position
     speed: float = np.inf  # m/s
@@ -55,7 +55,7 @@ class Limits:
 
 
 def require_within(motion: Motion, limits: Limits) -> Motion:
-    """The motion unchanged, or a `MotionError` naming the first sample beyond each limit."""
+    """The motion unchanged; raises `MotionError` naming the first sample beyond each limit."""
     tolerance = 1e-9
     low, high = limits.stroke
     cases = (
@@ -76,12 +76,12 @@ def require_within(motion: Motion, limits: Limits) -> Motion:
         ),
     )
     problems = []
-    for what, signal, allowed, limit, unit in cases:
+    for quantity, signal, allowed, limit, unit in cases:
         beyond = np.abs(signal - allowed) > tolerance * max(1.0, float(np.max(np.abs(allowed))))
         if beyond.any():
             k = int(np.argmax(beyond))
-            worst = float(signal[np.argmax(np.abs(signal - allowed))])
-            problems.append(f"{what} leaves {limit} first at t = {motion.time[k]:g} s (worst {worst:g} {unit})")
+            largest = float(signal[np.argmax(np.abs(signal - allowed))])
+            problems.append(f"{quantity} leaves {limit} first at t = {motion.time[k]:g} s (worst {largest:g} {unit})")
     if problems:
         raise MotionError(
             f"motion '{motion.name}': " + "; ".join(problems) + ". Shorten or slow the motion, or correct the limits"
@@ -93,10 +93,10 @@ def require_samples(name: str, time: np.ndarray, **signals: np.ndarray) -> None:
     """Raise `MotionError` unless time is uniform and increasing, and all are finite and equally long."""
     if np.ndim(time) != 1 or any(np.shape(signal) != np.shape(time) for signal in signals.values()) or len(time) < 2:
         raise MotionError(f"{name}: time, {', '.join(signals)} must be one-dimensional and equally long")
-    for what, signal in {"time": time, **signals}.items():
+    for name_of, signal in {"time": time, **signals}.items():
         if not np.all(np.isfinite(signal)):
             raise MotionError(
-                f"{name}: {what} is not finite at sample {int(np.argmin(np.isfinite(signal)))}: fill or cut the gap"
+                f"{name}: {name_of} is not finite at sample {int(np.argmin(np.isfinite(signal)))}: fill or cut the gap"
             )
     steps = np.diff(time)
     if not np.all(steps > 0):

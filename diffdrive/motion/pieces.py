@@ -16,16 +16,16 @@ Piece = tuple[float, float, float]
 
 def require_positive(motion: str, **values: float) -> None:
     """Raise `MotionError` unless all values are positive and finite."""
-    bad = [f"{name} = {value!r}" for name, value in values.items() if not (np.isfinite(value) and value > 0)]
-    if bad:
-        raise MotionError(f"{motion}: {', '.join(bad)} must be positive and finite (SI units: m, s, m/s, m/s^2)")
+    invalid = [f"{name} = {value!r}" for name, value in values.items() if not (np.isfinite(value) and value > 0)]
+    if invalid:
+        raise MotionError(f"{motion}: {', '.join(invalid)} must be positive and finite (SI units: m, s, m/s, m/s^2)")
 
 
 def require_finite(motion: str, **values: float) -> None:
     """Raise `MotionError` unless all values are finite."""
-    bad = [f"{name} = {value!r}" for name, value in values.items() if not np.isfinite(value)]
-    if bad:
-        raise MotionError(f"{motion}: {', '.join(bad)} must be finite (SI units: m, s)")
+    invalid = [f"{name} = {value!r}" for name, value in values.items() if not np.isfinite(value)]
+    if invalid:
+        raise MotionError(f"{motion}: {', '.join(invalid)} must be finite (SI units: m, s)")
 
 
 def dwell_pieces(motion: str, dwell: float) -> list[Piece]:
@@ -59,26 +59,26 @@ def motion_of_pieces(
     require_finite(name, start=start)
     require_positive(name, rate=rate)
     with guarded_arithmetic(name):
-        return _integrated(name, pieces, rate, start, duration)
+        return _integrate(name, pieces, rate, start, duration)
 
 
-def _integrated(name: str, pieces: Sequence[Piece], rate: float, start: float, duration: float | None) -> Motion:
+def _integrate(name: str, pieces: Sequence[Piece], rate: float, start: float, duration: float | None) -> Motion:
     lengths = np.array([p[0] for p in pieces])
     knots = np.concatenate([[0.0], np.cumsum(lengths)])
     end = duration if duration is not None else float(np.ceil(knots[-1] * rate - 1e-6)) / rate
     time = time_grid(name, end, rate, pieces=len(pieces))
     x, v = start, 0.0
-    begin = []
+    initial = []
     for length, a, jerk in pieces:
-        begin.append((x, v, a, jerk))
+        initial.append((x, v, a, jerk))
         x += v * length + a * length**2 / 2 + jerk * length**3 / 6
         v += a * length + jerk * length**2 / 2
-    begin.append((x, v, 0.0, 0.0))  # and so on after the end
+    initial.append((x, v, 0.0, 0.0))  # and so on after the end
     # a sample within rounding of a knot belongs to the piece that starts there
     ends = np.searchsorted(time + 1e-9 / rate, knots[1:], side="left")
     samples = np.diff(ends, prepend=0, append=len(time))
-    x0, v0, a0, j0, since = (np.repeat(column, samples) for column in np.column_stack([begin, knots]).T)
-    s = time - since
+    x0, v0, a0, j0, piece_start = (np.repeat(column, samples) for column in np.column_stack([initial, knots]).T)
+    s = time - piece_start
     position = x0 + s * (v0 + s * (a0 / 2 + s * j0 / 6))
     velocity = v0 + s * (a0 + s * j0 / 2)
     require_resolved_positions(name, position, velocity)

@@ -10,15 +10,15 @@ COLUMNS = ("name", "settings", "that may be left out", "what")
 _BY_DEFAULT = {
     "first_reversal": "stroke / speed + rounding / 2",
     "phases": "Schroeder's",
-}  # where the default is worked out
+}  # where the default depends on other settings
 
 
 def _setting(name: str, unit: str, default: Any) -> str:
-    many = "list of " if name in LISTS else "list of pairs of " if name in PAIRS else ""
-    of = many + ("whole number" if unit == "1" else unit)
+    list_prefix = "list of " if name in LISTS else "list of pairs of " if name in PAIRS else ""
+    kind = list_prefix + ("whole number" if unit == "1" else unit)
     if default is inspect.Parameter.empty:
-        return f"{name} ({of})"
-    return f"{name} ({of}; {_BY_DEFAULT[name] if default is None else f'{default:g}'})"
+        return f"{name} ({kind})"
+    return f"{name} ({kind}; {_BY_DEFAULT[name] if default is None else f'{default:g}'})"
 
 
 def reference(builders: dict[str, Callable[..., Any]], units: dict[str, str]) -> Iterator[tuple[str, ...]]:
@@ -29,8 +29,8 @@ def reference(builders: dict[str, Callable[..., Any]], units: dict[str, str]) ->
             if key not in ("time", "rate"):
                 optional = parameter.default is not inspect.Parameter.empty
                 settings[optional].append(_setting(key, units[key], parameter.default))
-        first = inspect.cleandoc(builder.__doc__ or "").partition("\n\n")[0]
-        yield name, ", ".join(settings[False]), ", ".join(settings[True]), " ".join(first.split())
+        summary = inspect.cleandoc(builder.__doc__ or "").partition("\n\n")[0]
+        yield name, ", ".join(settings[False]), ", ".join(settings[True]), " ".join(summary.split())
 
 
 def markdown() -> str:

@@ -1,4 +1,4 @@
-"""What a motion takes, known before it is made: samples, memory, and numbers that a float can hold."""
+"""Checks of a motion before it is built: samples, memory, and numbers within the range of floats."""
 
 import contextlib
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ ARRAYS_PER_SAMPLE, ARRAYS_PER_WAVE, DOUBLE_BYTES, PIECE_BYTES = 15, 2, 8, 280
 def require_motion_memory(name: str, duration: float, rate: float, *, pieces: int = 0, waves: int = 0) -> None:
     """Raise `MotionError` where a motion of `duration` (s) at `rate` (Hz) does not fit into memory.
 
-    `pieces` are those of constant jerk, `waves` the sines that are added.
+    `pieces` counts those of constant jerk, `waves` the sines.
     """
     samples = duration * rate
     needed = samples * DOUBLE_BYTES * (ARRAYS_PER_SAMPLE + ARRAYS_PER_WAVE * waves) + PIECE_BYTES * pieces
@@ -30,7 +30,7 @@ def require_motion_memory(name: str, duration: float, rate: float, *, pieces: in
 
 @contextlib.contextmanager
 def guarded_arithmetic(name: str) -> Iterator[None]:
-    """Raise `MotionError` where the settings of a motion lead to numbers that no float can hold."""
+    """Raise `MotionError` where arithmetic in the block overflows or is undefined."""
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
             yield
@@ -44,8 +44,8 @@ def guarded_arithmetic(name: str) -> Iterator[None]:
 def require_resolved_positions(name: str, position: np.ndarray, velocity: np.ndarray) -> None:
     """Raise `MotionError` where the motion is lost in the rounding of its own positions (m), as from 1e300 m on."""
     travel, farthest = float(np.ptp(position)), float(np.max(np.abs(position)))
-    # so that no more than a per mille of the motion is rounding
-    if not np.any(velocity):  # it stands still, as it was asked to
+    # at most a per mille of the motion may be rounding
+    if not np.any(velocity):  # standing still, as specified
         return
     if not travel >= 1e3 * np.spacing(farthest):
         raise MotionError(

@@ -51,8 +51,8 @@ LISTS = ("speeds", "amplitudes", "frequencies", "phases", "times", "loads")
 PAIRS = ("cuts",)
 
 
-def _bare(text: str) -> float | None:
-    """A number without a unit; None where the text is none."""
+def _plain_number(text: str) -> float | None:
+    """A number without a unit; None if the text is no such number."""
     with contextlib.suppress(ValueError):
         return float(text)
     return None
@@ -60,37 +60,37 @@ def _bare(text: str) -> float | None:
 
 def number(text: str, unit: str, where: str) -> float:
     """A number in the SI `unit` from text: bare, or with a unit that converts to it."""
-    bare = _bare(text)
-    if bare is not None and math.isfinite(bare):
-        return bare
-    if bare is not None and any(one.isdigit() for one in text):  # and not "inf"
-        raise MotionError(f"{where}: '{shortened(text)}' is larger than any number that a computer reckons with")
+    plain = _plain_number(text)
+    if plain is not None and math.isfinite(plain):
+        return plain
+    if plain is not None and any(character.isdigit() for character in text):  # and not "inf"
+        raise MotionError(f"{where}: '{shortened(text)}' is larger than any floating-point number")
     try:
         return to_si(text, unit)
     except ValueError as problem:
         raise MotionError(f"{where}: {problem}") from None
 
 
-def require_same_rate(where: str, other: Axis, believed: Axis) -> None:
-    """Raises `ParameterError` for a machine or controller of another control rate: its delays are in samples."""
-    mine, theirs = other.sampling.rate, believed.sampling.rate
-    if abs(mine / theirs - 1.0) > RATE_TOLERANCE:
+def require_same_rate(where: str, axis: Axis, nominal: Axis) -> None:
+    """Raise `ParameterError` for a machine or controller of another control rate: its delays are in samples."""
+    rate, nominal_rate = axis.sampling.rate, nominal.sampling.rate
+    if abs(rate / nominal_rate - 1.0) > RATE_TOLERANCE:
         raise ParameterError(
-            f"{where}: is sampled at {mine:.10g} Hz, the drive file at {theirs:.10g} Hz: delays are given in samples: "
-            "make the rates equal"
+            f"{where}: is sampled at {rate:.10g} Hz, the drive file at {nominal_rate:.10g} Hz: delays are given "
+            "in samples: make the rates equal"
         )
 
 
 def nonnegative_number(text: str, unit: str, where: str) -> float:
-    """Such a number that is not negative."""
-    found = number(text, unit, where)
-    if found < 0.0:
+    """`number`, not negative."""
+    value = number(text, unit, where)
+    if value < 0.0:
         raise MotionError(f"{where} {text}: must be 0 or more")
-    return found
+    return value
 
 
 def numbers(text: str, unit: str, where: str) -> list[float]:
-    """Numbers separated by ;, where a unit behind the last is that of all: `5;10;20 N`."""
+    """Numbers separated by ;, where a unit after the last applies to all: `5;10;20 N`."""
     parts = text.split(";")
     trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^-+.\d\seE].*)", parts[-1])
     if trailing:
@@ -111,19 +111,19 @@ def _value(text: str, key: str, unit: str, where: str) -> Any:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A motion or a load as a line of text tells it: the function that makes it, and its settings in SI units."""
+    """A motion or a load as a line of text specifies it: the function that builds it, and its settings in SI units."""
 
     kind: str
     builder: Callable[..., Any]
     units: dict[str, str]
     settings: dict[str, Any]
 
-    def build(self, *grid: np.ndarray, **more: float) -> Any:
-        """A load on a grid of times, or a motion at a `rate`; settings that are given here replace its own."""
-        return self.builder(*grid, **self.settings | more)
+    def build(self, *grid: np.ndarray, **overrides: float) -> Any:
+        """A load on a time grid (s), or a motion at a `rate` (Hz); `overrides` replace settings."""
+        return self.builder(*grid, **self.settings | overrides)
 
     def numbers(self) -> dict[str, tuple[str, float]]:
-        """The settings that are one number which may take any value, with unit and value; defaults are among them."""
+        """The scalar settings that may take any value, defaults included: unit and value of each."""
         found = {}
         for name, parameter in inspect.signature(self.builder).parameters.items():
             value = self.settings.get(name, parameter.default)
@@ -132,32 +132,32 @@ class Recipe:
         return found
 
 
-def _recipe(kind: str, text: str, make: Callable[..., Any], units: dict[str, str]) -> Recipe:
-    parameters = inspect.signature(make).parameters
+def _recipe(kind: str, text: str, builder: Callable[..., Any], units: dict[str, str]) -> Recipe:
+    parameters = inspect.signature(builder).parameters
     known = [name for name in parameters if name not in ("time", "rate")]
-    given: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for item in filter(None, text.split(",")):
         key, equals, value = item.partition("=")
         key = key.strip()
         if not equals or key not in known:
             raise MotionError(f"{kind}: '{item}' is not one of its settings; they are {', '.join(known)}")
-        if key in given:
+        if key in settings:
             raise MotionError(f"{kind}: {key} is given twice")
-        given[key] = _value(value.strip(), key, units[key], f"{kind}: {key}")
-    needed = [name for name in known if parameters[name].default is inspect.Parameter.empty and name not in given]
+        settings[key] = _value(value.strip(), key, units[key], f"{kind}: {key}")
+    needed = [name for name in known if parameters[name].default is inspect.Parameter.empty and name not in settings]
     if needed:
         raise MotionError(f"{kind}: still needs {', '.join(needed)}; write {kind}:{needed[0]}=...")
-    return Recipe(kind, make, units, given)
+    return Recipe(kind, builder, units, settings)
 
 
 def motion_recipe(text: str) -> Recipe | None:
-    """What `name:key=value,...` (lists with ;) tells; None where it is no motion of ours, but a file perhaps."""
+    """The recipe of `name:key=value,...` (lists with ;); None if `name` is no motion, as for a file."""
     name, _, rest = text.partition(":")
     return _recipe(name, rest, MOTIONS[name], MOTION_UNITS) if name in MOTIONS else None
 
 
 def load_recipe(text: str) -> Recipe | None:
-    """What `name:key=value,...` (pairs of times as cuts=1~2;3~4) tells; None where it is a number."""
+    """The recipe of `name:key=value,...` (pairs of times as cuts=1~2;3~4); None for a plain number."""
     name, colon, rest = text.partition(":")
     if name in LOADS:
         return _recipe(name, rest, LOADS[name], LOAD_UNITS)
@@ -183,14 +183,14 @@ def parse_load(text: str, time: np.ndarray) -> np.ndarray:
     return load.constant(time, number(text, "N", "--load")) if recipe is None else recipe.build(time)
 
 
-def require_choice(option: str, what: str, given: str, known: Iterable[str]) -> None:
-    """Raise `ParameterError` naming the option where what was given is not one of those known."""
-    if given not in known:
-        raise ParameterError(f"{option}: no {what} '{given}'; known: {', '.join(known)}")
+def require_choice(option: str, noun: str, choice: str, known: Iterable[str]) -> None:
+    """Raise `ParameterError` naming the option where the choice is not one of those known."""
+    if choice not in known:
+        raise ParameterError(f"{option}: no {noun} '{choice}'; known: {', '.join(known)}")
 
 
 def require_longer_than(settle: float, name: str, motion: Motion) -> None:
-    """Raise `ParameterError` unless something of the motion is left after the first `settle` seconds."""
+    """Raise `ParameterError` unless the motion is longer than the first `settle` seconds."""
     if not 0.0 <= settle < motion.duration:
         raise ParameterError(
             f"--settle: {settle:g} s leaves nothing of {name} ({motion.duration:g} s): give less, or a longer motion"

@@ -1,1 +1,1 @@
-"""What every part of the package leans on: files, messages, units, limits of this machine."""
+"""Utilities of all packages: files, messages, units, processes, resources of this machine."""

@@ -1,4 +1,4 @@
-"""What stands in messages of what a user gave: on one line, of bounded length, and without what a terminal obeys."""
+"""User input in messages: on one line, of bounded length, and without control characters."""
 
 import difflib
 import reprlib
@@ -6,7 +6,7 @@ import unicodedata
 from collections.abc import Collection
 from typing import Any
 
-MAX_LISTED = 30  # names; of more, the nearest ones say more than the first
+MAX_LISTED = 30  # names; of more, those nearest to the wanted one are listed
 NEAREST = 5
 MAX_LENGTH = 60  # characters of one name or value
 
@@ -20,19 +20,22 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(one if one.isprintable() or not _is_control(one) else _written_out(one) for one in text)
+    return "".join(
+        character if character.isprintable() or not _is_control(character) else _escaped(character)
+        for character in text
+    )
 
 
 def _is_control(character: str) -> bool:
     return character != "\t" and unicodedata.category(character) in ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
-def _written_out(character: str) -> str:
+def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
 def short_repr(value: Any) -> str:
-    """`repr` of a value, shortened: a list of a thousand lists, or a number of 400 digits, is known by its ends."""
+    """`repr` of a value, shortened: nested lists, and a number of 400 digits, are cut in the middle."""
     return shortened(_REPR.repr(value), 2 * MAX_LENGTH)
 
 
@@ -41,12 +44,12 @@ def shortened(text: str, longest: int = MAX_LENGTH) -> str:
     return text if len(text) <= longest else f"{text[: longest - 20]}...{text[-17:]}"
 
 
-def quoted_names(names: Collection[str], wanted: str = "", what: str = "names") -> str:
-    """Names in quotes, all of them where they are few; of many how many there are, and those near `wanted`."""
+def quoted_names(names: Collection[str], wanted: str = "", noun: str = "names") -> str:
+    """Names in quotes: all if they are few, else their number and those near `wanted`."""
     if len(names) <= MAX_LISTED:
         return ", ".join(f"'{shortened(name)}'" for name in names)
     near = difflib.get_close_matches(wanted, names, n=NEAREST)
     if near:
-        return f"{len(names)} {what}; near '{shortened(wanted)}' are {quoted_names(near)}"
+        return f"{len(names)} {noun}; near '{shortened(wanted)}' are {quoted_names(near)}"
     first = [name for name, _ in zip(names, range(2 * NEAREST), strict=False)]
-    return f"{len(names)} {what}, {quoted_names(first)} and {len(names) - len(first)} more"
+    return f"{len(names)} {noun}, {quoted_names(first)} and {len(names) - len(first)} more"

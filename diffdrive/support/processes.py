@@ -1,4 +1,4 @@
-"""Processes that compute side by side, and none of which outlives the one that asked for it."""
+"""Parallel processes, none of which outlives the one that started it."""
 
 import contextlib
 import multiprocessing
@@ -11,10 +11,9 @@ from concurrent.futures import ProcessPoolExecutor
 
 @contextlib.contextmanager
 def processes(count: int, initializer: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """A pool of so many processes, spawned, since a forked JAX hangs.
+    """A pool of `count` processes, spawned, since a forked JAX hangs.
 
-    On an exception, Ctrl-C with it, they are ended: nobody waits for what they compute. They end by themselves where
-    the process that began them was killed.
+    An exception, also Ctrl-C, terminates them without waiting. They exit by themselves if their parent was killed.
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, context, initializer=_begin, initargs=(initializer,)) as pool:
@@ -28,7 +27,7 @@ def processes(count: int, initializer: Callable[[], None] | None = None) -> Iter
 
 
 def _begin(initializer: Callable[[], None] | None) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the process that asked decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the parent decides
     parent = multiprocessing.parent_process()
     assert parent is not None
     exit_after(parent.join)
@@ -37,7 +36,7 @@ def _begin(initializer: Callable[[], None] | None) -> None:
 
 
 def exit_after(wait: Callable[[], object]) -> None:
-    """End this process and those that it has begun, whatever they compute, once `wait` has returned."""
+    """End this process and its children, whatever they compute, once `wait` has returned."""
 
     def watch() -> None:
         wait()
@@ -48,6 +47,6 @@ def exit_after(wait: Callable[[], object]) -> None:
 
 
 def end_children() -> None:
-    """End the processes that this one has begun: they see too late that it is gone while they still import."""
-    for one in multiprocessing.active_children():
-        one.kill()
+    """Kill the child processes: while they import they would notice too late that their parent is gone."""
+    for child in multiprocessing.active_children():
+        child.kill()

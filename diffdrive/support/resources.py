@@ -1,7 +1,7 @@
-"""What a request takes against what this machine has, estimated before anything is allocated.
+"""Memory and disk of this machine against what a request needs, checked before anything is allocated.
 
-Who knows how much one sample, one lane or one worker takes says so here; the bound is what is there, so a big request
-that fits goes on.
+The caller estimates what one sample, one lane or one worker needs. The bound is what is free, so a big request that
+fits runs.
 """
 
 import math
@@ -23,45 +23,45 @@ _LIMITS = (
 
 def memory_available() -> float:
     """Bytes that can still be allocated on this machine, or in the container around this process if that is less."""
-    left = [float(psutil.virtual_memory().available)]
+    free = [float(psutil.virtual_memory().available)]
     for limit, used in _LIMITS:
         try:
-            left.append(float(Path(limit).read_text()) - float(Path(used).read_text()))
+            free.append(float(Path(limit).read_text()) - float(Path(used).read_text()))
         except (OSError, ValueError):  # no such container, or one without a limit: "max"
             continue
-    return max(0.0, min(left))
+    return max(0.0, min(free))
 
 
 def require_memory(error: type[DiffdriveError], request: str, needed: float, remedy: str) -> None:
-    """Raise `error` where `request` takes more than the memory that is there (`needed`, bytes)."""
-    there = memory_available()
-    if needed > there:
-        takes = f"would take about {format_bytes(needed)} of memory"
-        raise error(f"{request} {takes}, and {format_bytes(there)} are free: {remedy}")
+    """Raise `error` where `request` needs more memory (`needed`, bytes) than is free."""
+    free = memory_available()
+    if needed > free:
+        need = f"would take about {format_bytes(needed)} of memory"
+        raise error(f"{request} {need}, and {format_bytes(free)} are free: {remedy}")
 
 
 def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed: float, remedy: str) -> None:
-    """Raise `error` where `request` writes more than there is room for on the disk of `folder` (`needed`, bytes)."""
-    there = shutil.disk_usage(folder).free
-    if needed > there:
+    """Raise `error` where `request` writes more (`needed`, bytes) than is free on the disk of `folder`."""
+    free = shutil.disk_usage(folder).free
+    if needed > free:
         raise error(
-            f"{request} would write about {format_bytes(needed)}, and {format_bytes(there)} of the disk are free: "
+            f"{request} would write about {format_bytes(needed)}, and {format_bytes(free)} of the disk are free: "
             f"{remedy}"
         )
 
 
 def format_bytes(count: float) -> str:
-    """A number of bytes as people say it."""
+    """A number of bytes with its prefix, such as 1.5 GB."""
     return _scaled(count, _SIZES, "B")
 
 
 def format_duration(seconds: float) -> str:
-    """A duration as people say it."""
+    """A duration (s) in s, min, h, days or years."""
     return _scaled(seconds, _TIMES, "s")
 
 
 def format_count(count: float) -> str:
-    """A count: in full where that can be read, else by its magnitude."""
+    """A count: in full below a million, else to three digits."""
     return f"{count}" if count < 1e6 else f"{_float(count):.3g}"
 
 
@@ -74,7 +74,7 @@ def _scaled(value: float, units: tuple[tuple[float, str], ...], smallest: str) -
 
 
 def _float(value: float) -> float:
-    """Also of a whole number that no float can hold."""
+    """The value as a float; infinite for a whole number beyond its range."""
     try:
         return float(value)
     except OverflowError:

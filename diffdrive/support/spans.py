@@ -1,4 +1,4 @@
-"""A number with its interval, in words: so many digits that the interval shows, in a unit that leaves few zeros."""
+"""A number with its interval as text: digits by the interval's width, in a unit that leaves few zeros."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ SUBMULTIPLES = {
     "m": ((1e-4, 1e6, "um"), (1.0, 1e3, "mm")),
     "m/s": ((1.0, 1e3, "mm/s"),),
     "s": ((1e-4, 1e6, "us"), (0.1, 1e3, "ms")),
-}  # units that are taken below so much, and how many of them make one
+}  # by unit: the limit below which a smaller unit is used, how many make one, and its name
 
 Span = tuple[float, float | None, float | None]  # a number, and its interval where one is known
 
@@ -21,21 +21,21 @@ def format_span(span: Span) -> tuple[str, str, str]:
     value, low, high = span
     half = 0.0 if low is None or high is None else float(f"{0.5 * (high - low):.{INTERVAL_DIGITS - 1}e}")
     if value is None or not (math.isfinite(value) and 0.0 < half < math.inf):
-        at, low_said, high_said = ("-" if one is None else f"{one:.{PLAIN_DIGITS}g}" for one in span)
-        return at, low_said, high_said
+        center, low_text, high_text = ("-" if one is None else f"{one:.{PLAIN_DIGITS}g}" for one in span)
+        return center, low_text, high_text
     largest = max(abs(one) for one in span if one is not None)
     last = max(_place(half) - INTERVAL_DIGITS + 1, _place(largest) - MAX_DIGITS + 1)
     fixed = FIXED_RANGE[0] <= largest < FIXED_RANGE[1]
-    at, low_said, high_said = ("-" if one is None else _to_place(one, last, fixed) for one in span)
-    return at, low_said, high_said
+    center, low_text, high_text = ("-" if one is None else _to_place(one, last, fixed) for one in span)
+    return center, low_text, high_text
 
 
 def format_spans(spans: Sequence[Span], unit: str) -> str:
     """Each number with its interval and the unit, log by log where there are several; unit "1" is none."""
     spans, unit = rescaled(spans, unit)
-    after = "" if unit == "1" else f" {unit}"
-    shown = ["{} ({} to {})".format(*format_span(one)) + after for one in spans]
-    return ", ".join(f"log {k}: {one}" for k, one in enumerate(shown, start=1)) if len(shown) > 1 else shown[0]
+    suffix = "" if unit == "1" else f" {unit}"
+    texts = ["{} ({} to {})".format(*format_span(one)) + suffix for one in spans]
+    return ", ".join(f"log {k}: {one}" for k, one in enumerate(texts, start=1)) if len(texts) > 1 else texts[0]
 
 
 def rescaled(spans: Sequence[Span], unit: str) -> tuple[Sequence[Span], str]:

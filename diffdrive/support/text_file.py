@@ -1,4 +1,4 @@
-"""Text as editors and shells write it: which encoding a file has, for logs, motions and TOML alike."""
+"""Text files as editors and shells write them, in any of their encodings: for logs, motions and TOML."""
 
 import codecs
 import tomllib
@@ -23,9 +23,9 @@ def detect_encoding(raw: bytes) -> str:
 
 
 def decode_text(raw: bytes) -> str:
-    """The text of a file whose letters matter little, as those of a log: Latin-1 where it is no UTF-8.
+    """The text of a file, by its byte-order mark, else as UTF-8, else as Latin-1.
 
-    What a byte-order mark says goes before; a character that was cut off there is replaced.
+    With a byte-order mark, bytes that cannot be decoded are replaced.
     """
     encoding = detect_encoding(raw)
     if encoding != "utf-8":
@@ -45,15 +45,15 @@ def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> dict[str,
     try:
         return tomllib.loads(raw.decode(encoding))
     except UnicodeDecodeError as problem:
-        raise error(_unmarked(raw, where) or _undecoded(raw, where, encoding, problem)) from None
+        raise error(_missing_mark_message(raw, where) or _decoding_message(raw, where, encoding, problem)) from None
     except RecursionError:
         raise error(f"{where}: not a TOML file: tables or lists are nested too deeply; a drive needs four") from None
     except ValueError as problem:  # beside syntax: a whole number of more digits than Python reads
-        raise error(_unmarked(raw, where) or f"{where}: not a TOML file: {problem}") from None
+        raise error(_missing_mark_message(raw, where) or f"{where}: not a TOML file: {problem}") from None
 
 
 def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> dict[str, Any]:
-    """The tables of a TOML file; `origin` says where one comes from that is not there. Raises `error`."""
+    """The tables of a TOML file; raises `error`. `origin` tells the user how to get a file that does not exist."""
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
@@ -65,13 +65,13 @@ def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> dict[str,
     return parse_toml(raw, str(path), error)
 
 
-def _unmarked(raw: bytes, where: str) -> str | None:
-    """What is wrong with a text whose first letters hold zeros, but whose encoding no mark names."""
+def _missing_mark_message(raw: bytes, where: str) -> str | None:
+    """The message for a text with zero bytes but without a byte-order mark; None for other texts."""
     unmarked = b"\x00" in raw[:4] and detect_encoding(raw) == "utf-8"
     return f"{where}: is UTF-16 without a byte-order mark, or binary: save it as UTF-8" if unmarked else None
 
 
-def _undecoded(raw: bytes, where: str, encoding: str, problem: UnicodeDecodeError) -> str:
+def _decoding_message(raw: bytes, where: str, encoding: str, problem: UnicodeDecodeError) -> str:
     if encoding != "utf-8":
         return f"{where}: is cut off or no text: its byte-order mark says {encoding.upper()}; save it as UTF-8"
     line = raw.count(b"\n", 0, problem.start) + 1

@@ -1,4 +1,4 @@
-"""Numbers with units as people write them, in SI."""
+"""Conversion of text with a unit to SI."""
 
 import functools
 import math
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import pint
 
 _NUMBER_AND_UNIT = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)")
-# an M for an m; whoever means a million of them has other words for it
+# an M for an m; nobody writes a million of these so
 _SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 s"), "megagram": ("Mg", "mg", "1 t")}
 
 
@@ -23,40 +23,40 @@ def _registry() -> "pint.UnitRegistry":
 
 
 def in_unit(unit: str) -> str:
-    """The words behind "a number" in a message: which unit, or none for a ratio."""
+    """The phrase " in UNIT" for a message; empty for a ratio."""
     return "" if unit == "1" else f" in {unit}"
 
 
 def to_si(text: str, unit: str) -> float:
     """`text`, one number and its unit, in the SI `unit`; without a unit only where `unit` is 1.
 
-    Raises `ValueError` saying what is wrong with the text. A million metres, seconds or grams are taken for a slip of
-    the pen (Mm for mm): no axis has them. Angles count as units of their own: to the library a radian is a plain
-    number, so that 1500 rad/s would pass for 1500 Hz and 10 deg for 0.17 m.
+    Raises `ValueError` with the reason. A million metres, seconds or grams (Mm for mm) are taken for a typing error.
+    Angles are units of their own: pint treats a radian as a plain number, so that 1500 rad/s would pass for 1500 Hz
+    and 10 deg for 0.17 m.
     """
     import pint
 
     example = "0.5, without a unit" if unit == "1" else f"'1.5 {unit}'"
-    said, units = shortened(text), []
+    quoted, units = shortened(text), []
     if not _NUMBER_AND_UNIT.fullmatch(text):
-        raise ValueError(f"cannot read '{said}' as one number and its unit; write for example {example}")
+        raise ValueError(f"cannot read '{quoted}' as one number and its unit; write for example {example}")
     try:
         quantity = _registry().Quantity(text)
         units = [name for name, _ in quantity.unit_items()]
         angular = "radian" in str(quantity.to_base_units().units) or "degree" in str(quantity.units)
         if angular and unit != "rad":
             raise pint.DimensionalityError(text, unit)
-        found = float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
+        value = float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
     except pint.DimensionalityError:
-        wanted = "a plain number" if unit == "1" else f"in {unit} or a multiple of it"
-        raise ValueError(f"'{said}' has the wrong unit: it must be {wanted}") from None
+        expected = "a plain number" if unit == "1" else f"in {unit} or a multiple of it"
+        raise ValueError(f"'{quoted}' has the wrong unit: it must be {expected}") from None
     except OverflowError:  # a whole number of 400 digits
-        found = math.inf
+        value = math.inf
     except Exception:
-        raise ValueError(f"cannot read '{said}' as a number with a unit; write for example {example}") from None
-    for slip, (symbol, meant, means) in _SLIPS.items():
+        raise ValueError(f"cannot read '{quoted}' as a number with a unit; write for example {example}") from None
+    for slip, (symbol, intended, meaning) in _SLIPS.items():
         if slip in units:
-            raise ValueError(f"'{said}' says {symbol}, which is {means}; write {meant} if that is meant")
-    if not math.isfinite(found):
-        raise ValueError(f"'{said}' is larger than any number that a computer reckons with")
-    return found
+            raise ValueError(f"'{quoted}' says {symbol}, which is {meaning}; write {intended} if that is meant")
+    if not math.isfinite(value):
+        raise ValueError(f"'{quoted}' is larger than any floating-point number")
+    return value
