@@ -95,7 +95,7 @@ class TomlSection:
             try:
                 return float(value)
             except OverflowError:
-                raise self.fail(key, f"{short_repr(value)} is larger than any floating-point number") from None
+                raise self.fail(key, f"{short_repr(value)} is larger than any number of double precision") from None
         try:
             return to_si(value, unit)
         except ValueError as problem:

@@ -175,9 +175,7 @@ def _parse_gain(key: str, value: Any, where: str) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise LogError(
-            f"{where} {key}: {short_repr(value)} is larger than any number that a computer reckons with"
-        ) from None
+        raise LogError(f"{where} {key}: {short_repr(value)} is larger than any number of double precision") from None
 
 
 def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:

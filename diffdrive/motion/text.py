@@ -64,7 +64,7 @@ def number(text: str, unit: str, where: str) -> float:
     if plain is not None and math.isfinite(plain):
         return plain
     if plain is not None and any(character.isdigit() for character in text):  # and not "inf"
-        raise MotionError(f"{where}: '{shortened(text)}' is larger than any floating-point number")
+        raise MotionError(f"{where}: '{shortened(text)}' is larger than any number of double precision")
     try:
         return to_si(text, unit)
     except ValueError as problem:

@@ -58,5 +58,5 @@ def to_si(text: str, unit: str) -> float:
         if slip in units:
             raise ValueError(f"'{quoted}' says {symbol}, which is {meaning}; write {intended} if that is meant")
     if not math.isfinite(value):
-        raise ValueError(f"'{quoted}' is larger than any floating-point number")
+        raise ValueError(f"'{quoted}' is larger than any number of double precision")
     return value

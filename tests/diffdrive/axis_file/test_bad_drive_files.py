@@ -87,7 +87,7 @@ FILES = {
         r"\[limits\] stroke: give both ends a unit, or neither where they are in m, got \['-75 mm', 75\]$",
     ),
     "megametres": ("limits.speed", "5 Mm/s", r"\[limits\] speed: '5 Mm/s' says Mm, which is 1000 km; write mm"),
-    "400 digits": ("plant.mass", 10**400, r"\[plant\] mass: 1000000.*0000 is larger than any number that a computer"),
+    "400 digits": ("plant.mass", 10**400, r"\[plant\] mass: 1000000.*0000 is larger than any number of double"),
     "400 digits with a unit": (
         "plant.mass",
         "9" * 400 + " kg",
