@@ -57,16 +57,16 @@ def triangular(
     """
     require_positive("triangular motion", speed=speed, stroke=stroke, rounding=rounding, duration=duration)
     with guarded_arithmetic("triangular motion"):
-        apart, acceleration = stroke / speed + rounding / 2.0, 2.0 * speed / rounding
-    first = apart if first_reversal is None else first_reversal
+        reversal_interval, acceleration = stroke / speed + rounding / 2.0, 2.0 * speed / rounding
+    first = reversal_interval if first_reversal is None else first_reversal
     require_positive("triangular motion", first_reversal=first)
-    if rounding > min(apart, first) * (1 + 1e-9):
+    if rounding > min(reversal_interval, first) * (1 + 1e-9):
         raise MotionError(
             f"triangular motion: a rounding of {rounding:g} s does not fit between reversals "
             f"{min(reversal_interval, first):g} s apart: round less, or lengthen the stroke"
         )
     require_positive("triangular motion", rate=rate)
-    if apart * rate < 1.0:
+    if reversal_interval * rate < 1.0:
         raise MotionError(
             f"triangular motion: reversals {reversal_interval:g} s apart are closer than the samples at {rate:g} Hz: "
             "lengthen the stroke, or slow the motion"
@@ -77,8 +77,8 @@ def triangular(
     direction, elapsed = 1.0, first - rounding / 2
     while elapsed < duration:
         direction = -direction
-        pieces += [(rounding, direction * acceleration, 0.0), (max(apart - rounding, 0.0), 0.0, 0.0)]
-        elapsed += apart
+        pieces += [(rounding, direction * acceleration, 0.0), (max(reversal_interval - rounding, 0.0), 0.0, 0.0)]
+        elapsed += reversal_interval
     return motion_of_pieces("triangular", pieces, rate, start, duration)
 
 

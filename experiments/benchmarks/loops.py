@@ -49,8 +49,8 @@ def one_kernel(text: str) -> bool:
     """Whether a compiled program runs its loops over time as native kernels (CPU).
 
     Loops of `MIN_TIME_TRIPS` trips or more, or of an unknown number, must lie within a call that is marked as a small
-    call; trips of nested loops multiply. Shorter ones, over blocks of lanes or columns of a matrix, need not. A mark alone
-    says nothing: the plant's inner loop always has one.
+    call; trips of nested loops multiply. Shorter ones, over blocks of lanes or columns of a matrix, need not. A mark
+    alone says nothing: the plant's inner loop always has one.
     """
     bodies = dict(re.findall(r"^(?:ENTRY )?%?([\w.\-]+) \([^\n]*\{\n(.*?)^\}", text, re.S | re.M))
     called = {name: re.findall(_CALLS, body) for name, body in bodies.items()}
