@@ -3,7 +3,7 @@
 from pathlib import Path
 
 
-def beside(name: str, file: str) -> Path | None:
+def find_data(name: str, file: str) -> Path | None:
     """The folder `name` of the data if it holds `file`, or None."""
     for place in (Path.cwd(), Path(__file__).resolve().parents[2]):
         folder = place.parent / "shared" / "data" / name

@@ -46,13 +46,13 @@ def sensitivities(description: Axis) -> list[tuple[str, float]]:
     found = []
     for part, name in ((0, "machine"), (1, "controller")):
         for (path, _, value), (_, _, slope) in zip(quantities(models[part]), quantities(slopes[part]), strict=True):
-            for side, number, s in _sides(value, slope):
+            for side, number, s in _directions(value, slope):
                 if number is not None and float(number) != 0:
                     found.append((f"{name}: {path}{side}", 1e6 * float(number) * float(s)))
     return sorted(found, key=lambda item: -abs(item[1]))
 
 
-def _sides(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
+def _directions(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
     if hasattr(value, "positive"):
         return [(" +", value.positive, slope.positive), (" -", value.negative, slope.negative)]
     return [("", value, slope)]

@@ -31,17 +31,17 @@ from tuning.identification.inverse_dynamics import DYNAMICS
 from tuning.store.folder import KeptParts
 
 PARTS = "real-axes.parts"  # finished searches, from which the same command continues
-TRUSTED = 0.02  # tolerance of a published model's parameters
-IDENTIFIED = 0.005  # of a drive that was identified from the same log
-GUESSED = 0.2  # of one whose friction below sliding nobody knows
-TOO_MUCH = 1.2  # of the force that the command is said to be
-NOTHING = Directional(0.0, 0.0)
-AS_IT_IS = "none"  # the term that is withheld from the identified drive as it is
+PUBLISHED_TOLERANCE = 0.02  # tolerance of a published model's parameters
+IDENTIFIED_TOLERANCE = 0.005  # of a drive that was identified from the same log
+GUESSED_TOLERANCE = 0.2  # of one whose friction below sliding nobody knows
+GAIN_FACTOR = 1.2  # of the force that the command is said to be
+ZERO = Directional(0.0, 0.0)
+UNCHANGED = "none"  # the term that is withheld from the identified drive as it is
 PUBLISHED_ERROR = 5.982  # %, of the benchmark's own model on the pulse file
-BAR = 3.0  # %, for what the diagnosis makes of it
+ERROR_BAR = 3.0  # %, for what the diagnosis makes of it
 
 
-class Withheld(NamedTuple):
+class WithheldTerm(NamedTuple):
     """A model, what it is without one of its terms, and the names by which that term may be found."""
 
     full: Drive
@@ -56,7 +56,7 @@ def _mean(pair: Directional) -> Directional:
     return Directional(middle, middle)
 
 
-def _even(drive: Drive) -> Drive:
+def _symmetric(drive: Drive) -> Drive:
     """Both directions alike; what the Coulomb friction differs by is a constant force, the rest is left out."""
     plant, friction = drive.plant, drive.friction
     tilt = 0.5 * (friction.coulomb_screw.negative - friction.coulomb_screw.positive)
@@ -68,30 +68,36 @@ def _even(drive: Drive) -> Drive:
     )
 
 
-def terms(drive: Drive) -> dict[str, Withheld]:
+def withheld_terms(drive: Drive) -> dict[str, WithheldTerm]:
     """What is withheld, one at a time: from the benchmark's own model its terms, from the identified drive the rest."""
-    published, actuator, even = emps.reference_drive(), drive.actuator, _even(drive)
-    slippery = dataclasses.replace(published.friction, coulomb_screw=NOTHING)
-    inviscid = dataclasses.replace(published.friction, viscous=NOTHING)
+    published, actuator, even = emps.reference_drive(), drive.actuator, _symmetric(drive)
+    slippery = dataclasses.replace(published.friction, coulomb_screw=ZERO)
+    inviscid = dataclasses.replace(published.friction, viscous=ZERO)
     level = dataclasses.replace(published.plant, constant_force=0.0)
     tilted = dataclasses.replace(even.plant, constant_force=drive.plant.constant_force)
     late = Actuator(actuator.force_limit, actuator.limit_rounding, actuator.delay_samples + 1, actuator.delay_fraction)
     shape, tilt = ("friction_shape",), ("constant_force", "friction_asymmetry")
     return {
-        "nothing": Withheld(published, published, ("cogging",), TRUSTED),  # what the others are to be held against
-        "coulomb": Withheld(published, dataclasses.replace(published, friction=slippery), shape, TRUSTED),
-        "viscous": Withheld(published, dataclasses.replace(published, friction=inviscid), shape, TRUSTED),
-        "offset": Withheld(published, dataclasses.replace(published, plant=level), tilt, TRUSTED),
-        "delay": Withheld(drive, dataclasses.replace(drive, actuator=late), ("loop_delay",), IDENTIFIED),
-        "gain": Withheld(drive, drive, ("force_gain",), IDENTIFIED, TOO_MUCH),
-        "asymmetry": Withheld(drive, dataclasses.replace(even, plant=tilted), tilt[::-1], IDENTIFIED),
+        "nothing": WithheldTerm(
+            published, published, ("cogging",), PUBLISHED_TOLERANCE
+        ),  # what the others are to be held against
+        "coulomb": WithheldTerm(
+            published, dataclasses.replace(published, friction=slippery), shape, PUBLISHED_TOLERANCE
+        ),
+        "viscous": WithheldTerm(
+            published, dataclasses.replace(published, friction=inviscid), shape, PUBLISHED_TOLERANCE
+        ),
+        "offset": WithheldTerm(published, dataclasses.replace(published, plant=level), tilt, PUBLISHED_TOLERANCE),
+        "delay": WithheldTerm(drive, dataclasses.replace(drive, actuator=late), ("loop_delay",), IDENTIFIED_TOLERANCE),
+        "gain": WithheldTerm(drive, drive, ("force_gain",), IDENTIFIED_TOLERANCE, GAIN_FACTOR),
+        "asymmetry": WithheldTerm(drive, dataclasses.replace(even, plant=tilted), tilt[::-1], IDENTIFIED_TOLERANCE),
     }
 
 
 def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = ()) -> None:
     """Every part for which the data are there; `which` is "emps", "laas" or "all".
 
-    `wanted_terms` are those of `terms` that are withheld from EMPS, or `AS_IT_IS`; all by default. Raises
+    `wanted_terms` are those of `withheld_terms` that are withheld from EMPS, or `UNCHANGED`; all by default. Raises
     `ParameterError` where there are no data, and for an axis or a term that is not known.
     """
     parts: dict[str, tuple[Path | None, Callable[[Report, Path], None]]] = {
@@ -102,7 +108,7 @@ def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = 
         raise ParameterError(f"--axis {which}: no such axis; known: all, {', '.join(parts)}")
     if wanted_terms and which != "emps":
         raise ParameterError("--term is of the EMPS axis: give --axis emps beside it")
-    known = [*terms(emps.reference_drive()), AS_IT_IS]
+    known = [*withheld_terms(emps.reference_drive()), UNCHANGED]
     for term in wanted_terms:
         if term not in known:
             raise ParameterError(f"--term {term}: no such term; known: {', '.join(known)}")
@@ -119,9 +125,7 @@ def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = 
         parts.remove()
 
 
-def _diagnosed(
-    report: Report, drive: Drive, controller: Controller, log: Log, most: int, tolerance: float
-) -> Diagnosis:
+def _diagnose(report: Report, drive: Drive, controller: Controller, log: Log, most: int, tolerance: float) -> Diagnosis:
     parts = KeptParts.within(report.out, PARTS)
     with report.stages() as progress:
         return diagnose(
@@ -133,19 +137,19 @@ def _emps(report: Report, folder: Path, wanted_terms: Sequence[str]) -> None:
     records = emps.read_all(folder)
     drive = identify_axis(report, records, store=KeptParts.within(report.out, PARTS)).drive
     controller = emps.controller(records["estimation"])
-    cases = {term: case for term, case in terms(drive).items() if term in wanted_terms or not wanted_terms}
+    cases = {term: case for term, case in withheld_terms(drive).items() if term in wanted_terms or not wanted_terms}
     if cases:
         _emps_withheld(report, records, cases, controller)
-    if AS_IT_IS in wanted_terms or not wanted_terms:
-        _emps_as_it_is(report, records, drive, controller)
+    if UNCHANGED in wanted_terms or not wanted_terms:
+        _emps_unchanged(report, records, drive, controller)
 
 
-def _emps_withheld(report: Report, records: Records, cases: dict[str, Withheld], controller: Controller) -> None:
+def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTerm], controller: Controller) -> None:
     """Each term withheld: is it named, and does adding it close the gap on the other file?"""
     rows: list[list[Any]] = []
     try:
         for term, case in cases.items():
-            rows.append(_without(report, records, term, case, controller))
+            rows.append(_withheld_row(report, records, term, case, controller))
     finally:  # each row takes minutes: what is there is kept
         report.table(
             "emps_withheld",
@@ -155,10 +159,10 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, Withheld],
         )
 
 
-def _without(report: Report, records: Records, term: str, case: Withheld, controller: Controller) -> list[Any]:
+def _withheld_row(report: Report, records: Records, term: str, case: WithheldTerm, controller: Controller) -> list[Any]:
     estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
     report.say(f"EMPS without its {term}:")
-    found = _diagnosed(report, case.nominal, controller, estimation, 2, case.tolerance)
+    found = _diagnose(report, case.nominal, controller, estimation, 2, case.tolerance)
     real = records["pulses"].log
     full = force_error(registered(case.full, real), real)
     without, added = (
@@ -166,11 +170,11 @@ def _without(report: Report, records: Records, term: str, case: Withheld, contro
     )
     causes = [one for one in found.verdict.beliefs if one.found]
     effects, rivals = [one.effect for one in causes], [name for one in causes[:1] for name in one.alternatives]
-    named = _named(case.names, effects, rivals)
+    named = _how_named(case.names, effects, rivals)
     return [term, found.verdict.verdict, " + ".join(effects), " ".join(rivals), named, full, without, added]
 
 
-def _named(right: Sequence[str], effects: Sequence[str], rivals: Sequence[str]) -> str:
+def _how_named(right: Sequence[str], effects: Sequence[str], rivals: Sequence[str]) -> str:
     """How what was withheld is named: the axis lacks other things beside it, and one of them may come first."""
     if set(effects[:1]) & set(right):
         return "first"
@@ -183,9 +187,9 @@ def _scaled(log: Log, factor: float) -> Log:
     return dataclasses.replace(log, command=factor * log.command)
 
 
-def _emps_as_it_is(report: Report, records: Records, drive: Drive, controller: Controller) -> None:
+def _emps_unchanged(report: Report, records: Records, drive: Drive, controller: Controller) -> None:
     """What the identified drive lacks, found in one file and checked on the other."""
-    found = _diagnosed(report, drive, controller, records["estimation"].log, 2, IDENTIFIED)
+    found = _diagnose(report, drive, controller, records["estimation"].log, 2, IDENTIFIED_TOLERANCE)
     report.say(f"EMPS as it is: {found.verdict.verdict}: {found.verdict.says}")
     report.table(
         "emps_causes", ("effect", "confidence", "evidence", "parameters"), _causes(found), "EMPS: what it lacks"
@@ -197,19 +201,19 @@ def _emps_as_it_is(report: Report, records: Records, drive: Drive, controller: C
     ]
     report.table(
         "emps_pulses", ("drive", "as it is %", "registered %"), rows,
-        f"EMPS, force error on the pulse file (benchmark {PUBLISHED_ERROR} %, bar {BAR} %)",
+        f"EMPS, force error on the pulse file (benchmark {PUBLISHED_ERROR} %, bar {ERROR_BAR} %)",
     )  # fmt: skip
-    report.values("emps_bar", percent=BAR, met=rows[-1][-1] <= BAR)
+    report.values("emps_bar", percent=ERROR_BAR, met=rows[-1][-1] <= ERROR_BAR)
 
 
 def _laas(report: Report, folder: Path) -> None:
     rows: list[list[Any]] = []
     nominal = laas.nominal_drive(folder)
     try:
-        for file in laas.COMPENSATED:
+        for file in laas.ACTIVE_FLAGS:
             for part, log in laas.read(folder / file).items():
                 report.say(f"{log.name}:")
-                found = _diagnosed(report, nominal, UnknownController(), log, 2, GUESSED)
+                found = _diagnose(report, nominal, UnknownController(), log, 2, GUESSED_TOLERANCE)
                 report.say(found.verdict.says)
                 shut = None if found.closed is None else 100 * found.closed.share
                 rows.append([file, part, found.verdict.verdict, *_cogging(found), shut, _others(found)])
@@ -233,7 +237,7 @@ def _cogging(found: Diagnosis) -> tuple[float | None, float | None]:
             }
             sizes = {order: (float(a) ** 2 + float(b) ** 2) ** 0.5 for order, (a, b) in waves.items()}
             strongest = max(sizes, key=lambda order: sizes[order])
-            return 1e3 * sizes[strongest] / laas.NEWTONS, strongest * laas.LEAD / float(effect.period)
+            return 1e3 * sizes[strongest] / laas.NEWTONS_PER_AMPERE, strongest * laas.LEAD / float(effect.period)
     return None, None
 
 

@@ -55,7 +55,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 NOT_COMPARED = {"seconds", "made_by", "timings_s", "title", "schema", "status", "question", "written"}
 
 
-def run(checkout: Path, out: Path, drive: str) -> dict[str, int]:
+def run_commands(checkout: Path, out: Path, drive: str) -> dict[str, int]:
     """Run every command with the code of a checkout; their exit codes."""
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / "drive.toml", drive)
@@ -81,7 +81,7 @@ def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
         yield place, float(value)
 
 
-def numbers_of(path: Path) -> dict[str, float]:
+def read_numbers(path: Path) -> dict[str, float]:
     """Those of a file."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".json":
@@ -98,14 +98,14 @@ def numbers_of(path: Path) -> dict[str, float]:
     return found
 
 
-def apart(one: float, other: float) -> float:
+def relative_difference(one: float, other: float) -> float:
     """How far two numbers are apart, over the larger."""
     if one == other or (math.isnan(one) and math.isnan(other)):
         return 0.0
     return abs(one - other) / max(abs(one), abs(other))
 
 
-def compared(old: Path, new: Path) -> Iterator[list[str]]:
+def compare_files(old: Path, new: Path) -> Iterator[list[str]]:
     """A row for each file: numbers in both, how many differ, the largest difference."""
     for path in sorted(one for one in old.rglob("*") if one.suffix in (".csv", ".toml", ".json")):
         name = path.relative_to(old)
@@ -114,9 +114,9 @@ def compared(old: Path, new: Path) -> Iterator[list[str]]:
         if not (new / name).exists():
             yield [str(name), "-", "-", "not written any more"]
             continue
-        before, after = numbers_of(path), numbers_of(new / name)
+        before, after = read_numbers(path), read_numbers(new / name)
         both = before.keys() & after.keys()
-        differences = [apart(before[key], after[key]) for key in both]
+        differences = [relative_difference(before[key], after[key]) for key in both]
         moved = sum(one > 0.0 for one in differences)
         lost = len(before.keys() - after.keys())
         largest = f"{max(differences, default=0.0):.1e}" if moved else "none"
@@ -127,10 +127,10 @@ def main(old: Path, new: Path, out: Path) -> None:
     """Run both, and print what differs."""
     drive = (new / "experiments" / "drives" / "paper.toml").read_text(encoding="utf-8")
     drive = drive.replace('# noise = "20 nm"', 'noise = "20 nm"')
-    codes = [run(checkout, out / name, drive) for checkout, name in ((old, "old"), (new, "new"))]
+    codes = [run_commands(checkout, out / name, drive) for checkout, name in ((old, "old"), (new, "new"))]
     print(f"exit codes alike: {codes[0] == codes[1]} {codes[1]}\n")
     print("| file | numbers in both | that differ | largest relative difference |\n|---|---|---|---|")
-    for row in compared(out / "old", out / "new"):
+    for row in compare_files(out / "old", out / "new"):
         print(f"| {' | '.join(row)} |")
 
 

@@ -11,7 +11,7 @@ from diffdrive.controllers import Cascade
 from diffdrive.logs import ColumnMapping, Log, read_log
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor
 from diffdrive.motion.motion import Limits
-from experiments.studies.data_folder import beside
+from experiments.studies.data_folder import find_data
 
 FILES = {"estimation": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 COLUMNS = {"time": "t", "reference": "qg", "position": "qm", "command": "vir"}
@@ -31,7 +31,7 @@ class Record(NamedTuple):
 
 def find_folder() -> Path | None:
     """The EMPS data beside this checkout or the working folder, or None."""
-    return beside("emps", FILES["estimation"])
+    return find_data("emps", FILES["estimation"])
 
 
 def read(path: Path, *, newtons: bool = True) -> Record:
@@ -78,7 +78,7 @@ def controller(record: Record) -> Cascade:
     return Cascade(kp=record.position_gain, kv=record.velocity_gain, velocity_samples=2)
 
 
-def description(record: Record, *, delay_samples: int = 0) -> Axis:
+def nominal_axis(record: Record, *, delay_samples: int = 0) -> Axis:
     """What a drive file of this axis would say; `delay_samples` of the actuator are free to be claimed."""
     drive = dataclasses.replace(
         reference_drive(), actuator=Actuator(delay_samples=delay_samples), sensor=Sensor(resolution=COUNT)

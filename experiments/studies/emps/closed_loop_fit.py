@@ -39,9 +39,9 @@ from tuning.identification.unknowns import Unknowns, bounds, paths, placed, unkn
 from tuning.optimisation.least_squares import Progress, Search, levenberg_marquardt, silent
 from tuning.optimisation.space import Free, Space, space_of
 
-MOST_STEPS = 25
+MAX_STEPS = 25
 TOLERANCE = 1e-3
-PRIOR = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
+PRIOR_WEIGHT = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
 
 
 class ReplayProblem(NamedTuple):
@@ -56,7 +56,7 @@ class ReplayProblem(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class CommandGap:
+class CommandResiduals:
     """Residuals of a `ReplayProblem` as a function of y; hashed by value, so that the same question is compiled once.
 
     Simulated minus logged command in percent of the norm of the logged force: the root of their sum of squares is the
@@ -77,7 +77,7 @@ class CommandGap:
         lanes = problem.given.lanes
         command = replay(self.drive(y, problem), problem.controller, problem.given, self.sampling).command
         missing = jnp.where(lanes.counts > 0, command - lanes.command, 0.0)
-        return jnp.concatenate([(100.0 / problem.norm * missing).ravel(), PRIOR * y])
+        return jnp.concatenate([(100.0 / problem.norm * missing).ravel(), PRIOR_WEIGHT * y])
 
 
 def fit_closed_loop(
@@ -87,7 +87,7 @@ def fit_closed_loop(
     start: Drive | None = None,
     *,
     fixed: Sequence[str] = (),
-    max_steps: int = MOST_STEPS,
+    max_steps: int = MAX_STEPS,
     progress: Progress = silent,
 ) -> tuple[Drive, Search]:
     """Fit `drive` to the commands of `logs` (of one machine, at one rate) in closed loop through `controller`.
@@ -112,7 +112,7 @@ def fit_closed_loop(
         start, _ = seed_drive(drive, inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST))
     check_drive(start)
     pieces = given(list(logs))
-    unknowns, free = _free(start, drive.actuator.delay_samples, pieces, {NAMES[name] for name in fixed})
+    unknowns, free = _free_parameters(start, drive.actuator.delay_samples, pieces, {NAMES[name] for name in fixed})
     lanes = pieces.lanes
     # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
     believed, smoothed = smooth((dataclasses.replace(start, actuator=drive.actuator, sensor=drive.sensor), controller))
@@ -124,7 +124,7 @@ def fit_closed_loop(
         norm=jnp.linalg.norm(lanes.counts * (lanes.command + lanes.disturbance)),
         origin=space_of(unknowns, free).origin,
     )
-    residuals = CommandGap(free, sampling_of(float(round(logs[0].rate, 6)), FINE_SUBSTEP))
+    residuals = CommandResiduals(free, sampling_of(float(round(logs[0].rate, 6)), FINE_SUBSTEP))
     at = as_arrays(problem)
     search = levenberg_marquardt(
         residuals, np.zeros(len(free)), at, max_steps=max_steps, tolerance=TOLERANCE, progress=progress
@@ -135,7 +135,7 @@ def fit_closed_loop(
     return dataclasses.replace(found, actuator=actuator, sensor=drive.sensor), search
 
 
-def _free(start: Drive, whole: int, pieces: Given, held: set[str]) -> tuple[Unknowns, tuple[Free, ...]]:
+def _free_parameters(start: Drive, whole: int, pieces: Given, held: set[str]) -> tuple[Unknowns, tuple[Free, ...]]:
     """The unknowns at `start`, those that are not held nudged inside their bounds, and these."""
     actuator = start.actuator
     unknowns = unknowns_of(start, actuator.delay_samples + float(actuator.delay_fraction or 0.0))

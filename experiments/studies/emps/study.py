@@ -15,7 +15,7 @@ from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
 from experiments.reports.report import Report, new_figure
 from experiments.studies.emps import axis as emps
-from experiments.studies.emps.closed_loop_fit import MOST_STEPS, fit_closed_loop
+from experiments.studies.emps.closed_loop_fit import MAX_STEPS, fit_closed_loop
 from tuning.identification import inverse_dynamics
 from tuning.identification.curves import stribeck_curves
 from tuning.identification.estimates import Estimate
@@ -30,7 +30,7 @@ BENCHMARK = {"mass": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset":
 BENCHMARK_ERRORS = {"estimation": 4.083, "pulses": 5.982}  # %, of the decimated force
 BARS = {"estimation": 2.8, "pulses": 4.2}  # %, that an identification from the estimation file must reach
 RIPPLE_SPEED = 5e-3  # m/s; faster, the table passes over the screw's ripple and does not linger in it
-PARTS = {  # what a smaller model leaves as published
+REDUCED_MODELS = {  # what a smaller model leaves as published
     "friction per direction": ("breakaway_gap", "stribeck_velocity", "delay"),
     "friction per direction, delay": ("breakaway_gap", "stribeck_velocity"),
     "friction per direction, rising": ("delay",),
@@ -58,15 +58,15 @@ def emps_study(report: Report, folder: Path | None) -> None:
     _inverse_dynamics(report, records)
     identified = identify_axis(report, records)
     log, controller = records["estimation"].log, emps.controller(records["estimation"])
-    with report.progress("fitting in closed loop", MOST_STEPS) as advance:
+    with report.progress("fitting in closed loop", MAX_STEPS) as advance:
         fitted, search = fit_closed_loop([log], emps.reference_drive(), controller, identified.drive, progress=advance)
     report.values("closed_loop_fit", status=search.status, steps=search.steps, cost_percent=search.cost)
     drives = {PUBLISHED: emps.reference_drive(), IDENTIFIED: identified.drive, FITTED: fitted}
     replays = force_table(report, drives, records)
     parameter_table(report, identified.estimates, {FITTED: fitted})
-    _parts(report, replays[FITTED], records)
+    _reduced_models(report, replays[FITTED], records)
     _open_loop(report, drives, records)
-    _remains(report, identified, log)
+    _unexplained(report, identified, log)
     force_figure(report, records["estimation"], {name: replays[name]["estimation"] for name in drives})
     _friction_figure(report, drives, log)
 
@@ -154,7 +154,7 @@ def _checks(report: Report, folder: Path, records: Records) -> None:
     for reading, (newtons, delay) in READINGS.items():
         for file in records:
             record = emps.read(folder / emps.FILES[file], newtons=newtons)
-            findings = examine(record.log, emps.description(record, delay_samples=delay))
+            findings = examine(record.log, emps.nominal_axis(record, delay_samples=delay))
             rows += [[reading, file, one.severity, one.channel, one.message] for one in findings]
     report.table(
         "emps_checks", ("reading", "file", "severity", "channel", "found"), rows, "What the checks of logs find"
@@ -180,12 +180,12 @@ def _inverse_dynamics(report: Report, records: Records) -> None:
     )  # fmt: skip
 
 
-def _parts(report: Report, whole: Mapping[str, ClosedLoop], records: Records) -> None:
+def _reduced_models(report: Report, whole: Mapping[str, ClosedLoop], records: Records) -> None:
     """What each part of the model is good for: the closed-loop fit without it."""
     log, controller = records["estimation"].log, emps.controller(records["estimation"])
     rows = []
-    for name, fixed in PARTS.items():
-        with report.progress(f"fitting with {name}", MOST_STEPS) as advance:
+    for name, fixed in REDUCED_MODELS.items():
+        with report.progress(f"fitting with {name}", MAX_STEPS) as advance:
             drive, _ = fit_closed_loop([log], emps.reference_drive(), controller, fixed=fixed, progress=advance)
         rows.append([name, *(closed_loop(drive, controller, one.log).force_percent for one in records.values())])
     rows.append(["all of it", *(one.force_percent for one in whole.values())])
@@ -205,7 +205,7 @@ def _open_loop(report: Report, drives: Mapping[str, Drive], records: Records) ->
     report.say(found[0].note)
 
 
-def _remains(report: Report, identified: Identified, log: Log) -> None:
+def _unexplained(report: Report, identified: Identified, log: Log) -> None:
     """What the model does not explain."""
     report.say(identified.adequacy.says)
     for one, other, correlation in identified.correlated:

@@ -29,11 +29,11 @@ from tuning.optimisation.least_squares import levenberg_marquardt, many_starts
 from tuning.optimisation.space import Space
 
 STARTS = 6  # of the gradient search, as in tuning/identification/identify.py
-MOST_STEPS = 30  # of its last search
+MAX_STEPS = 30  # of its last search
 TOLERANCE = 1e-6
-MOST_TIMES = 20  # as many simulations as the gradient search, that evolution may take at most
+MAX_RATIO = 20  # as many simulations as the gradient search, that evolution may take at most
 SPEEDS = (2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)  # m/s, of the synthetic log
-FLOOR = 1e-6  # so that the best itself has a place on a logarithmic axis
+MIN_EXCESS = 1e-6  # so that the best itself has a place on a logarithmic axis
 LEVELS = (0.1, 0.01, 0.001)  # of the gradient search's cost, above it
 
 
@@ -84,7 +84,7 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
 
 
 def evolution_study(
-    report: Report, case: EvolutionCase, *, seconds: float = 300.0, runs: int = 3, most_times: float = MOST_TIMES
+    report: Report, case: EvolutionCase, *, seconds: float = 300.0, runs: int = 3, most_times: float = MAX_RATIO
 ) -> None:
     """Both searches by turns on one log, what is compiled being compiled before; then the paper's two-stage route.
 
@@ -99,7 +99,7 @@ def evolution_study(
     costs, begin = norms(residuals, space, args), origin_share(space)
     members = max(5, POPULATION * len(begin))
 
-    def gradient(seed: int, steps: int = COARSE_STEPS, last: int = MOST_STEPS) -> Descent:
+    def gradient(seed: int, steps: int = COARSE_STEPS, last: int = MAX_STEPS) -> Descent:
         return descend(residuals, args, seed=seed, starts=STARTS, steps=steps, last=last)
 
     compiling = {
@@ -113,17 +113,17 @@ def evolution_study(
         target = (1.0 + min(LEVELS)) * min(one.cost for one in descents)
         budget = Budget(int(most_times * descents[-1].history[-1].simulations), seconds, target)
         with report.progress(f"differential evolution {seed + 1} of {runs}", budget.simulations) as advance:
-            shown = _shown(advance, budget.simulations)
+            shown = _progress_of(advance, budget.simulations)
             evolutions.append(evolve(costs, begin, budget, seed=seed, progress=shown))
     report.values("problem", parameters=len(begin), samples=len(case.log.time), population=members, starts=STARTS)
     report.values("compiling_before", **compiling)
-    _tell(report, descents, evolutions)
+    _report_searches(report, descents, evolutions)
     best = min(descents, key=lambda one: one.cost)
     drive, unknowns = residuals.unpack(jnp.asarray(best.y), question.problem)
-    _routes(report, case, with_delay(jax.tree.map(float, drive), float(unknowns.delay)))
+    _compare_routes(report, case, with_delay(jax.tree.map(float, drive), float(unknowns.delay)))
 
 
-def _routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> None:
+def _compare_routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> None:
     """The two-stage route beside the gradient search: parameters, and the force gap in closed loop."""
     with report.working("the two-stage route"):
         staged = two_stage([case.log], emps.reference_drive())
@@ -138,14 +138,14 @@ def _routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> None:
     drives = {"believed": emps.reference_drive(), "two stages": staged.drive, "gradient": by_gradient}
     if case.truth is not None:
         drives["truth"] = case.truth
-    named = [dict(_numbers(drive)) for drive in drives.values()]
+    named = [dict(_parameters(drive)) for drive in drives.values()]
     rows = [[name, *(one[name] for one in named)] for name in named[0]]
     gaps = [closed_loop(drive, case.controller, case.log) for drive in drives.values()]
     rows.append(["force gap in closed loop, %", *(one.force_percent for one in gaps)])
     report.table("routes", ("SI units", *drives), rows, "What the two routes find")
 
 
-def _numbers(drive: Drive) -> Iterator[tuple[str, float]]:
+def _parameters(drive: Drive) -> Iterator[tuple[str, float]]:
     for path, _, value in quantities(drive.plant):
         if path != "damping":
             yield path, float(value)
@@ -164,7 +164,7 @@ def with_delay(drive: Drive, delay: float) -> Drive:
     return dataclasses.replace(drive, actuator=actuator)
 
 
-def _shown(advance: Callable[[int, int, float], None], most: int) -> Callable[[Visit], None]:
+def _progress_of(advance: Callable[[int, int, float], None], most: int) -> Callable[[Visit], None]:
     return lambda visit: advance(min(visit.simulations, most), most, visit.cost)
 
 
@@ -207,12 +207,12 @@ def synthetic_case(speeds: Sequence[float] = SPEEDS, travel: float = 12e-3) -> E
     return EvolutionCase(run.log("synthetic"), cascade, synthetic_drive())
 
 
-def reached(history: list[Visit], cost: float) -> Visit | None:
+def first_visit_below(history: list[Visit], cost: float) -> Visit | None:
     """The first visit at or below `cost`, or None."""
     return next((visit for visit in history if visit.cost <= cost), None)
 
 
-def _tell(report: Report, descents: list[Descent], evolutions: list[Evolution]) -> None:
+def _report_searches(report: Report, descents: list[Descent], evolutions: list[Evolution]) -> None:
     best = min(one.cost for one in descents)
     rows = []
     for k, (ours, theirs) in enumerate(zip(descents, evolutions, strict=True)):
@@ -223,9 +223,9 @@ def _tell(report: Report, descents: list[Descent], evolutions: list[Evolution]) 
     rows = []
     for level in LEVELS:
         cost = (1.0 + level) * best
-        ours = [reached(one.history, cost) for one in descents]
-        theirs = [reached(one.history, cost) for one in evolutions]
-        g, e = _median(ours), _median(theirs)
+        ours = [first_visit_below(one.history, cost) for one in descents]
+        theirs = [first_visit_below(one.history, cost) for one in evolutions]
+        g, e = _median_visit(ours), _median_visit(theirs)
         times = [e[k] / g[k] if g and e else None for k in (0, 1)]
         counts = [f"{sum(one is not None for one in some)} of {len(some)}" for some in (ours, theirs)]
         rows.append([f"{100 * level:g} %", counts[0], *(g or (None, None)), counts[1], *(e or (None, None)), *times])
@@ -242,7 +242,7 @@ def _tell(report: Report, descents: list[Descent], evolutions: list[Evolution]) 
     for name, color, some in (("gradient", "C0", descents), ("evolution", "C1", evolutions)):
         for k, one in enumerate(some):
             simulations, spent, cost = np.array(one.history).T
-            above = cost / best - 1.0 + FLOOR
+            above = cost / best - 1.0 + MIN_EXCESS
             axes[0].loglog(simulations, above, color, lw=1, label=None if k else name)
             axes[1].loglog(spent, above, color, lw=1)
     axes[0].set(xlabel="simulations", ylabel="cost above the best, share", title="One derivative counts as one more")
@@ -251,7 +251,7 @@ def _tell(report: Report, descents: list[Descent], evolutions: list[Evolution]) 
     report.figure("evolution", figure)
 
 
-def _median(visits: list[Visit | None]) -> tuple[float, float] | None:
+def _median_visit(visits: list[Visit | None]) -> tuple[float, float] | None:
     """Median simulations and seconds, those that never got there being the latest; None if that is the median."""
     table = [(np.inf, np.inf) if one is None else (one.simulations, one.seconds) for one in visits]
     simulations, spent = np.median(np.array(table, dtype=float), axis=0)

@@ -34,8 +34,8 @@ from tuning.optimisation.evolution import BLOCK, Budget, Evolution, Population, 
 from tuning.optimisation.least_squares import levenberg_marquardt
 from tuning.optimisation.space import Free, Space, space_of
 
-SLIDING = ("coulomb", "breakaway", "stribeck_velocity", "viscous")
-FEWEST_SPEEDS = 4  # each way, for four parameters
+SLIDING_PARAMETERS = ("coulomb", "breakaway", "stribeck_velocity", "viscous")
+MIN_SPEEDS = 4  # each way, for four parameters
 REACH = 20.0  # believed bristle lengths F_S / sigma_0 behind a reversal: as far as the hysteresis is looked at
 BUDGET = Budget(simulations=4_000, seconds=60.0)
 POPULATION = 15  # members per parameter: of so few parameters, scipy's default does
@@ -52,7 +52,7 @@ class TwoStage:
     notes: tuple[str, ...]
 
 
-class _Points(NamedTuple):
+class _CruiseData(NamedTuple):
     """The Stribeck curve, and the drive whose friction is to pass through it."""
 
     believed: Drive
@@ -63,7 +63,7 @@ class _Points(NamedTuple):
     friction: Float[np.ndarray, " b"]  # N, damping included
 
 
-class _StageWay(NamedTuple):
+class _ReversalData(NamedTuple):
     """A measured motion and the friction along it."""
 
     velocity: Float[np.ndarray, " n"]  # m/s
@@ -74,12 +74,12 @@ class _StageWay(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Curve:
+class _StribeckResiduals:
     """Residuals (N) of the Stribeck curve as a function of y; hashed by value."""
 
     free: tuple[Free, ...]
 
-    def __call__(self, y: Float[Array, " k"], points: _Points) -> Float[Array, " b"]:
+    def __call__(self, y: Float[Array, " k"], points: _CruiseData) -> Float[Array, " b"]:
         drive = Space(self.free, points.origin).insert(points.unknowns, y).drive(points.believed)
         steady = steady_friction(drive.friction, points.velocity, points.load)
         return steady + drive.plant.damping.towards(points.velocity) * points.velocity - points.friction
@@ -98,8 +98,8 @@ def two_stage(
     check_drive(drive)
     found = inverse_dynamics.identify(list(logs), DIRECTIONAL, dynamics=dynamics, min_speed=SLOWEST)
     seeded, notes = seed_drive(drive, found)
-    sliding, stribeck_rms, said = _sliding(logs, seeded, dynamics)
-    whole, evolution = _bristle(logs, sliding, dynamics, budget, seed)
+    sliding, stribeck_rms, said = _fit_sliding(logs, seeded, dynamics)
+    whole, evolution = _fit_bristle(logs, sliding, dynamics, budget, seed)
     return TwoStage(
         jax.tree.map(float, whole),
         stribeck_rms,
@@ -109,7 +109,7 @@ def two_stage(
     )
 
 
-def _sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Drive, float, list[str]]:
+def _fit_sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Drive, float, list[str]]:
     """`drive` with the sliding friction of the logs' cruises, and the RMS misfit (N)."""
     curves = stribeck_curves(list(logs), drive, dynamics=dynamics)
     rows = [np.stack([c.velocity, np.full_like(c.velocity, c.load), c.friction]) for c in curves.curves]
@@ -118,24 +118,28 @@ def _sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Drive,
     unknowns = unknowns_of(drive, 0.0)
     for side, sign in (("positive", 1.0), ("negative", -1.0)):
         speeds = int(np.sum(sign * velocity > 0))
-        if speeds < FEWEST_SPEEDS:
+        if speeds < MIN_SPEEDS:
             notes.append(f"{speeds} speeds of cruising in the {side} direction: its Stribeck curve is left as it was")
             continue
-        for name in SLIDING:
+        for name in SLIDING_PARAMETERS:
             path = f"{name}.{side}"
             value = float(getattr(getattr(unknowns, name), side))
             free.append(bounds(path, value, float(getattr(unknowns.coulomb, side))))
     if not free:
         return drive, float("nan"), notes
-    points = as_arrays(_Points(drive, unknowns, space_of(unknowns, free).origin, velocity, load, friction))
-    search = levenberg_marquardt(_Curve(tuple(free)), np.zeros(len(free)), points, max_steps=200, tolerance=1e-8)
+    points = as_arrays(_CruiseData(drive, unknowns, space_of(unknowns, free).origin, velocity, load, friction))
+    search = levenberg_marquardt(
+        _StribeckResiduals(tuple(free)), np.zeros(len(free)), points, max_steps=200, tolerance=1e-8
+    )
     fitted = Space(tuple(free), points.origin).insert(unknowns, search.y).drive(drive)
     return fitted, search.cost / np.sqrt(len(velocity)), notes
 
 
-def _bristle(logs: Sequence[Log], drive: Drive, dynamics: float, budget: Budget, seed: int) -> tuple[Drive, Evolution]:
+def _fit_bristle(
+    logs: Sequence[Log], drive: Drive, dynamics: float, budget: Budget, seed: int
+) -> tuple[Drive, Evolution]:
     """`drive` with the bristle that fits the friction behind reversals, by differential evolution."""
-    ways = [as_arrays(_way(along, drive)) for along in measured_friction(list(logs), drive, dynamics)[0]]
+    ways = [as_arrays(_reversal_data(along, drive)) for along in measured_friction(list(logs), drive, dynamics)[0]]
     unknowns = unknowns_of(drive, 0.0)
     free = tuple(
         bounds(path, float(value.positive), 0.0)
@@ -161,7 +165,7 @@ def _misfits(
     origin: Float[Array, " k"],
     drive: Drive,
     unknowns: Unknowns,
-    way: _StageWay,
+    way: _ReversalData,
 ) -> Float[Array, " s"]:
     def one(y: Float[Array, " k"]) -> Float[Array, ""]:
         there = Space(free, origin).insert(unknowns, y).drive(drive)
@@ -171,7 +175,7 @@ def _misfits(
     return lax.map(one, points, batch_size=BLOCK)
 
 
-def _way(along: MeasuredFriction, drive: Drive) -> _StageWay:
+def _reversal_data(along: MeasuredFriction, drive: Drive) -> _ReversalData:
     friction = drive.friction
     levels = friction.coulomb_screw, friction.load_coefficient, friction.breakaway_gap, friction.bristle_stiffness
     screw, slope, gap, stiffness = (float(one.positive) for one in levels)
@@ -181,4 +185,4 @@ def _way(along: MeasuredFriction, drive: Drive) -> _StageWay:
         travelled = np.abs(along.position[one] - along.position[one.start])
         if travelled.max() > reach:  # else the table rests, or creeps
             counts[one] = travelled <= reach
-    return _StageWay(along.velocity, along.load, along.friction, counts, 1.0 / along.rate)
+    return _ReversalData(along.velocity, along.load, along.friction, counts, 1.0 / along.rate)

@@ -20,12 +20,12 @@ from experiments.studies.paper import scenario as paper
 
 SPEEDS = (0.001, 0.003, 0.010, 0.015, 0.020, 0.040, 0.100)  # m/s
 OFF_GRID = 1.0137  # with the 0.1 um scale: 1 mm/s would be one quantum a period, which flatters every estimator
-STEP_AT, WAIT, LOAD = 0.3, 1.0, 10_000.0  # s, s, N
+STEP_TIME, WAIT, LOAD = 0.3, 1.0, 10_000.0  # s, s, N
 
 
 def motion_at(speed: float) -> Motion:
     """0.1 s to get to `speed` (m/s), then on at that speed."""
-    return constant_speed(speed=speed, ramp=0.1, duration=STEP_AT + WAIT + 0.1, rate=paper.SAMPLING.rate)
+    return constant_speed(speed=speed, ramp=0.1, duration=STEP_TIME + WAIT + 0.1, rate=paper.SAMPLING.rate)
 
 
 def estimators(drive: Drive) -> dict[str, Controller]:
@@ -53,9 +53,9 @@ def load_errors() -> list[list[Any]]:
             row: list[Any] = [name, scale]
             for speed in SPEEDS:
                 motion = motion_at(factor * speed)
-                weight = load.step(motion.time, at=STEP_AT, to=LOAD)
+                weight = load.step(motion.time, at=STEP_TIME, to=LOAD)
                 found = np.asarray(_estimate(*as_arrays((drive, controller)), loop_inputs(motion, weight)))
-                late = motion.time >= STEP_AT + WAIT
+                late = motion.time >= STEP_TIME + WAIT
                 row.append(float(jnp.max(jnp.abs(found[late] - LOAD))))
             rows.append(row)
     return rows

@@ -44,7 +44,7 @@ TONE_AMPLITUDE = 4e-7  # m
 MULTISINE_DURATION, FADING = 1.4, 0.1  # s
 
 
-def joined(parts: Sequence[Motion], name: str) -> Motion:
+def concatenate(parts: Sequence[Motion], name: str) -> Motion:
     """One after the other, each beginning where the last one ended; all at rest at both ends, at one rate."""
     starts = accumulate((part.position[-1] - part.position[0] for part in parts), initial=parts[0].position[0])
     position = [part.position - part.position[0] + start for part, start in zip(parts, starts, strict=False)]
@@ -86,4 +86,4 @@ def identification_motion(rate: float = 10_000.0) -> Motion:
         rest, *strokes(CREEPING, rate), rest, small_multisine(rate), rest,
         *strokes((*SLOW, *MEDIUM, *FAST, *STRONG), rate), rest,
     ]  # fmt: skip
-    return require_within(joined(parts, "identification"), LIMITS)
+    return require_within(concatenate(parts, "identification"), LIMITS)

@@ -47,11 +47,11 @@ def true_values(drive: Drive, believed: Drive) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()} | {"delay": 0.0}
 
 
-JUDGED = ("fitted", "at its bound", "failed")  # not what was held, nor what was said to be undetermined
+SCORED = ("fitted", "at its bound", "failed")  # not what was held, nor what was said to be undetermined
 PER_DIRECTION = ("coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous")
 
 
-def draw(number: int) -> dict[str, Any]:
+def identify_draw(number: int) -> dict[str, Any]:
     """One drive: drawn, logged, identified."""
     configure()
     from experiments.studies.recovery.excitation import identification_motion
@@ -84,21 +84,21 @@ def draw(number: int) -> dict[str, Any]:
     }
 
 
-def _kept(path: Path) -> list[dict[str, Any]]:
+def _read_finished(path: Path) -> list[dict[str, Any]]:
     """The draws in the file; a last line without its end was cut off, and is left out."""
     text = path.read_text(encoding="utf-8")
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
-def draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
+def identify_draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
     """Draws 0 to `count` - 1, those in `path` first, the others as they are done and written there."""
-    kept = _kept(path) if path.exists() else []
+    kept = _read_finished(path) if path.exists() else []
     yield from (one for one in kept if one["draw"] < count)
     left = sorted(set(range(count)) - {one["draw"] for one in kept})
     if not left:
         return
     with processes(min(workers, len(left))) as pool:
-        for done in as_completed([pool.submit(draw, number) for number in left]):
+        for done in as_completed([pool.submit(identify_draw, number) for number in left]):
             one = done.result()
             kept.append(one)
             write_text(path, "".join(json.dumps(each) + "\n" for each in kept))
@@ -114,7 +114,7 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
     with Report(f"identification of {count} random drives", out) as report:
         done = []
         with report.progress("draws", count) as advance:
-            for one in draws(count, out / "draws.jsonl", workers):
+            for one in identify_draws(count, out / "draws.jsonl", workers):
                 done.append(one)
                 advance(len(done), count, one["seconds"])
         rows = summary(done)
@@ -135,7 +135,7 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
         report.figure("recovery", _figure(done))
 
 
-def _holds(row: dict[str, Any]) -> bool:
+def _covers(row: dict[str, Any]) -> bool:
     return row["status"] == "fitted" and row["low"] <= row["true"] <= row["high"]
 
 
@@ -156,7 +156,7 @@ def summary(done: list[dict[str, Any]]) -> list[list[Any]]:
         fitted = [row for row in rows if row["status"] == "fitted"]
         errors = [_relative(row) for row in fitted if row["true"] != 0.0]
         stopped = sum(row["status"] == "at its bound" for row in rows)
-        inside = [_holds(row) for row in rows if row["status"] in JUDGED]
+        inside = [_covers(row) for row in rows if row["status"] in SCORED]
         quantiles = [float(np.quantile(errors, q)) for q in (0.5, 0.95, 1.0)] if errors else [None] * 3
         lost = sum(row["status"] == "not determined" for row in rows)
         bar = BARS.get(stem)
@@ -168,7 +168,7 @@ def summary(done: list[dict[str, Any]]) -> list[list[Any]]:
 
 def coverage(done: list[dict[str, Any]]) -> tuple[int, int]:
     """How many of the intervals hold the truth, and how many there are; what ran to its bound has one that does not."""
-    inside = [_holds(row) for one in done for row in one["rows"] if row["status"] in JUDGED]
+    inside = [_covers(row) for one in done for row in one["rows"] if row["status"] in SCORED]
     return sum(inside), len(inside)
 
 

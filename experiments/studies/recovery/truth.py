@@ -80,17 +80,17 @@ def _rates(drive: Drive, table: TruthTable, force: Scalar, load: Scalar) -> Trut
     return TruthTable(velocity, (force + plant.constant_force - resistance) / plant.mass, slip)
 
 
-def _ahead(table: TruthTable, rates: TruthTable, step: Scalar) -> TruthTable:
+def _euler_step(table: TruthTable, rates: TruthTable, step: Scalar) -> TruthTable:
     return TruthTable(*(x + step * dx for x, dx in zip(table, rates, strict=True)))
 
 
 def _runge_kutta(drive: Drive, table: TruthTable, force: Scalar, load: Scalar, step: Scalar) -> TruthTable:
     k1 = _rates(drive, table, force, load)
-    k2 = _rates(drive, _ahead(table, k1, step / 2), force, load)
-    k3 = _rates(drive, _ahead(table, k2, step / 2), force, load)
-    k4 = _rates(drive, _ahead(table, k3, step), force, load)
+    k2 = _rates(drive, _euler_step(table, k1, step / 2), force, load)
+    k3 = _rates(drive, _euler_step(table, k2, step / 2), force, load)
+    k4 = _rates(drive, _euler_step(table, k3, step), force, load)
     mean = TruthTable(*((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in zip(k1, k2, k3, k4, strict=True)))
-    return _ahead(table, mean, step)
+    return _euler_step(table, mean, step)
 
 
 def advance(

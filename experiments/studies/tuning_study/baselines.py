@@ -26,9 +26,9 @@ from tuning.gains.constrained import ConstrainedGains, TuningProblem
 from tuning.gains.sequential import KEPT
 from tuning.optimisation.evolution import WORST, Budget
 
-STEP = 0.5  # in y: the first spread of CMA-ES, the edges of the first simplex
-SIMPLEX = 1e-4  # in y: the size of a simplex that has collapsed
-DRAWN = 10  # points of random search at a time
+INITIAL_SPREAD = 0.5  # in y: the first spread of CMA-ES, the edges of the first simplex
+MIN_SIMPLEX = 1e-4  # in y: the size of a simplex that has collapsed
+RANDOM_BATCH = 10  # points of random search at a time
 BLOCK = 32  # points that one call of the compiled program holds at most
 
 Points = Float[np.ndarray, "s k"]
@@ -42,7 +42,7 @@ class PenalisedCosts(NamedTuple):
     missed: Float[np.ndarray, " s"]  # by how much the requirement that is missed most is missed
 
 
-Cost = Callable[[Points], PenalisedCosts]
+CostFunction = Callable[[Points], PenalisedCosts]
 
 
 class BaselineVisit(NamedTuple):
@@ -56,7 +56,7 @@ class BaselineVisit(NamedTuple):
     feasible: float  # the lowest objective where nothing is missed by more than `KEPT`; infinite where none is yet
 
 
-Visited = Callable[[BaselineVisit], None]
+OnVisit = Callable[[BaselineVisit], None]
 NONE_YET = BaselineVisit(0, 0.0, np.inf, np.inf)
 
 
@@ -65,7 +65,7 @@ def silent(visit: BaselineVisit) -> None:
 
 
 @dataclass(frozen=True)
-class BaselineEnd:
+class BaselineResult:
     """Where a baseline ended: its best point, why it stopped, and the lowest costs along the way."""
 
     y: Float[np.ndarray, " k"]  # of the lowest penalised cost
@@ -80,17 +80,17 @@ class BaselineEnd:
         return self.history[-1].simulations if self.history else 0
 
 
-class _SpentError(Exception):
+class _BudgetSpentError(Exception):
     """The budget is spent."""
 
 
 @dataclass
-class _Trail:
+class _Recorder:
     """The cost function as a search sees it: counts, keeps the best, and ends the search when its budget is spent."""
 
-    cost: Cost
+    cost: CostFunction
     budget: Budget
-    visited: Visited
+    visited: OnVisit
     y: Float[np.ndarray, " k"]
     feasible: Float[np.ndarray, " k"] | None = None
     last: BaselineVisit = NONE_YET
@@ -101,7 +101,7 @@ class _Trail:
         """Penalised costs, all of them finite. Of a batch that exceeds the budget only the first points are tried."""
         left = self.budget.simulations - self.last.simulations
         if left < 1:
-            raise _SpentError(self._spent())
+            raise _BudgetSpentError(self._spent())
         points = points[:left]
         penalised, objective, missed = self.cost(points)
         penalised = np.where(np.isfinite(penalised), penalised, WORST)
@@ -109,7 +109,7 @@ class _Trail:
         self._keep(points, penalised, kept)
         self.visited(self.last)
         if self._spent():
-            raise _SpentError(self._spent())
+            raise _BudgetSpentError(self._spent())
         return penalised
 
     def _keep(self, points: Points, penalised: Float[np.ndarray, " s"], kept: Float[np.ndarray, " s"]) -> None:
@@ -135,35 +135,37 @@ class _Trail:
         return f"stopped after {self.last.seconds:.0f} s" if self.last.seconds >= self.budget.seconds else ""
 
 
-Tried = Callable[[Points], Float[np.ndarray, " s"]]
+Evaluate = Callable[[Points], Float[np.ndarray, " s"]]
 
 
-def _follow(search: Callable[[Tried], str], cost: Cost, k: int, budget: Budget, visited: Visited) -> BaselineEnd:
+def _run_search(
+    search: Callable[[Evaluate], str], cost: CostFunction, k: int, budget: Budget, visited: OnVisit
+) -> BaselineResult:
     """The search, and what is left of it when it converges, has spent its budget or is interrupted."""
-    trail = _Trail(cost, budget, visited, np.zeros(k))
+    trail = _Recorder(cost, budget, visited, np.zeros(k))
     try:
         status = search(trail)
-    except _SpentError as spent:
+    except _BudgetSpentError as spent:
         status = str(spent)
     except KeyboardInterrupt:
         status = f"interrupted after {trail.last.simulations} simulations"
-    return BaselineEnd(trail.y, trail.last.cost, trail.feasible, status, trail.history)
+    return BaselineResult(trail.y, trail.last.cost, trail.feasible, status, trail.history)
 
 
-def cma_es(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> BaselineEnd:
+def cma_es(cost: CostFunction, k: int, budget: Budget, seed: int = 0, visited: OnVisit = silent) -> BaselineResult:
     """CMA-ES with the package's default population, 4 + 3 ln k, and its default rules of convergence."""
 
-    def search(tried: Tried) -> str:
+    def search(tried: Evaluate) -> str:
         import cma  # a second to load, and pyplot with it: only where it is used
 
-        strategy = cma.CMAEvolutionStrategy(np.zeros(k), STEP, _quiet(seed))
+        strategy = cma.CMAEvolutionStrategy(np.zeros(k), INITIAL_SPREAD, _quiet(seed))
         tried(np.zeros((1, k)))
         while not strategy.stop():
             points = strategy.ask()
             strategy.tell(points, list(tried(np.array(points))))
         return f"converged: {', '.join(strategy.stop())}"
 
-    return _follow(search, cost, k, budget, visited)
+    return _run_search(search, cost, k, budget, visited)
 
 
 def _quiet(seed: int) -> dict[str, object]:
@@ -173,41 +175,43 @@ def _quiet(seed: int) -> dict[str, object]:
     return {"verbose": -9, "signals_filename": "", "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan}
 
 
-def nelder_mead(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> BaselineEnd:
+def nelder_mead(cost: CostFunction, k: int, budget: Budget, seed: int = 0, visited: OnVisit = silent) -> BaselineResult:
     """Nelder-Mead. The first simplex has a corner in the start; `seed` draws whether its edges go up or down."""
-    edges = STEP * np.random.default_rng(seed).choice([-1.0, 1.0], k)
+    edges = INITIAL_SPREAD * np.random.default_rng(seed).choice([-1.0, 1.0], k)
     options = {
         "initial_simplex": np.vstack([np.zeros(k), np.diag(edges)]),
-        "xatol": SIMPLEX,
+        "xatol": MIN_SIMPLEX,
         "fatol": np.inf,  # the size of the simplex alone tells: costs have any scale
         "maxiter": budget.simulations + 1,  # never reached
         "maxfev": budget.simulations + 1,
     }
 
-    def search(tried: Tried) -> str:
+    def search(tried: Evaluate) -> str:
         scipy.optimize.minimize(lambda y: float(tried(y[None])[0]), np.zeros(k), method="Nelder-Mead", options=options)
         return "converged: the simplex has collapsed"
 
-    return _follow(search, cost, k, budget, visited)
+    return _run_search(search, cost, k, budget, visited)
 
 
-def random_search(cost: Cost, k: int, budget: Budget, seed: int = 0, visited: Visited = silent) -> BaselineEnd:
+def random_search(
+    cost: CostFunction, k: int, budget: Budget, seed: int = 0, visited: OnVisit = silent
+) -> BaselineResult:
     """The start and random points: even between the bounds where the start is in their middle (`space.around`).
 
     The sigmoid of a logistic variable is uniform.
     """
     rng = np.random.default_rng(seed)
 
-    def search(tried: Tried) -> str:
+    def search(tried: Evaluate) -> str:
         tried(np.zeros((1, k)))
         while True:
-            tried(rng.logistic(size=(DRAWN, k)))
+            tried(rng.logistic(size=(RANDOM_BATCH, k)))
 
-    return _follow(search, cost, k, budget, visited)
+    return _run_search(search, cost, k, budget, visited)
 
 
 @eqx.filter_jit
-def _worths(
+def _block_costs(
     gains: ConstrainedGains, problem: TuningProblem, points: Float[Array, "b k"], counts: Int[Array, " devices"]
 ) -> Float[Array, "b three"]:
     """Of the points of each device the first `counts`: so one program serves batches of all sizes."""
@@ -234,7 +238,7 @@ def _worths(
     )(points, counts, arrays)
 
 
-def costs_of(gains: ConstrainedGains, problem: TuningProblem, block: int = BLOCK) -> Cost:
+def costs_of(gains: ConstrainedGains, problem: TuningProblem, block: int = BLOCK) -> CostFunction:
     """`ConstrainedGains.at` for a batch of points, one after the other on each of the program's devices.
 
     Points side by side in one vectorised program, as in `tuning.optimisation.evolution`, are slower: the lanes of one
@@ -249,7 +253,7 @@ def costs_of(gains: ConstrainedGains, problem: TuningProblem, block: int = BLOCK
         held = np.zeros((devices, each, points.shape[1]))
         for device, count in enumerate(counts):
             held[device, :count] = points[device::devices]
-        found = _worths(gains, problem, held.reshape(devices * each, -1), counts)
+        found = _block_costs(gains, problem, held.reshape(devices * each, -1), counts)
         return np.asarray(found).reshape(devices, each, 3).swapaxes(0, 1).reshape(-1, 3)[: len(points)]
 
     def cost(points: Points) -> PenalisedCosts:

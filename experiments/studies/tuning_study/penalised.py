@@ -19,7 +19,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from experiments.studies.tuning_study.baselines import BaselineEnd, BaselineVisit
+from experiments.studies.tuning_study.baselines import BaselineResult, BaselineVisit
 from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, worth
 from tuning.gains.sequential import KEPT
 from tuning.optimisation.evolution import Budget
@@ -54,14 +54,14 @@ class _Squares:
         return jnp.concatenate([*jax.tree.leaves(parts), jnp.stack(missed)])
 
 
-def bfgs(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineEnd:
+def bfgs(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineResult:
     """BFGS with Armijo's backtracking, from y = 0; an evaluation is a value with all its derivatives."""
-    return _follow(optx.BFGS(rtol=TOLERANCE, atol=TOLERANCE), _Scalar(gains), gains, problem, budget)
+    return _run_solver(optx.BFGS(rtol=TOLERANCE, atol=TOLERANCE), _Scalar(gains), gains, problem, budget)
 
 
-def levenberg_marquardt(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineEnd:
+def levenberg_marquardt(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineResult:
     """Levenberg-Marquardt from y = 0; an evaluation is a value with all its derivatives."""
-    return _follow(LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE), _Squares(gains), gains, problem, budget)
+    return _run_solver(LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE), _Squares(gains), gains, problem, budget)
 
 
 def _options(solver: Any) -> dict[str, Any]:
@@ -88,9 +88,9 @@ def _step(solver: Any, residuals: Callable[..., Any], y: Array, problem: TuningP
     return y, state, finished
 
 
-def _follow(
+def _run_solver(
     solver: Any, residuals: Callable[..., Any], gains: ConstrainedGains, problem: TuningProblem, budget: Budget
-) -> BaselineEnd:
+) -> BaselineResult:
     """Step by step, so that the budget is kept and the best point within the requirements is known."""
     y = jnp.zeros(len(gains.free))
     state = _begin(solver, residuals, y, problem)
@@ -112,4 +112,4 @@ def _follow(
             status = f"stopped after {len(history)} steps"
         elif history[-1].seconds >= budget.seconds:
             status = f"stopped after {history[-1].seconds:.0f} s"
-    return BaselineEnd(best[1], best[0], feasible[1], status, history)
+    return BaselineResult(best[1], best[0], feasible[1], status, history)

@@ -20,7 +20,7 @@ from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arr
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.observers.friction_observer import LoadStateObserver
 from experiments.reports.report import Report, new_figure
-from experiments.studies.tuning_study.baselines import BaselineEnd, cma_es, costs_of, nelder_mead, random_search
+from experiments.studies.tuning_study.baselines import BaselineResult, cma_es, costs_of, nelder_mead, random_search
 from experiments.studies.tuning_study.penalised import bfgs, levenberg_marquardt
 from tuning.gains.constrained import ConstrainedGains, TuningProblem, linearised, problem_of, worth
 from tuning.gains.objective import Objective
@@ -36,16 +36,16 @@ RATE = 10_000.0
 LOADS = (0.0, 5_000.0, 10_000.0, 12_600.0)
 SPEEDS = (0.0, 1e-3, 3e-3, 1e-2)
 SPREAD = 0.03
-USUAL = 255  # evaluations in which CMA-ES comes within 5 % of its own best, by the notes on the paper
-TIMES = 10  # the usual budget, that it gets to find the best there is
-WITHIN = (0.2, 0.05, 0.01)
-MOST_STEPS = 200  # of a solver with penalties: it has arrived long before
+USUAL_EVALUATIONS = 255  # evaluations in which CMA-ES comes within 5 % of its own best, by the notes on the paper
+BUDGET_FACTOR = 10  # the usual budget, that it gets to find the best there is
+TOLERANCES = (0.2, 0.05, 0.01)
+MAX_SOLVER_STEPS = 200  # of a solver with penalties: it has arrived long before
 STARTS = 10
 DECADES = 2.0  # over which random starts are drawn, each gain
 SAMPLING = Sampling(RATE, 4)
 
 
-class Benchmark(NamedTuple):
+class TuningBenchmark(NamedTuple):
     """The controller, where it is tried, and what it must keep."""
 
     controller: Controller
@@ -72,7 +72,7 @@ def scenarios(seed: int, loads: tuple[float, ...] = LOADS, speed: float = 0.010,
     return [Scenario(f"{load:g} N", machine, motion, load, seed + k) for k, (machine, load) in enumerate(pairs)]
 
 
-def benchmark(load_error: float | None = None) -> Benchmark:
+def benchmark(load_error: float | None = None) -> TuningBenchmark:
     """The benchmark; `load_error` (N) also asks for a true load estimate on the nominal machine."""
     drive = delayed_drive()
     observer = LoadStateObserver(drive.plant, drive.friction)
@@ -80,10 +80,14 @@ def benchmark(load_error: float | None = None) -> Benchmark:
     asked = None if load_error is None else np.r_[np.full(len(LOADS), load_error), np.full(len(LOADS), 1e9)]
     limits = Required(command_noise=20.0, load_error=asked)
     at = points([drive], SPEEDS, (LOADS[0], LOADS[-1]))
-    return Benchmark(controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Constraints(limits, at, SAMPLING))
+    return TuningBenchmark(
+        controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Constraints(limits, at, SAMPLING)
+    )
 
 
-def tuning_study(report: Report, *, evaluations: int = USUAL * TIMES, runs: int = 3, starts: int = STARTS) -> None:
+def tuning_study(
+    report: Report, *, evaluations: int = USUAL_EVALUATIONS * BUDGET_FACTOR, runs: int = 3, starts: int = STARTS
+) -> None:
     """Gradient against other searches: quality, evaluations, time; random starts; number of parameters."""
     bench = benchmark()
     space = default_space(bench.controller)
@@ -94,31 +98,31 @@ def tuning_study(report: Report, *, evaluations: int = USUAL * TIMES, runs: int 
     _parameters(report, bench, evaluations)
 
 
-def _race(report: Report, bench: Benchmark, space: Space, evaluations: int, runs: int) -> tuple[Tuned, float]:
+def _race(report: Report, bench: TuningBenchmark, space: Space, evaluations: int, runs: int) -> tuple[Tuned, float]:
     """All searches on one problem; returns the gradient's result and the best objective of any."""
     gains, problem = _compiled(bench, space)
     count = len(space.free)
     tuned = tune(bench.controller, bench.lanes, bench.requirements, space)
     budget = Budget(simulations=evaluations, seconds=600.0)
-    found: dict[str, list[BaselineEnd]] = {}
+    found: dict[str, list[BaselineResult]] = {}
     cost = costs_of(gains, problem)
     cost(np.zeros((2, count)))
-    with report.progress("other searches", len(SEARCHES) * runs + len(SMOOTH)) as advance:
+    with report.progress("other searches", len(SEARCHES) * runs + len(SOLVERS)) as advance:
         for k, (name, search) in enumerate(SEARCHES.items()):
             for seed in range(runs):
                 found.setdefault(name, []).append(search(cost, count, budget, seed))
-                advance(k * runs + seed + 1, len(SEARCHES) * runs + len(SMOOTH), found[name][-1].history[-1].feasible)
-        for k, (name, solver) in enumerate(SMOOTH.items()):
-            found[name] = [solver(gains, problem, budget._replace(simulations=min(evaluations, MOST_STEPS)))]
-            advance(len(SEARCHES) * runs + k + 1, len(SEARCHES) * runs + len(SMOOTH), found[name][0].cost)
+                advance(k * runs + seed + 1, len(SEARCHES) * runs + len(SOLVERS), found[name][-1].history[-1].feasible)
+        for k, (name, solver) in enumerate(SOLVERS.items()):
+            found[name] = [solver(gains, problem, budget._replace(simulations=min(evaluations, MAX_SOLVER_STEPS)))]
+            advance(len(SEARCHES) * runs + k + 1, len(SEARCHES) * runs + len(SOLVERS), found[name][0].cost)
     best = min(float(tuned.point.objective), *(one.history[-1].feasible for each in found.values() for one in each))
-    gradient = [(e, e + count * j, s, f) for e, j, s, f in _trail(tuned)]
-    rows: list[list[Any]] = [["gradient", float(tuned.point.objective), *_arrivals(gradient, best)]]
+    gradient = [(e, e + count * j, s, f) for e, j, s, f in _evaluation_history(tuned)]
+    rows: list[list[Any]] = [["gradient", float(tuned.point.objective), *_cost_to_reach(gradient, best)]]
     for name, several in found.items():
         for one in several:
             trail = [(v.simulations, v.simulations, v.seconds, v.feasible) for v in one.history]
-            rows.append([name, one.history[-1].feasible, *_arrivals(trail, best)])
-    columns = ("search", "best um", *(f"{what} to {100 * w:g} %" for w in WITHIN for what in ("evaluations", "s")))
+            rows.append([name, one.history[-1].feasible, *_cost_to_reach(trail, best)])
+    columns = ("search", "best um", *(f"{what} to {100 * w:g} %" for w in TOLERANCES for what in ("evaluations", "s")))
     report.table("race", columns, rows, "Cost to come within so much of the best; a derivative is one evaluation")
     report.values("best", objective_um=best, gradient_um=float(tuned.point.objective), parameters=count)
     evaluated, singly, seconds, _ = gradient[-1]
@@ -129,10 +133,10 @@ def _race(report: Report, bench: Benchmark, space: Space, evaluations: int, runs
 
 
 SEARCHES = {"CMA-ES": cma_es, "Nelder-Mead": nelder_mead, "random": random_search}
-SMOOTH = {"BFGS, penalties": bfgs, "Levenberg-Marquardt, penalties": levenberg_marquardt}
+SOLVERS = {"BFGS, penalties": bfgs, "Levenberg-Marquardt, penalties": levenberg_marquardt}
 
 
-def _compiled(bench: Benchmark, space: Space) -> tuple[ConstrainedGains, TuningProblem]:
+def _compiled(bench: TuningBenchmark, space: Space) -> tuple[ConstrainedGains, TuningProblem]:
     """The problem, its programs compiled."""
     gains = ConstrainedGains(space.free, Objective())
     problem = problem_of(as_arrays(smooth(bench.controller)), space, bench.lanes, bench.requirements)
@@ -141,7 +145,7 @@ def _compiled(bench: Benchmark, space: Space) -> tuple[ConstrainedGains, TuningP
     return gains, problem
 
 
-def _trail(tuned: Tuned) -> list[tuple[int, int, float, float]]:
+def _evaluation_history(tuned: Tuned) -> list[tuple[int, int, float, float]]:
     """Evaluations, those among them with derivatives, s, and the objective (infinite where a requirement is missed).
 
     Over the searches from all starts, in order, the look at the starts before them included.
@@ -156,16 +160,16 @@ def _trail(tuned: Tuned) -> list[tuple[int, int, float, float]]:
     return found
 
 
-def _arrivals(trail: list[tuple[int, int, float, float]], best: float) -> list[Any]:
+def _cost_to_reach(trail: list[tuple[int, int, float, float]], best: float) -> list[Any]:
     """Evaluations and seconds until the objective was within each share of the best; None where it never was."""
     found: list[Any] = []
-    for share in WITHIN:
+    for share in TOLERANCES:
         there = next((entry for entry in trail if entry[3] <= (1.0 + share) * best), None)
         found += [None, None] if there is None else [there[0], round(there[2], 2)]
     return found
 
 
-def _race_figure(gradient: list[tuple[int, int, float, float]], found: dict[str, list[BaselineEnd]]) -> Any:
+def _race_figure(gradient: list[tuple[int, int, float, float]], found: dict[str, list[BaselineResult]]) -> Any:
     figure, axes = new_figure(1, 2, width=11.0, height=3.8, share_x=False)
     for axis, column, what in ((axes[0], 0, "evaluations"), (axes[1], 2, "seconds")):
         for k, (name, several) in enumerate(found.items()):
@@ -218,13 +222,13 @@ def _true_load(report: Report) -> None:
                   worst_nominal_load_error_N=float(np.max(errors[: len(LOADS)])))  # fmt: skip
 
 
-def _starts(report: Report, bench: Benchmark, space: Space, best: float, starts: int) -> None:
+def _starts(report: Report, bench: TuningBenchmark, space: Space, best: float, starts: int) -> None:
     """Random starts over two decades of each gain, each tuned as `diffdrive tune` does."""
     rng = np.random.default_rng(0)
     rows = []
     with report.progress("random starts", starts) as advance:
         for k in range(starts):
-            begin = _drawn(space, rng)
+            begin = _random_shift(space, rng)
             tuned = tune(bench.controller, bench.lanes, bench.requirements, Space(space.free, space.origin + begin))
             growth = float(np.max(np.asarray(tuned.point.kept["stability"])))
             was = float(np.max(np.asarray(tuned.began.kept["stability"])))
@@ -241,7 +245,7 @@ def _starts(report: Report, bench: Benchmark, space: Space, best: float, starts:
                   **{f"within_5_percent_{name}": count for name, count in near.items()})  # fmt: skip
 
 
-def _drawn(space: Space, rng: np.random.Generator) -> np.ndarray:
+def _random_shift(space: Space, rng: np.random.Generator) -> np.ndarray:
     """Shifts of y that move each gain by an even share of two decades about where it is, within its bounds."""
     shifts = []
     for free, origin in zip(space.free, space.origin, strict=True):
@@ -253,7 +257,7 @@ def _drawn(space: Space, rng: np.random.Generator) -> np.ndarray:
     return np.array(shifts)
 
 
-def _parameters(report: Report, bench: Benchmark, evaluations: int) -> None:
+def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> None:
     """Cost to come within 5 % against the number of parameters."""
     whole = default_space(bench.controller, friction=True)
     rows = []
@@ -266,7 +270,7 @@ def _parameters(report: Report, bench: Benchmark, evaluations: int) -> None:
         began = time.perf_counter()
         other = cma_es(cost, count, Budget(simulations=evaluations, seconds=600.0), 0)
         best = min(float(tuned.point.objective), other.history[-1].feasible)
-        ours = next((e for e in _trail(tuned) if e[3] <= 1.05 * best), None)
+        ours = next((e for e in _evaluation_history(tuned) if e[3] <= 1.05 * best), None)
         theirs = next((v for v in other.history if v.feasible <= 1.05 * best), None)
         rows.append(
             [

@@ -21,7 +21,7 @@ from experiments.reports.checked_logs import read_checked
 from experiments.reports.identification.identification import parse_bounds
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
-from experiments.studies.recovery.excitation import joined, resting, strokes
+from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, described, logged
 from tuning.identification.identify import COARSE_STEPS
 from tuning.sweeps.machines import machines
@@ -41,7 +41,7 @@ STROKES = (
 )
 # the same question wherever one is asked in full, so that it is compiled once
 QUESTION = ("--starts", 2, "--fix", "stribeck_velocity", "--bound", "mass=70kg:150")
-MOTION = joined([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
+MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from experiments.reports.identification.forest import forest
 from experiments.reports.identification.modelled_friction import friction_on, stretches_of
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
-from experiments.studies.recovery.excitation import joined, resting, strokes
+from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, described, logged
 from tuning.identification.estimates import Estimate
 from tuning.identification.problem import lanes_of
@@ -19,7 +19,7 @@ from tuning.identification.problem import lanes_of
 TRUE = described()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3
 STROKES = ((2e-4, 1.5e-3, 0.05, 20.0), (1e-3, 3e-3, 0.3, 30.0), (2e-3, 2e-2, 0.5, 50.0), (4e-3, 0.08, 2.0, 200.0))
-MOTION = joined([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
+MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
 
 
 def test_friction_along_a_motion_is_that_of_the_simulation():

@@ -10,7 +10,14 @@ from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Directional
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
-from experiments.studies.evolution.study import _median, emps_case, evolution_study, reached, synthetic_case, with_delay
+from experiments.studies.evolution.study import (
+    _median_visit,
+    emps_case,
+    evolution_study,
+    first_visit_below,
+    synthetic_case,
+    with_delay,
+)
 from experiments.studies.evolution.two_stage import two_stage
 from tuning.optimisation.evolution import EDGE, Budget, Visit, evolve, norms, origin_share, point
 from tuning.optimisation.space import Free, space_of
@@ -94,10 +101,10 @@ def test_the_two_stage_route_says_what_it_cannot_tell():
 
 def test_levels_and_medians_count_those_that_never_got_there():
     history = [Visit(10, 1.0, 5.0), Visit(20, 2.0, 3.0), Visit(30, 3.0, 2.0)]
-    assert reached(history, 3.0).simulations == 20
-    assert reached(history, 1.0) is None
-    assert _median([history[0], None, history[2]]) == (30.0, 3.0)
-    assert _median([history[0], None, None]) is None
+    assert first_visit_below(history, 3.0).simulations == 20
+    assert first_visit_below(history, 1.0) is None
+    assert _median_visit([history[0], None, history[2]]) == (30.0, 3.0)
+    assert _median_visit([history[0], None, None]) is None
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
     nothing = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", beliefs=[]))
     record = SimpleNamespace(log=SimpleNamespace(command=0.0))
     stubs = {"identify_axis": SimpleNamespace(drive=real_axes.emps.reference_drive()), "force_error": 5.0}
-    stubs |= {"_scaled": None, "_diagnosed": nothing, "registered": None, "augmented_drive": None}
+    stubs |= {"_scaled": None, "_diagnose": nothing, "registered": None, "augmented_drive": None}
     for name, value in stubs.items():
         monkeypatch.setattr(real_axes, name, lambda *_, value=value, **__: value)
     monkeypatch.setattr(real_axes.emps, "find_folder", lambda: "here")
@@ -44,7 +44,7 @@ def test_what_was_diagnosed_of_real_axes_is_kept_when_it_is_interrupted(monkeypa
         done.append(term)
         return [term, "effect", "", "", True, 1.0, 2.0, 1.0]
 
-    monkeypatch.setattr(real_axes, "_without", one)
+    monkeypatch.setattr(real_axes, "_withheld_row", one)
     report = Report("axes", None, Console(quiet=True))
     with pytest.raises(KeyboardInterrupt):
         real_axes._emps_withheld(report, None, {"delay": None, "gain": None}, None)

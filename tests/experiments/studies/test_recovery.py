@@ -87,7 +87,7 @@ def drawn(monkeypatch):
         computed.append(number)
         return made_up(number, row("mass"))
 
-    monkeypatch.setattr(recovery, "draw", draw)
+    monkeypatch.setattr(recovery, "identify_draw", draw)
     monkeypatch.setattr(recovery, "processes", ThreadPoolExecutor)
     return computed
 
@@ -96,8 +96,8 @@ def test_a_study_that_is_complete_computes_nothing(tmp_path, drawn):
     path = tmp_path / "draws.jsonl"
     kept(path, *DONE)
     before = path.read_bytes()
-    assert list(recovery.draws(3, path, 2)) == DONE
-    assert list(recovery.draws(2, path, 2)) == DONE[:2]
+    assert list(recovery.identify_draws(3, path, 2)) == DONE
+    assert list(recovery.identify_draws(2, path, 2)) == DONE[:2]
     assert drawn == []
     assert path.read_bytes() == before
 
@@ -105,10 +105,10 @@ def test_a_study_that_is_complete_computes_nothing(tmp_path, drawn):
 def test_a_study_goes_on_with_what_is_missing(tmp_path, drawn):
     path = tmp_path / "draws.jsonl"
     kept(path, DONE[2], DONE[0])
-    found = list(recovery.draws(5, path, 2))
+    found = list(recovery.identify_draws(5, path, 2))
     assert found[:2] == [DONE[2], DONE[0]]
     assert sorted(drawn) == [1, 3, 4]
-    again = list(recovery.draws(5, path, 2))
+    again = list(recovery.identify_draws(5, path, 2))
     assert sorted(one["draw"] for one in again) == [0, 1, 2, 3, 4]
     assert sorted(drawn) == [1, 3, 4]
 
@@ -118,7 +118,7 @@ def test_a_line_that_a_kill_cut_short_is_computed_again(tmp_path, drawn, cut):
     path = tmp_path / "draws.jsonl"
     kept(path, *DONE)
     path.write_bytes(path.read_bytes()[:-cut])
-    found = list(recovery.draws(3, path, 2))
+    found = list(recovery.identify_draws(3, path, 2))
     assert found[:2] == DONE[:2]
     assert [one["draw"] for one in found] == [0, 1, 2]
     assert drawn == [2]
@@ -128,7 +128,7 @@ def test_a_line_that_a_kill_cut_short_is_computed_again(tmp_path, drawn, cut):
 def test_a_file_in_which_not_even_the_first_line_is_whole_begins_anew(tmp_path, drawn):
     path = tmp_path / "draws.jsonl"
     path.write_text('{"draw": 0, "sta', encoding="utf-8")
-    assert [one["draw"] for one in recovery.draws(1, path, 1)] == [0]
+    assert [one["draw"] for one in recovery.identify_draws(1, path, 1)] == [0]
     assert drawn == [0]
 
 

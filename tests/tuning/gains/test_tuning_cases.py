@@ -10,7 +10,14 @@ import pytest
 from diffdrive.axis_file.drive_file import read_axis
 from experiments.reports.report import Report
 from experiments.studies.demo import PAPER_DRIVE
-from experiments.studies.tuning_study.study import DECADES, _arrivals, _drawn, _trail, benchmark, tuning_study
+from experiments.studies.tuning_study.study import (
+    DECADES,
+    _cost_to_reach,
+    _evaluation_history,
+    _random_shift,
+    benchmark,
+    tuning_study,
+)
 from tuning.gains.plan import OFF_GRID, TuningPlan, held_out, machines, reversal, tuned_on
 from tuning.gains.sequential import KEPT
 from tuning.gains.tune import default_space
@@ -63,7 +70,7 @@ def test_a_reversal_turns_once_and_cruises_at_its_speed():
 def test_random_starts_of_the_study_span_two_decades_and_stay_inside():
     space = default_space(benchmark().controller)
     rng = np.random.default_rng(3)
-    drawn = np.array([np.asarray(space.values(_drawn(space, rng))) for _ in range(200)])
+    drawn = np.array([np.asarray(space.values(_random_shift(space, rng))) for _ in range(200)])
     given = np.asarray(space.values(np.zeros(len(space.free))))
     decades = np.log10(drawn / given)
     assert np.all(np.abs(decades) <= DECADES / 2 + 1e-9)
@@ -79,12 +86,12 @@ def test_the_trail_of_a_tuning_counts_every_start_and_every_derivative():
     # evaluations, linearisations, s, objective, missed: of two searches, after a look at both starts in 0.5 s
     first = found((1, 1, 1.0, 5.0, 0.0), (2, 2, 2.0, 3.0, 0.2))
     second = found((1, 1, 0.7, 2.0, 0.0))
-    trail = _trail(SimpleNamespace(starts=np.zeros(2), screening=0.5, searches=[first, second]))
+    trail = _evaluation_history(SimpleNamespace(starts=np.zeros(2), screening=0.5, searches=[first, second]))
     assert trail == [(5, 2, 1.5, 5.0), (7, 3, 2.5, np.inf), (10, 5, 3.2, 2.0)]
     # to within 20 %, 5 % and 1 % of 2: the third alone
-    assert _arrivals(trail, 2.0) == [10, 3.2] * 3
-    assert _arrivals(trail, 4.5) == [5, 1.5, 10, 3.2, 10, 3.2]
-    assert _arrivals(trail, 1.0) == [None] * 6
+    assert _cost_to_reach(trail, 2.0) == [10, 3.2] * 3
+    assert _cost_to_reach(trail, 4.5) == [5, 1.5, 10, 3.2, 10, 3.2]
+    assert _cost_to_reach(trail, 1.0) == [None] * 6
 
 
 @pytest.mark.slow

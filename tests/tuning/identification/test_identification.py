@@ -17,7 +17,15 @@ from diffdrive.model.parameters import Actuator, Directional, Sampling, check_dr
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.load import ramp
 from diffdrive.motion.motion import Limits
-from experiments.studies.recovery.excitation import FAST, MEDIUM, SLOW, identification_motion, joined, resting, strokes
+from experiments.studies.recovery.excitation import (
+    FAST,
+    MEDIUM,
+    SLOW,
+    concatenate,
+    identification_motion,
+    resting,
+    strokes,
+)
 from experiments.studies.recovery.random_drive import random_drive
 from experiments.studies.recovery.study import BARS, true_values
 from experiments.studies.recovery.truth import truth_log
@@ -178,7 +186,7 @@ def test_the_drive_found_is_one_that_a_file_can_say(rich):
 @pytest.fixture(scope="module")
 def one_way():
     away = motion.constant_speed(speed=0.02, ramp=0.1, duration=1.5, rate=RATE)
-    log = truth_log(MACHINE, GAINS, joined([resting(0.1, RATE), away], "one way"), 0.0, seed=1)
+    log = truth_log(MACHINE, GAINS, concatenate([resting(0.1, RATE), away], "one way"), 0.0, seed=1)
     return identify([log], BELIEVED, starts=2, fixed=("constant_force",))
 
 
@@ -255,7 +263,7 @@ def test_a_motion_beyond_the_axis_is_not_proposed(one_way):
 @cache
 def short_log():
     rows = (*SLOW[3:5], MEDIUM[2], FAST[0])
-    reference = joined([resting(0.05, RATE), *strokes(rows, RATE), resting(0.05, RATE)], "short")
+    reference = concatenate([resting(0.05, RATE), *strokes(rows, RATE), resting(0.05, RATE)], "short")
     return truth_log(MACHINE, GAINS, reference, 0.0, seed=2)
 
 

@@ -20,7 +20,7 @@ from diffdrive.model import actuator, plant
 from diffdrive.model.parameters import Actuator, Directional, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.motion import load
-from experiments.studies.recovery.excitation import joined, resting, strokes
+from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.asymmetric_drive import LOPSIDED
 from tuning.identification.filter_gain import PROCESSES, likeliest, track
 from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
@@ -40,7 +40,7 @@ CONTROLLER = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
 def reversal(rate=RATE):
     """Rest, presliding there and back, then 3 mm/s there and back, and rest: 0.24 s."""
     rows = ((4e-6, 2e-4, 0.02, 4.0), (1e-4, 3e-3, 0.3, 60.0))
-    return joined([resting(0.02, rate), *strokes(rows, rate), resting(0.03, rate)], "reversal")
+    return concatenate([resting(0.02, rate), *strokes(rows, rate), resting(0.03, rate)], "reversal")
 
 
 def growing(reference):
