@@ -34,11 +34,16 @@ def empty_folder(tmp_path, monkeypatch):
     return folder
 
 
-def run_commands(text):
-    """Run what a shell is given; it must end well and warn of nothing."""
-    done = subprocess.run(["bash", "-euo", "pipefail", "-c", text], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert "warning" not in done.stderr.lower(), done.stderr[-2000:]
+RUN = """
+import re, subprocess, sys
+from pathlib import Path
+names = {}
+for language, text in re.findall(sys.argv[1], Path(sys.argv[2]).read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+    if language == "python":
+        exec(compile(text, sys.argv[2], "exec"), names)
+    else:
+        subprocess.run(["bash", "-euo", "pipefail", "-c", text], check=True)
+"""
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the pages' commands are those of a POSIX shell")
@@ -47,9 +52,7 @@ def run_commands(text):
     [pytest.param(page, marks=[] if page.name in QUICK else pytest.mark.slow, id=page.name) for page in PAGES],
 )
 def test_the_blocks_of_a_page_run_one_after_the_other(page, empty_folder):
-    names = {}
-    for language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
-        if language == "python":
-            exec(compile(text, page.name, "exec"), names)
-        else:
-            run_commands(text)
+    call = [sys.executable, "-W", "error", "-c", RUN, BLOCK.pattern, str(page)]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "warning" not in done.stderr.lower(), done.stderr[-2000:]

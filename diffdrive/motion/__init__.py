@@ -1,5 +1,6 @@
 """Motions and loads: as functions, as one line of text, and from files."""
 
+from diffdrive.motion import load
 from diffdrive.motion.builders import (
     chirp,
     constant_speed,
@@ -20,6 +21,7 @@ __all__ = [
     "constant_speed",
     "from_array",
     "jerk_limited",
+    "load",
     "multisine",
     "sine",
     "staircase",
