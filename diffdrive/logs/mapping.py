@@ -51,7 +51,7 @@ class ColumnMapping:
                 raise LogError(f"[shifts] {key}: names no log: write 'lap2:{channel}', or '{channel}' for all of them")
             if channel not in READABLE or channel == "time":
                 known = [name for name in READABLE if name != "time"]
-                raise LogError(f"[shifts] {key}: no channel that can be moved; {_suggestion(channel, known)}")
+                raise LogError(f"[shifts] {key}: no channel that can be shifted; {_suggestion(channel, known)}")
             if isinstance(samples, bool) or not isinstance(samples, int):
                 raise LogError(
                     f"[shifts] {key}: must be a whole number of samples, such as -1, got {short_repr(samples)}"

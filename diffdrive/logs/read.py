@@ -122,7 +122,7 @@ def _log_from_table(table: Table, path: Path, name: str, mapping: ColumnMapping,
     if "injected" in signals:
         signals["disturbance"] = signals.get("disturbance", 0.0) + signals["injected"]
         signals["command"] = signals["command"] - signals["injected"]
-        notes.append("the injected force was taken off the command and counted as a disturbance")
+        notes.append("the injected force was subtracted from the command and counted as a disturbance")
     ordered = {name: np.ascontiguousarray(signals[name]) for name in CHANNELS if name in signals}
     return Log(name, **ordered, gaps=gaps, notes=(*table.notes, *notes, *more), shifts=shifts)
 

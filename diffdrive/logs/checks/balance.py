@@ -154,14 +154,14 @@ def _gain(fault: ChannelFault) -> tuple[str, str]:
     ratio = fault.parameters["ratio"]
     if fault.channel == "position":
         return (
-            f"position and reference are {ratio:.3g} times what mass of the drive file asks for, while friction is in "
-            f"order{unit_error_text(ratio)}",
+            f"position and reference are {ratio:.3g} times what the mass of the drive file implies, while friction "
+            f"agrees{unit_error_text(ratio)}",
             f"correct the unit of position and reference: a factor of {_tolerance_range(1 / ratio)}, as far as "
             "the mass is the drive file's within a factor of two",
         )
     return (
-        f"the command is {ratio:.3g} times what mass and friction of the drive file ask for: volts, amperes or per "
-        "cent taken as newtons?",
+        f"the command is {ratio:.3g} times what mass and friction of the drive file imply: volts, amperes or "
+        "per cent taken as newtons?",
         f"give the force constant (about {1 / ratio:.3g} N per unit of the command, {_tolerance_range(1 / ratio)} N "
         "where mass and friction are the drive file's within a factor of two), or correct the drive file",
     )
@@ -221,8 +221,7 @@ def other_machine(dynamics: DynamicsFit | None, axis: Axis, rivals: tuple[str, .
     yield Finding(
         "warning" if dynamics.beyond_tolerance else "note",
         "command",
-        f"the log asks for {', '.join(value for value in values if value)}: {tolerance_text}other than "
-        "the drive file's",
+        f"the log implies {', '.join(value for value in values if value)}: {tolerance_text}other than the drive file's",
         "the log of another machine, a load that no column holds, a machine that has changed, or a drive file that is "
         "not its own; several logs of one machine, or its log of another day, decide",
         "other machine",

@@ -98,7 +98,7 @@ def confirmed_timing(result: ConsistencyResult, axis: Axis) -> Iterator[Finding]
             f"the drive file's controller gives the logged command to {percent(error_now)} % at shift "
             f"0{transient_text}, one sample earlier to {percent(error_early)} %, one later to {percent(error_late)} %: "
             f"no unit delay is in the recording{delay_text}",
-            "nothing to mend: command, reference and position are recorded in time",
+            "no action needed: command, reference and position are recorded in time",
             "shifted",
         )
 

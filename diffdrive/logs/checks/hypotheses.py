@@ -22,8 +22,8 @@ from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit, window_length
 from diffdrive.logs.log import Signal
 
-REACH = 8  # whole samples by which a channel is moved
-REACH_OF_BOTH = 2  # whole samples by which two channels are moved by different amounts
+REACH = 8  # whole samples by which a channel is shifted
+REACH_OF_BOTH = 2  # whole samples by which two channels are shifted by different amounts
 LONGEST_AVERAGE = 48  # samples
 SLOWEST_LAG = 48.0  # samples
 DECIMATION_FACTORS = range(2, 11)  # rows of which one was kept

@@ -46,7 +46,7 @@ def variety(log: Log) -> Iterator[Finding]:
             "position",
             f"the table moves in the {direction} direction only ({100 * max(forwards, 1 - forwards):.0f} % of its "
             "motion)",
-            "a constant force and the friction of the other direction cannot be told from it: log both",
+            "a constant force and the friction of the other direction cannot be separated: log both",
             "motion",
         )
     speeds = np.quantile(np.abs(speed[np.abs(speed) > 0.2 * top_speed]), [0.1, 0.9])
@@ -55,7 +55,7 @@ def variety(log: Log) -> Iterator[Finding]:
             "note",
             "position",
             f"the table moves at one speed ({speeds[0]:.4g} to {speeds[1]:.4g} m/s most of the time)",
-            "Coulomb and viscous friction cannot be told apart at one speed: log several",
+            "Coulomb and viscous friction cannot be separated at one speed: log several",
             "motion",
         )
 

@@ -13,7 +13,7 @@ from diffdrive.logs.log import Log
 
 # A shift is certain if it explains the command five times better, and to EXACT.
 BETTER = 0.2
-UNIT_MEND = '--unit command=-N or [units] command = "-N" (in volts -V)'
+UNIT_REMEDY = '--unit command=-N or [units] command = "-N" (in volts -V)'
 
 
 class FaultText(NamedTuple):
@@ -67,7 +67,7 @@ def _rounded(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Axi
         "fatal" if ratio > 100 else "warning",
         fault.channel,
         f"the {fault.channel} moves in steps of {step:.4g} m, {ratio:.4g} times the drive file's resolution of "
-        f"{step / ratio:g} m; smoothed, it belongs to the command {_misfit_text(result)}",
+        f"{step / ratio:g} m; smoothed, it agrees with the command {_misfit_text(result)}",
         "log all digits, or correct sensor.resolution if the scale is so coarse",
     )
 
@@ -84,8 +84,7 @@ def _filtered(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Ax
         "fatal" if parameters["delay"] >= 1 else "warning",
         fault.channel,
         f"the {fault.channel} was filtered before it was logged: {filter_text}{delay_text} {_misfit_text(result)}",
-        f"log the raw {fault.channel}; until then put the same filter on the other channels, so that they belong "
-        "together again",
+        f"log the raw {fault.channel}; until then put the same filter on the other channels, so that they agree again",
     )
 
 
@@ -128,7 +127,8 @@ def _reversed(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Ax
         "fatal",
         "command",
         f"the command is {ratio:.4g} times what the drive file's controller gives: its sign is reversed{factor_text}",
-        f"reverse the command, in newtons by {UNIT_MEND}, or position and reference (the controller cannot tell which)",
+        f"reverse the command, in newtons by {UNIT_REMEDY}, or position and reference (the controller does not "
+        "show which)",
         invalidates_log=result.best.fit.error < ROUGH,
     )
 
@@ -212,7 +212,7 @@ def _other_controller(fault: ChannelFault, log: Log, result: ConsistencyResult, 
         "warning",
         "command",
         f"the command is that of a controller {controller_text} {_misfit_text(result)}",
-        "state the controller that ran in the drive file; no channel is to be moved or scaled",
+        "state the controller that ran in the drive file; no channel is to be shifted or scaled",
     )
 
 
@@ -266,7 +266,7 @@ def _shifted(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Axi
             "position" if fault.channel == "command" else fault.channel,
             f"the position is {abs(position - reference):.2g} of a sample {direction} (shift "
             f"{reference - position:+.2g}) against the reference {misfits}; which of the two is out of "
-            "time cannot be told",
+            "time is undetermined",
             "resampled, or logged by another interrupt: log the raw samples of one interrupt",
         )
     if reference == 0 or position == 0:
@@ -288,7 +288,7 @@ def _shifted(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Axi
         f"reference and position are shifted against the command by different amounts, {-reference:+.2g} and "
         f"{-position:+.2g} samples {misfits}",
         f"{_shift_remedy(log, 'reference', reference)} and {_shift_remedy(log, 'position', position)}; which "
-        "channel is in time cannot be told",
+        "channel is in time is undetermined",
         "loop_delay",
         -position,
     )
@@ -306,7 +306,7 @@ def _shift_remedy(log: Log, channel: str, shift: float) -> str:
     applied = log.shifts.get(channel, 0)
     key, total = f"{log.name}:{channel}", round(applied + shift)
     assignment = f'"{key}={total:+d}"' if " " in key else f"{key}={total:+d}"
-    more = f" more than the {applied:+d} by which it was moved" if applied else ""
+    more = f" more than the {applied:+d} by which it was shifted" if applied else ""
     return f'{remedy}{more} (--shift {assignment}, or "{key}" = {total} in [shifts])'
 
 

@@ -47,7 +47,7 @@ def align_channel_clocks(
         aligned[channel] = aligned_signal
         median_lead = float(np.nanmedian(lead))
         notes.append(
-            f"{channel}: its own clock, '{clock}', is {_lead_text(median_lead)} '{common}': moved by "
+            f"{channel}: its own clock, '{clock}', is {_lead_text(median_lead)} '{common}': shifted by "
             f"{abs(median_lead) / period:.0f} samples to where its stamps are"
         )
     return aligned, notes

@@ -11,7 +11,7 @@ from diffdrive.support.messages import short_repr
 def shift_channels(
     source: str, signals: dict[str, np.ndarray], gaps: tuple[int, ...], shifts: dict[str, int]
 ) -> tuple[dict[str, np.ndarray], tuple[int, ...], list[str]]:
-    """The signals with some of them moved by whole samples, positive to later times; the gaps, and notes.
+    """The signals with some of them shifted by whole samples, positive to later times; the gaps, and notes.
 
     Each stretch between gaps loses at its ends what no longer has a partner. Raises `LogError` where a channel is not
     in the log, or nothing is left.
@@ -22,7 +22,7 @@ def shift_channels(
     absent = [channel for channel in moved if channel not in signals]
     if absent:
         raise LogError(
-            f"{source}: {absent[0]} is to be moved: the log has no such channel; it has {', '.join(signals)}"
+            f"{source}: {absent[0]} is to be shifted: the log has no such channel; it has {', '.join(signals)}"
         )
     latest, earliest = max(0, *moved.values()), min(0, *moved.values())
     edges = [0, *gaps, len(next(iter(signals.values())))]
@@ -35,5 +35,5 @@ def shift_channels(
     rows = np.concatenate(stretches)
     shifted = {channel: values[rows - moved.get(channel, 0)] for channel, values in signals.items()}
     new_gaps = tuple(int(k) for k in np.cumsum([len(stretch) for stretch in stretches[:-1]]))
-    notes = [f"the {channel} was moved by {samples:+d} samples" for channel, samples in moved.items()]
+    notes = [f"the {channel} was shifted by {samples:+d} samples" for channel, samples in moved.items()]
     return shifted, new_gaps, notes

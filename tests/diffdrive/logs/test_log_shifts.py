@@ -33,7 +33,7 @@ def test_each_channel_has_its_value_of_so_many_samples_sooner_and_the_others_the
     spread = max(0, *shifts.values()) - min(0, *shifts.values())
     assert len(log.time) == N - spread
     for channel, by in shifts.items():
-        assert f"the {channel} was moved by {by:+d} samples" in log.notes
+        assert f"the {channel} was shifted by {by:+d} samples" in log.notes
 
 
 @pytest.mark.parametrize("key", ["late:command", "late.csv:command", "monday/late:command", " late : command"])
@@ -47,7 +47,7 @@ def test_a_shift_of_one_log_goes_before_that_of_all(tmp_path, key):
         path = tmp_path / name
         path.write_text(f"{NAMES}\n{rows()}")
         log = read_log(path, mapping=mapping)
-        assert f"the command was moved by {moved_by:+d} samples" in log.notes
+        assert f"the command was shifted by {moved_by:+d} samples" in log.notes
         assert log.shifts == {"command": moved_by}
 
 
@@ -141,7 +141,7 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
             lambda: ColumnMapping(shifts={"lap2:command": 0.5}),
             r"\[shifts\] lap2:command: must be a whole number of samples",
         ),
-        (lambda: ColumnMapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be moved"),
+        (lambda: ColumnMapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be shifted"),
         (lambda: ColumnMapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
         (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
         (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
@@ -158,7 +158,7 @@ def test_what_is_no_shift_is_refused(build, says):
 
 
 def test_a_shift_of_what_is_not_there_or_of_the_whole_log_is_refused(written):
-    with pytest.raises(LogError, match=r"late.csv: load is to be moved: the log has no such channel"):
+    with pytest.raises(LogError, match=r"late.csv: load is to be shifted: the log has no such channel"):
         read_log(written, mapping=ColumnMapping(shifts={"load": 1}))
     with pytest.raises(LogError, match=r"late.csv: shifts by 1000+ samples leave nothing"):
         read_log(written, mapping=ColumnMapping(shifts={"command": 10**20}))

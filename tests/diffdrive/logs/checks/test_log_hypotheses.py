@@ -174,7 +174,7 @@ def test_a_cascade_with_a_velocity_over_four_samples_is_another_controller():
     [finding] = complaints(examine(logged(other, triangle()), drive))
     assert finding.cause == "other controller"
     assert "its velocity over 4 samples" in finding.message
-    assert "no channel is to be moved" in finding.remedy
+    assert "no channel is to be shifted" in finding.remedy
 
 
 def test_a_command_that_overflows_is_no_outlier():
