@@ -180,7 +180,7 @@ class FrictionDwell(TableEffect):
         speed = _mean_speed(seen.velocity, end_velocity(seen, drive, period))
         fade = relaxation(half * speed, self.slip)  # the age's equation is a bristle's
         share = reciprocal(fade.common_denominator)
-        left, gained = once((fade.end * share, half * fade.mean * share))
+        left, gained = once((fade.remaining * share, half * fade.mean * share))
         midway = left * state + gained
         gap = drive.friction.breakaway_gap.towards(seen.velocity)
         return left * midway + gained, Acts(gap=self.growth * gap * jnp.log1p(midway / self.onset))
