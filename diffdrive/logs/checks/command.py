@@ -7,7 +7,7 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
-from diffdrive.logs.checks import balance, consistency, rivals, words
+from diffdrive.logs.checks import balance, consistency, fault_texts, rivals
 from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, ConsistencyResult
 from diffdrive.logs.checks.explanation import WRONG_UNIT
@@ -122,10 +122,10 @@ def fault_findings(log: Log, result: ConsistencyResult, axis: Axis) -> Iterator[
     is_repairable = not result.rivals and all(fault.steps for fault in best.faults)
     may_be_sound = any(not rival.faults for rival in result.rivals)
     rivals_note = rivals.rivals_text(
-        best, result.rivals, lambda fault: words.describe_fault(fault, log, result, axis).remedy
+        best, result.rivals, lambda fault: fault_texts.describe_fault(fault, log, result, axis).remedy
     )
     for fault in best.faults:
-        text = words.describe_fault(fault, log, result, axis)
+        text = fault_texts.describe_fault(fault, log, result, axis)
         severity = "warning" if may_be_sound and text.severity == "fatal" else text.severity
         repair = Repair(fault.steps) if is_repairable else None
         yield Finding(

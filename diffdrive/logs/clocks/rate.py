@@ -1,7 +1,7 @@
 """The rate of a log beside that of the drive file: equal, off by clock drift, decimated, or wrong."""
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.grid import UniformClock
+from diffdrive.logs.clocks.uniform_clock import UniformClock
 
 # relative, for whoever compares rates: crystals agree far better, wrong settings far worse
 RATE_TOLERANCE = 1e-3

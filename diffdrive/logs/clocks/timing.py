@@ -6,9 +6,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from diffdrive.errors import LogError
-from diffdrive.logs.clocks.grid import EXACT, ROUNDED, UniformClock, fit_clock
 from diffdrive.logs.clocks.interpolate import resample
 from diffdrive.logs.clocks.rate import rate_notes
+from diffdrive.logs.clocks.uniform_clock import EXACT, ROUNDED, UniformClock, fit_clock
 from diffdrive.logs.column_unit import Conversion
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import Signal
