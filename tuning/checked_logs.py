@@ -12,7 +12,7 @@ from diffdrive.errors import LogError
 from diffdrive.logs import Log, read_log
 from diffdrive.logs.checks.examine import Finding, examine, examine_together
 from diffdrive.logs.clocks.rate import RATE_TOLERANCE
-from tuning.identification.problem import SHORTEST
+from tuning.identification.problem import MIN_LANE_SAMPLES
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class CheckedLogs:
         return [(log, one) for log, one in self.findings if one.severity != "note"]
 
 
-def logs_of(axis: Axis, sources: Any) -> tuple[Log, ...]:
+def as_logs(axis: Axis, sources: Any) -> tuple[Log, ...]:
     """One or several logs: as they are, or read with the axis's columns and units. Raises `LogError`."""
     several = sources if isinstance(sources, list | tuple) else [sources]
     if not several:
@@ -61,7 +61,7 @@ def check_logs(
         _require_rate(place, log, axis.rate)
         _require_length(place, log)
     _require_different(where, logs, beside, None if files is None else [file.resolve() for file in files])
-    logs = tuple(_under(log, (loads or {}).get(name)) for name, log in zip(known, logs, strict=True))
+    logs = tuple(_with_load(log, (loads or {}).get(name)) for name, log in zip(known, logs, strict=True))
     found = [(log.name, finding) for log in logs for finding in examine(log, axis)]
     found += [(f"{len(beside) + len(logs)} logs", one) for one in examine_together([*beside, *logs], axis)]
     return CheckedLogs(logs, tuple(found))
@@ -74,7 +74,7 @@ def require_sound(checked: CheckedLogs, mend: str) -> None:
         raise LogError(f"{log}: {one.channel}: {one.message}; {one.remedy} ({mend})")
 
 
-def _under(log: Log, load: float | None) -> Log:
+def _with_load(log: Log, load: float | None) -> Log:
     if load is None:
         return log
     if log.load is not None:
@@ -94,10 +94,11 @@ def _require_rate(path: str, log: Log, rate: float) -> None:
 
 def _require_length(path: str, log: Log) -> None:
     longest = max(piece.stop - piece.start for piece in log.pieces())
-    if longest < SHORTEST:
+    if longest < MIN_LANE_SAMPLES:
         raise LogError(
-            f"{path}: has at most {longest} samples in a row without a gap; at least {SHORTEST} are needed, "
-            f"{SHORTEST / log.rate:.3g} s at {log.rate:g} Hz, and some seconds to learn from: log a longer motion"
+            f"{path}: has at most {longest} samples in a row without a gap; at least {MIN_LANE_SAMPLES} are needed, "
+            f"{MIN_LANE_SAMPLES / log.rate:.3g} s at {log.rate:g} Hz, and some seconds to learn from: log a longer "
+            "motion"
         )
 
 

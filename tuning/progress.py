@@ -12,7 +12,7 @@ def silent(stage: str, done: int, most: int) -> None:
 
 
 @contextlib.contextmanager
-def shown(progress: Progress | None) -> Iterator[Progress]:
+def reporting(progress: Progress | None) -> Iterator[Progress]:
     """The callback to report to: `progress` where there is one, else bars where there is a terminal or a notebook."""
     if progress is not None:
         yield progress

@@ -16,7 +16,7 @@ from experiments.benchmarks import clock, in_c, loops
 from experiments.benchmarks.common import RATE, nominal, ns_per_step
 from experiments.benchmarks.parameters import lane_parameters
 from experiments.reports.report import Report
-from tuning.sweeps.engine import LaneCourse, Precision, costs_of
+from tuning.sweeps.engine import LaneCycle, Precision, lane_costs
 
 TOLERANCE = 1e-10  # m, between the costs of the hand-written step and ours
 LANES = (1, 16, 64, 128, 256, 1024, 4096, 16384)
@@ -150,8 +150,8 @@ def swept_lanes(report: Report) -> dict[str, float]:
         machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
         top = float(inputs.load[-1]) * np.linspace(0.5, 1.5, count)
         ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
-        course = LaneCourse(inputs.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
-        return lambda: costs_of(machines, ramp, None, controller, course, sampling, precision)
+        course = LaneCycle(inputs.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
+        return lambda: lane_costs(machines, ramp, None, controller, course, sampling, precision)
 
     with (
         report.working(f"{SWEEP_LANES} lanes on all cores"),

@@ -115,18 +115,18 @@ def tune(
     from experiments.reports.tuning import tune_drive
     from tuning.gains.objective import AGGREGATIONS, Objective
     from tuning.gains.plan import TuningPlan
-    from tuning.gains.requirements import MOST_GAIN_MARGIN, Required
+    from tuning.gains.requirements import MAX_GAIN_MARGIN, LoopLimits
 
     description = read_axis(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
     highest = nonnegative_number(max_load, "N", "--max-load")
-    if gain_margin > MOST_GAIN_MARGIN:
+    if gain_margin > MAX_GAIN_MARGIN:
         raise ParameterError(
-            f"--gain-margin {gain_margin:g}: must be at most {MOST_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
+            f"--gain-margin {gain_margin:g}: must be at most {MAX_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
             "is lost in rounding; 6 to 12 dB are usual"
         )
     factor = 10.0 ** (gain_margin / 20.0)
-    limits = Required(
+    limits = LoopLimits(
         gain_up=factor,
         gain_down=factor,
         phase=math.radians(phase_margin),

@@ -74,11 +74,11 @@ def sweep(
     from diffdrive.runtime import allow_accelerator
     from experiments.reports.sweep.sweep import sweep_drive
     from tuning.sweeps.spec import SweepSpec
-    from tuning.sweeps.varying import tolerance_of, varying
+    from tuning.sweeps.varying import tolerance_of, varied_texts
 
     if workers is None or cluster is not None:  # workers of this machine are processes on its cores
         allow_accelerator()
-    texts, correlation = varying(machine or drive, vary or (), spread, identified)
+    texts, correlation = varied_texts(machine or drive, vary or (), spread, identified)
     asked = SweepSpec.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
         seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,

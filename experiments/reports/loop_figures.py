@@ -15,7 +15,7 @@ from diffdrive.loop.linearise import OperatingPoint, Response, open_loop, respon
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from experiments.reports.report import new_figure, plain_logarithmic
-from tuning.gains.requirements import Required
+from tuning.gains.requirements import LoopLimits
 
 Panels = Mapping[str, Mapping[str, Response]]
 LOWEST = 0.5  # Hz
@@ -46,7 +46,7 @@ def _label(at: OperatingPoint) -> str:
     return f"{motion}, {1e-3 * at.load:g} kN"
 
 
-def nyquist(panels: Panels, limits: Required = Required(sensitivity=2.0)) -> Any:
+def nyquist(panels: Panels, limits: LoopLimits = LoopLimits(sensitivity=2.0)) -> Any:
     """L in the complex plane near -1, the margins that `limits` asks for marked."""
     figure, axes = new_figure(1, len(panels), width=5.0 * len(panels), height=4.8, share_x=False)
     for axis, (title, labelled) in zip(np.atleast_1d(axes), panels.items(), strict=True):
@@ -58,7 +58,7 @@ def nyquist(panels: Panels, limits: Required = Required(sensitivity=2.0)) -> Any
     return figure
 
 
-def _required(axis: Any, limits: Required) -> None:
+def _required(axis: Any, limits: LoopLimits) -> None:
     """The unit circle, the ends of the gain margins, the rays of the phase margin, the circle of Ms."""
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     axis.plot(np.cos(turn), np.sin(turn), **LIMIT)
@@ -75,7 +75,7 @@ def _required(axis: Any, limits: Required) -> None:
         axis.fill(circle.real, circle.imag, **REGION)
 
 
-def bode(panels: Panels, limits: Required = Required()) -> Any:
+def bode(panels: Panels, limits: LoopLimits = LoopLimits()) -> Any:
     """|L| and its phase over frequency, with the bands within which the other one must not cross."""
     figure, axes = new_figure(2, len(panels), width=5.0 * len(panels), height=2.6)
     axes = np.reshape(axes, (2, len(panels)))

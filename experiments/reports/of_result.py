@@ -24,7 +24,7 @@ from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.workflow import TuningResult, margins_at
 from tuning.identification.workflow import IdentificationResult
 from tuning.sweeps.summary import groups
-from tuning.sweeps.workflow import SweepResult, dataset_of, influences_of
+from tuning.sweeps.workflow import SweepResult, as_dataset, group_influences
 
 
 def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
@@ -104,8 +104,8 @@ def _(result: TuningResult, one: Report) -> None:
 @section.register
 def _(result: SweepResult, one: Report) -> None:
     plan = result.plan
-    found = groups(dataset_of(result.frame), list(plan.controllers), list(plan.motions))
-    told = [(each, influences_of(plan, each, result.by)) for each in found]
+    found = groups(as_dataset(result.frame), list(plan.controllers), list(plan.motions))
+    told = [(each, group_influences(plan, each, result.by)) for each in found]
     tell_sweep(one, plan, told, result.tolerance, result.by)
     for motion in plan.motions:
         draw_sweep(one, plan, [each for each in told if each[0].motion == motion], result.tolerance, result.by)

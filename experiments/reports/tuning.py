@@ -14,21 +14,21 @@ from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
 from tuning.gains.objective import Objective
-from tuning.gains.plan import TuningPlan, judge
-from tuning.gains.requirements import Constraints, Required
+from tuning.gains.plan import TuningPlan, run_scenario
+from tuning.gains.requirements import Constraints, LoopLimits
 from tuning.gains.scenarios import Ensemble, Scenario
-from tuning.gains.tune import STARTS, Tuned, default_space, require_starts, tune
+from tuning.gains.tune import STARTS, GainSearch, default_space, require_starts, tune
 from tuning.gains.workflow import (
-    MarginsOf,
-    Prepared,
-    Verified,
+    ControllerMargins,
+    ScenarioComparison,
+    TuningSetup,
     is_accepted,
     margins_at,
-    prepare,
+    noise_warning,
+    remarks,
+    set_up,
     tuned_axis,
     verify,
-    warned_of,
-    words,
 )
 
 UNITS = {
@@ -45,13 +45,13 @@ def tune_drive(
     report: Report,
     *,
     plan: TuningPlan = TuningPlan(),
-    limits: Required = Required(command_noise=None),
+    limits: LoopLimits = LoopLimits(command_noise=None),
     objective: Objective = Objective(),
     friction: bool = False,
     starts: int = STARTS,
     max_steps: int = 40,
     pareto: Sequence[float] = (),
-) -> tuple[Tuned, bool]:
+) -> tuple[GainSearch, bool]:
     """Tune the file's controller as planned; figures, tables, tuned.toml and handover.toml go to `report`.
 
     Without a limit on the command noise, tuned gains may make `NOISIER` times that of the gains as given. Returns what
@@ -59,7 +59,7 @@ def tune_drive(
     written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
     """
     require_starts(starts)
-    prepared = prepare(description, plan, limits, friction=friction)
+    prepared = set_up(description, plan, limits, friction=friction)
     lanes, requirements, space = prepared.lanes, prepared.constraints, prepared.space
     for note in prepared.notes:
         report.say(note)
@@ -85,7 +85,7 @@ def tune_drive(
     report.figure("tuning", figure_of(tuned, runs, plan))
     if pareto:
         _pareto(report, description, lanes, requirements, objective, pareto, prepared.off, plan)
-    if noisy := warned_of(prepared, runs):
+    if noisy := noise_warning(prepared, runs):
         report.say(noisy)
     accepted = is_accepted(tuned, runs)
     report.values("verdict", accepted=accepted)
@@ -100,7 +100,7 @@ def tune_drive(
     return tuned, accepted
 
 
-def gains_table(report: Report, tuned: Tuned) -> None:
+def gains_table(report: Report, tuned: GainSearch) -> None:
     """The search, and each gain before and after."""
     standing = tuned.found.standing
     report.values(
@@ -115,13 +115,13 @@ def gains_table(report: Report, tuned: Tuned) -> None:
     ]
     columns = ("gain", "before", "after", "ratio", "factor for 5 %")
     report.table("gains", columns, rows, "Gains, SI units; the last column costs 5 % of the objective, alone")
-    for said in words(tuned):
+    for said in remarks(tuned):
         report.say(said)
     if len(tuned.starts) > 1:
         report.values("starts", objective=[float(one) for one in tuned.starts])
 
 
-def margins_table(report: Report, both: Sequence[MarginsOf]) -> None:
+def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
     rows: list[list[Any]] = []
     for name, found in zip(("given", "tuned"), both, strict=True):
@@ -133,7 +133,7 @@ def margins_table(report: Report, both: Sequence[MarginsOf]) -> None:
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
 
 
-def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: Required) -> None:
+def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: LoopLimits) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
     at = [OperatingPoint(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in (plan.min_load, plan.max_load)]
     with report.working("drawing the loops"):
@@ -148,7 +148,7 @@ def loop_figures(report: Report, description: Axis, tuned: Controller, plan: Tun
 WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")
 
 
-def verification_table(report: Report, runs: Sequence[Verified]) -> None:
+def verification_table(report: Report, runs: Sequence[ScenarioComparison]) -> None:
     """Every scenario before and after on the exact simulator, and the means of both roles."""
     rows: list[list[Any]] = []
     for one in runs:
@@ -182,7 +182,7 @@ def _pareto(
             limits = requirements.limits._replace(command_noise=noise)
             limited = Constraints(limits, requirements.points, lanes.sampling)
             found = tune(description.controller, lanes, limited, space, objective=objective)
-            judged = [judge(found.controller, one, description.sampling, plan.settle) for one in off]
+            judged = [run_scenario(found.controller, one, description.sampling, plan.settle) for one in off]
             rows.append(
                 [
                     float(noise), float(found.point.objective), found.feasible,
@@ -201,7 +201,7 @@ def _pareto(
     report.figure("pareto", figure)
 
 
-def _conditions(plan: TuningPlan, prepared: Prepared, description: Axis) -> dict[str, Any]:
+def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> dict[str, Any]:
     """What the gains rest on."""
     asked = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
@@ -219,7 +219,7 @@ def _conditions(plan: TuningPlan, prepared: Prepared, description: Axis) -> dict
     }
 
 
-def figure_of(tuned: Tuned, runs: list[Verified], plan: TuningPlan) -> Any:
+def figure_of(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> Any:
     """The search, and one held-out scenario before and after."""
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.found.standing.history

@@ -28,7 +28,7 @@ from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.registration import registered
 from tuning.identification.inverse_dynamics import DYNAMICS
-from tuning.store.folder import KeptParts
+from tuning.store.folder import FolderStore
 
 PARTS = "real-axes.parts"  # finished searches, from which the same command continues
 PUBLISHED_TOLERANCE = 0.02  # tolerance of a published model's parameters
@@ -121,12 +121,12 @@ def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = 
             report.say(f"{name}: left out, its data are not there")
         else:
             study(report, folder)
-    if parts := KeptParts.within(report.out, PARTS):
+    if parts := FolderStore.within(report.out, PARTS):
         parts.remove()
 
 
 def _diagnose(report: Report, drive: Drive, controller: Controller, log: Log, most: int, tolerance: float) -> Diagnosis:
-    parts = KeptParts.within(report.out, PARTS)
+    parts = FolderStore.within(report.out, PARTS)
     with report.stages() as progress:
         return diagnose(
             drive, controller, [log], tolerance=tolerance, most_effects=most, store=parts, progress=progress
@@ -135,7 +135,7 @@ def _diagnose(report: Report, drive: Drive, controller: Controller, log: Log, mo
 
 def _emps(report: Report, folder: Path, wanted_terms: Sequence[str]) -> None:
     records = emps.read_all(folder)
-    drive = identify_axis(report, records, store=KeptParts.within(report.out, PARTS)).drive
+    drive = identify_axis(report, records, store=FolderStore.within(report.out, PARTS)).drive
     controller = emps.controller(records["estimation"])
     cases = {term: case for term, case in withheld_terms(drive).items() if term in wanted_terms or not wanted_terms}
     if cases:

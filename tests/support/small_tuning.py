@@ -11,15 +11,15 @@ from diffdrive.model.parameters import Actuator, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
 from experiments.studies.paper import scenario as paper
-from tuning.gains.constrained import ConstrainedGains, problem_of
+from tuning.gains.constrained import ConstrainedGains, tuning_problem
 from tuning.gains.objective import Objective
-from tuning.gains.requirements import Constraints, Required, points
+from tuning.gains.requirements import Constraints, LoopLimits, operating_points
 from tuning.gains.scenarios import Scenario, ensemble
 from tuning.gains.tune import default_space
 
 SAMPLING = Sampling(substeps=2)
 MOTION = triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.15, rate=10_000.0, first_reversal=0.08)
-LIMITS = Required(command_noise=15.0)
+LIMITS = LoopLimits(command_noise=15.0)
 
 
 def drive():
@@ -47,13 +47,13 @@ def lanes():
 
 
 def requirements(limits=LIMITS):
-    return Constraints(limits, points([drive()], (0.0, 0.01), (0.0, 8_000.0)), SAMPLING)
+    return Constraints(limits, operating_points([drive()], (0.0, 0.01), (0.0, 8_000.0)), SAMPLING)
 
 
 def question(limits=LIMITS, objective=Objective(), name="PD+FC+LS"):
     """Gains, problem and space."""
     space = default_space(controller(name))
-    problem = problem_of(as_arrays(smooth(controller(name))), space, lanes(), requirements(limits))
+    problem = tuning_problem(as_arrays(smooth(controller(name))), space, lanes(), requirements(limits))
     return ConstrainedGains(space.free, objective), problem, space
 
 

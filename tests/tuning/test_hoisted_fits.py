@@ -16,11 +16,11 @@ from tests.tuning.identification.test_replay import SAMPLING as LOGGED
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.screening import screen
 from tuning.diagnosis.search import fit_from, recalibrated
-from tuning.gains.constrained import linearised, worth
-from tuning.identification.filter_gain import likeliest
-from tuning.identification.replay import closed_loop
+from tuning.gains.constrained import evaluate, linearise_at
+from tuning.identification.filter_gain import most_likely
+from tuning.identification.replay import replay_closed_loop
 from tuning.optimisation.evolution import Budget
-from tuning.optimisation.least_squares import levenberg_marquardt, many_starts
+from tuning.optimisation.least_squares import levenberg_marquardt, multistart
 
 pytestmark = pytest.mark.skipif(
     jax.default_backend() != "cpu", reason="only XLA's CPU compiler hoists loops into one kernel"
@@ -56,18 +56,18 @@ def assert_native(found, *wanted):
 def test_the_tuner(compiled):
     gains, problem, _ = question()
     y = np.zeros(len(gains.free))
-    worth(gains, y, problem)
-    linearised(gains, y, problem)
+    evaluate(gains, y, problem)
+    linearise_at(gains, y, problem)
     penalised.levenberg_marquardt(gains, problem, Budget(1, 60.0))
     assert_native(compiled, "worth", "linearised", "_step")
 
 
 def test_the_identification(compiled):
     residuals, problem = problem_at(1.3)
-    likeliest(DELAYED, 1.3, NOISE, noisy_lane(), SAMPLING)
+    most_likely(DELAYED, 1.3, NOISE, noisy_lane(), SAMPLING)
     levenberg_marquardt(residuals, np.zeros(len(residuals.free)), problem, max_steps=1, tolerance=1e-3)
-    many_starts(residuals, np.zeros((3, len(residuals.free))), problem, steps=1)
-    closed_loop(axis(), CONTROLLERS["pd"], logged(axis(), CONTROLLERS["pd"]), LOGGED)
+    multistart(residuals, np.zeros((3, len(residuals.free))), problem, steps=1)
+    replay_closed_loop(axis(), CONTROLLERS["pd"], logged(axis(), CONTROLLERS["pd"]), LOGGED)
     assert_native(compiled, "_deviances", "_filtered", "_step", "_step_lanes", "replay")
 
 

@@ -40,7 +40,7 @@ from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.identification.prediction import Lanes
-from tuning.identification.problem import SHORTEST, lanes_of, noise_floor, sampling_of
+from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, noise_floor, sampling_of
 from tuning.identification.replay import long_pieces
 from tuning.store.store import Store
 
@@ -101,7 +101,7 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     for log in logs:
         if not long_pieces(log):
             mend = "leave this log out" if len(logs) > 1 else "log a longer motion"
-            raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap: {mend}")
+            raise LogError(f"{log.name}: no stretch of {MIN_LANE_SAMPLES} samples without a gap: {mend}")
         if abs(log.rate / logs[0].rate - 1.0) > SAME_RATE:
             raise LogError(
                 f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: diagnose logs of "

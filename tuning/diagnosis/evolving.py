@@ -24,7 +24,7 @@ from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Process, deviance_of, follow
 from tuning.diagnosis.lines import missing_force
 from tuning.diagnosis.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
-from tuning.identification.prediction import Lanes, begin_velocity
+from tuning.identification.prediction import Lanes, initial_velocity
 from tuning.optimisation.evolution import Budget, evolve
 from tuning.store.store import Store, digest
 
@@ -76,7 +76,7 @@ def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stret
 
     lanes = jax.tree.map(piece, logged.lanes._replace(velocity=None))
     settled = jnp.asarray((np.arange(length) >= lead).astype(float))
-    lanes = lanes._replace(counts=lanes.counts * settled, velocity=begin_velocity(lanes.position, rate))
+    lanes = lanes._replace(counts=lanes.counts * settled, velocity=initial_velocity(lanes.position, rate))
     return Stretches(lanes, jax.tree.map(piece, under), tuple(logged.owner[lane] for lane, _ in begins))
 
 

@@ -29,7 +29,7 @@ from diffdrive.observers.kalman import diagonal, kalman_gain, predict_covariance
 from tuning.diagnosis import hidden
 from tuning.diagnosis.exposure import Course, Exposure
 from tuning.diagnosis.segments import segments
-from tuning.identification.prediction import Lanes, begin_velocity, moving
+from tuning.identification.prediction import Lanes, initial_state, initial_velocity
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 LASTING = 0.02  # s, that a missing force lasts
@@ -189,7 +189,7 @@ def follow(
     time = jnp.asarray(pieces.samples * sampling.period)
 
     def segment(lane: Lanes, acts: Exposure, time: Any, effects: Any, coupled: tuple[Effect, ...]) -> Any:
-        table = moving(drive, lane)
+        table = initial_state(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
         usual = jnp.sqrt(jnp.mean((acts.force - acts.beside) ** 2))
         spread = (*beside, *hidden.unknown(coupled, drive, usual))
@@ -210,7 +210,7 @@ def follow(
 
     def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], states: Any) -> Any:
         cut = jax.tree.map(pieces.cut, lane._replace(velocity=None))
-        velocity = begin_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
+        velocity = initial_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
         beside = (cut._replace(velocity=velocity), jax.tree.map(pieces.cut, acts), time, states)
         found = jax.vmap(segment, (0, 0, 0, 0, None))(*beside, coupled)
         return jax.tree.map(pieces.joined, found)

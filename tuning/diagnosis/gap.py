@@ -27,7 +27,7 @@ from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers, pe
 from tuning.diagnosis.leftover import BLIND
 from tuning.diagnosis.model import Model, Vector, counted_in
 from tuning.diagnosis.trust import share_lost
-from tuning.identification.replay import Given, begun, given
+from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
 TRUSTING = 0.1  # of the likeliest process force
 MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides
@@ -144,10 +144,10 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
 
 
 @eqx.filter_jit
-def _simulated(drive: Drive, controller: Controller, at: Given, sampling: Sampling, keys: Any) -> Any:
-    def one(each: Given) -> Any:
+def _simulated(drive: Drive, controller: Controller, at: ReplayInputs, sampling: Sampling, keys: Any) -> Any:
+    def one(each: ReplayInputs) -> Any:
         inputs = Inputs(each.reference, each.lanes.load, each.lanes.disturbance)
-        begin = begun(drive, controller, each, sampling.period)
+        begin = initial_loop_state(drive, controller, each, sampling.period)
 
         def noisy(key: Any) -> Any:
             frame = rollout(drive, controller, inputs, sampling, key=key, begin=begin)
@@ -177,7 +177,7 @@ def loop_gap(
         quantised = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution) / np.sqrt(12)
         white = float(np.sqrt(max(noise**2 - quantised**2, (DITHER * quantised) ** 2)))
         noisy = dataclasses.replace(drive, sensor=dataclasses.replace(drive.sensor, noise=white))
-        pieces = given([log])
+        pieces = replay_inputs([log])
         position, command = _simulated(*as_arrays((noisy, controller)), pieces, sampling, keys)
         counted = np.asarray(pieces.lanes.counts)
         asked = np.zeros_like(counted)

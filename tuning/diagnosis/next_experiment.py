@@ -28,7 +28,7 @@ from tuning.diagnosis.gap import MOVING, drive_of
 from tuning.diagnosis.model import Logged, Member, Model, thinned
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT, Region
-from tuning.experiment_design.next_motion import ACCELERATION, candidates, room
+from tuning.experiment_design.next_motion import ACCELERATION, available_limits, candidates
 from tuning.identification.prediction import Lanes
 
 STEPS, MORE = 3, 12  # of the rival's fit: to choose a motion, and before it is believed
@@ -77,7 +77,7 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     between = [first.effect, rival]
     if isinstance(description.controller, UnknownController):
         return Experiment("", between, 0.0, "no motion can be tried: the drive file names no controller to simulate")
-    limits, about = room(found.logged.lanes, description.limits)
+    limits, about = available_limits(found.logged.lanes, description.limits)
     tried = candidates(description.drive, limits, description.sampling.rate, about)
 
     def tells_of(name: str, steps: int) -> float:

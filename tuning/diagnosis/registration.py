@@ -23,7 +23,7 @@ from tuning.diagnosis.priors import Parameter
 from tuning.diagnosis.screening import begin
 from tuning.diagnosis.search import standing
 from tuning.diagnosis.setting import setting
-from tuning.identification.problem import SHORTEST
+from tuning.identification.problem import MIN_LANE_SAMPLES
 
 LASTING = 5.0  # s
 AWAY = 10.0  # standard deviations of its prior: a time out there, such as that of a load that is never taken off, stays
@@ -38,7 +38,7 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
     time = np.asarray(logged.starts)[:, None] + logged.sampling.period * np.arange(logged.lanes.position.shape[1])
     logged = logged._replace(lanes=logged.lanes._replace(counts=logged.lanes.counts * (time < seconds)))
     if not np.any(logged.lanes.counts):
-        raise LogError(f"{log.name}: no stretch of {SHORTEST} samples without a gap in its first {seconds:g} s")
+        raise LogError(f"{log.name}: no stretch of {MIN_LANE_SAMPLES} samples without a gap in its first {seconds:g} s")
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     known = {one.name: one for one in candidates(at)}
     model, u = Model(logged), np.zeros(len(NAMES))

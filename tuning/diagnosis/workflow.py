@@ -16,7 +16,7 @@ from diffdrive.logs import Log
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.model.parameters import Drive
 from diffdrive.results import Result, Status
-from tuning.checked_logs import CheckedLogs, check_logs, logs_of
+from tuning.checked_logs import CheckedLogs, as_logs, check_logs
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.cause_words import headlines
@@ -28,12 +28,12 @@ from tuning.diagnosis.held_out import Closed
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.identification.scale_noise import unstated_noise
-from tuning.progress import Progress, shown
+from tuning.progress import Progress, reporting
 from tuning.store.store import Store
 
-SAME = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
+AMOUNT_TOLERANCE = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
 WIDTH, LINES = 100, 25  # of a summary
-NOT_YET = Experiment("", [], 0.0, "not looked for: the diagnosis was stopped before")
+NOT_SEARCHED = Experiment("", [], 0.0, "not looked for: the diagnosis was stopped before")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
 
 
@@ -135,15 +135,15 @@ def diagnose(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"without: no effect {name!r}; known: {', '.join(EFFECTS)}")
-    checked = check_logs(axis, logs_of(axis, logs), loads=loads)
-    with shown(progress) as tell:
+    checked = check_logs(axis, as_logs(axis, logs), loads=loads)
+    with reporting(progress) as tell:
         found = diagnose_checked(
             axis, checked, without=without, most_effects=most_effects, tolerance=tolerance, store=store, progress=tell
         )
         tell("looking for the motion that would decide", 0, 1)
         offer = next_motion_of(axis, checked, found)
         tell("looking for the motion that would decide", 1, 1)
-    return result_of(axis, checked, found, offer)
+    return diagnosis_result(axis, checked, found, offer)
 
 
 def diagnose_checked(axis: Axis, checked: CheckedLogs, *, most_effects: int = MOST_EFFECTS, **more: Any) -> Diagnosis:
@@ -153,7 +153,7 @@ def diagnose_checked(axis: Axis, checked: CheckedLogs, *, most_effects: int = MO
     return downgrade(found, checked.fatal)
 
 
-def result_of(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: Experiment) -> DiagnosisResult:
+def diagnosis_result(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: Experiment) -> DiagnosisResult:
     """The result, for its readers."""
     searched = not is_void(checked)
     findings = [
@@ -199,7 +199,7 @@ def next_motion_of(axis: Axis, checked: CheckedLogs, found: Diagnosis) -> Experi
     """The motion that would decide; before any, what is to be mended where a log is wrong."""
     if not checked.fatal:
         return next_experiment(found, axis)
-    log, first = _foremost(found, checked.fatal)
+    log, first = _most_urgent(found, checked.fatal)
     return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.remedy}")
 
 
@@ -212,31 +212,31 @@ def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     """No sure verdict from logs with a fatal finding; where that explains what was found, it is told beside it."""
     if not fatal:
         return found
-    log, first = _foremost(found, fatal)
+    log, first = _most_urgent(found, fatal)
     told = f"the log checks say of {log}: {first.message}"
     if first.invalidates_log:
         says = f"no cause was looked for: {told}. Mend that first: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
-    if _strange(found, [(log, first)]):
+    if _unexplained(found, [(log, first)]):
         told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(told))
     told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"
     return dataclasses.replace(found, verdict=found.verdict.and_says(told))
 
 
-def _strange(found: Diagnosis, fatal: Fatal) -> Fatal:
+def _unexplained(found: Diagnosis, fatal: Fatal) -> Fatal:
     """The fatal findings that nothing that was found resembles, in kind and in size."""
-    sizes = {one.effect: _amount_of(one, found.logged.thinning) for one in found.verdict.beliefs if one.found}
-    return [(log, one) for log, one in fatal if not _alike(one, sizes.get(one.resembles or ""))]
+    sizes = {one.effect: _fitted_amount(one, found.logged.thinning) for one in found.verdict.beliefs if one.found}
+    return [(log, one) for log, one in fatal if not _resembles(one, sizes.get(one.resembles or ""))]
 
 
-def _foremost(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
+def _most_urgent(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
     """The one to be mended first: what voids the log, then what is nothing that was found."""
     voiding = [(log, one) for log, one in fatal if one.invalidates_log]
-    return (voiding or _strange(found, fatal) or fatal)[0]
+    return (voiding or _unexplained(found, fatal) or fatal)[0]
 
 
-def _amount_of(belief: Belief, thinning: int) -> float | None:
+def _fitted_amount(belief: Belief, thinning: int) -> float | None:
     """The gain, or the delay in control periods; None of other effects."""
     values = belief.fitted.model.values(belief.fitted.u)[-1]
     if belief.effect == LoopDelay.name:
@@ -244,7 +244,7 @@ def _amount_of(belief: Belief, thinning: int) -> float | None:
     return float(values["gain"][0]) if belief.effect == ForceGain.name else None
 
 
-def _alike(finding: Finding, size: float | None) -> bool:
+def _resembles(finding: Finding, size: float | None) -> bool:
     if size is None or finding.amount is None:
         return False
-    return abs(size - finding.amount) < SAME * abs(finding.amount)
+    return abs(size - finding.amount) < AMOUNT_TOLERANCE * abs(finding.amount)

@@ -23,15 +23,15 @@ from diffdrive.loop.simulate import Frame, Inputs, loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from diffdrive.motion.motion import Limits, Motion, require_within
-from tuning.identification.estimates import Reported, reported
-from tuning.identification.filter_gain import track
-from tuning.identification.identify import UNDETERMINED, Identified
+from tuning.identification.estimates import ReportedParameter, reported_parameters
+from tuning.identification.filter_gain import filter_lanes
+from tuning.identification.identify import UNDETERMINED, Identification
 from tuning.identification.prediction import Lanes
-from tuning.identification.refinement import Fit, linearised
+from tuning.identification.refinement import RefinedFit, linearised
 from tuning.identification.uncertainty import LEVEL
 
 DURATION = 3.0  # s, of each candidate
-CLEAR = 1e-3  # m, from the ends of the axis
+CLEARANCE = 1e-3  # m, from the ends of the axis
 SPEED, ACCELERATION = 0.1, 2.0  # m/s and m/s^2, where the axis allows as much
 
 
@@ -59,14 +59,14 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
 
     def begun(travel: float) -> float:
         """Where to begin so that the motion lies about that position, away from the ends of the axis; whole um."""
-        low, high = limits.stroke[0] + CLEAR, limits.stroke[1] - CLEAR - travel
+        low, high = limits.stroke[0] + CLEARANCE, limits.stroke[1] - CLEARANCE - travel
         return round(float(np.clip(about - 0.5 * travel, low, max(low, high))), 6)
 
     sines = [(0.15 * bend, 5.0), (0.15 * bend, 40.0), (2.0 * bend, 2.0), (strong / (2 * np.pi * 5.0) ** 2, 5.0)]
     strokes = [(slow / 3, 0.5), (slow, 0.5), (3 * slow, 0.5), (fast, 0.7)]
     found = {}
     for wanted, frequency in sines:
-        amplitude = _short(wanted)
+        amplitude = _rounded(wanted)
         start = begun(2.0 * amplitude)
         name = (
             f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s,"
@@ -76,8 +76,8 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
             one = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=start)
             found[name] = require_within(one, limits)
     for wanted, time in strokes:
-        speed, rounding = _short(wanted), _short(max(0.1, wanted / strong))
-        stroke = _short(speed * (time - rounding / 2.0))
+        speed, rounding = _rounded(wanted), _rounded(max(0.1, wanted / strong))
+        stroke = _rounded(speed * (time - rounding / 2.0))
         start = begun(stroke)
         name = (
             f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.3g}s,"
@@ -91,18 +91,18 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
     return found
 
 
-def room(lanes: Lanes, limits: Limits) -> tuple[Limits, float]:
+def available_limits(lanes: Lanes, limits: Limits) -> tuple[Limits, float]:
     """The limits that a next motion keeps, and the position (m) about which the logs moved.
 
     An axis whose ends nobody gave goes no further than it went in the logs.
     """
     position = np.asarray(lanes.position)[np.asarray(lanes.counts) > 0]
     low, high = float(position.min()), float(position.max())
-    ends = np.where(np.isfinite(limits.stroke), limits.stroke, (low - CLEAR, high + CLEAR))
+    ends = np.where(np.isfinite(limits.stroke), limits.stroke, (low - CLEARANCE, high + CLEARANCE))
     return dataclasses.replace(limits, stroke=(float(ends[0]), float(ends[1]))), 0.5 * (low + high)
 
 
-def _short(value: float) -> float:
+def _rounded(value: float) -> float:
     """To three figures, as it is written: who runs what is written runs the same."""
     return float(f"{value:.3g}")
 
@@ -112,8 +112,8 @@ def _simulated(drive: Drive, controller: Controller, inputs: Inputs, sampling: S
     return jax.lax.map(lambda one: rollout(drive, controller, one, sampling), inputs)
 
 
-def proposals(
-    identified: Identified, controller: Controller, sampling: Sampling, limits: Limits = Limits()
+def propose_motions(
+    identified: Identification, controller: Controller, sampling: Sampling, limits: Limits = Limits()
 ) -> list[Proposal]:
     """For each parameter that the logs do not determine, the candidate that would determine it best.
 
@@ -127,13 +127,13 @@ def proposals(
         if path.startswith("load_coefficient")
     ]
     open_ones = [(k, free) for k, free in enumerate(wide.residuals.free) if free.path in identified.undetermined]
-    limits, about = room(wide.problem.lanes, limits)
+    limits, about = available_limits(wide.problem.lanes, limits)
     motions = candidates(identified.drive, limits, sampling.rate, about)
     if not open_ones or not motions or isinstance(controller, UnknownController):
         return found
     width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))
     known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(wide.problem)), 1)[0]
-    offered = _offered(identified, controller, sampling, list(motions.values()))
+    offered = _candidate_information(identified, controller, sampling, list(motions.values()))
     for k, free in open_ones:
         informed = (known, *(known + more for more in offered))
         before, *after = (_width(information, wide.problem.prior, k) for information in informed)
@@ -146,13 +146,13 @@ def proposals(
     return found
 
 
-def _slope(wide: Fit, path: str, k: int) -> tuple[str, float]:
+def _slope(wide: RefinedFit, path: str, k: int) -> tuple[str, float]:
     """Unit of what is reported of an unknown, and its derivative along the k-th coordinate of the search."""
 
-    def row(y: Float[Array, " k"]) -> Reported:
+    def row(y: Float[Array, " k"]) -> ReportedParameter:
         drive, unknowns = wide.residuals.unpack(y, wide.problem)
         together = frozenset({path} if "." not in path else ())
-        return next(row for row in reported(drive, unknowns, together) if row.path == path)
+        return next(row for row in reported_parameters(drive, unknowns, together) if row.path == path)
 
     y = jnp.asarray(wide.search.y).at[k].set(0.0)  # where it started, not where an open search wandered to
     return row(y).unit, float(jax.grad(lambda y: row(y).value)(y)[k])
@@ -169,8 +169,8 @@ def _information(value: Array, slope: Array, lanes: int) -> Float[np.ndarray, "l
     return np.einsum("lnk,lnj->lkj", rows, rows)
 
 
-def _offered(
-    identified: Identified, controller: Controller, sampling: Sampling, motions: list[Motion]
+def _candidate_information(
+    identified: Identification, controller: Controller, sampling: Sampling, motions: list[Motion]
 ) -> Float[np.ndarray, "lanes k k"]:
     """Information of each motion about every unknown, as far as the model has proved itself on the logs at hand."""
     wide = identified.wide
@@ -184,6 +184,6 @@ def _offered(
     )
     drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.y), wide.problem)
     fine = wide.residuals.sampling
-    filtered = track(drive, unknowns.delay, identified.process, identified.noise, lanes, fine)
+    filtered = filter_lanes(drive, unknowns.delay, identified.process, identified.noise, lanes, fine)
     problem = wide.problem._replace(lanes=lanes, gains=jax.tree.map(np.asarray, filtered.gains))
     return _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(problem)), shape[0])

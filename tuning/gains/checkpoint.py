@@ -31,7 +31,7 @@ class Checkpoint:
         try:
             held = json.loads(path.read_text(encoding="utf-8"))
             identity = held["problem"]
-            standings = {int(k): _standing(fields) for k, fields in held["standings"].items()}
+            standings = {int(k): _search_state(fields) for k, fields in held["standings"].items()}
         except (ValueError, KeyError, TypeError, AttributeError) as problem_of_file:
             raise CheckpointError(f"{path}: is no checkpoint of a tuning ({problem_of_file}): delete it") from None
         if identity != self.identity:
@@ -55,7 +55,7 @@ class Checkpoint:
         write_text(self.path, json.dumps(held))
 
 
-def _standing(fields: dict[str, Any]) -> SearchState:
+def _search_state(fields: dict[str, Any]) -> SearchState:
     history = tuple(tuple(entry) for entry in fields["history"])
     best = None if fields["best"] is None else tuple(fields["best"])
     return SearchState(**{**fields, "y": tuple(fields["y"]), "history": history, "best": best})

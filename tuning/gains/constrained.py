@@ -16,12 +16,12 @@ from diffdrive.controllers import Controller
 from diffdrive.model.parameters import Scalar
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Constraints
-from tuning.gains.scenarios import Ensemble, Signals
-from tuning.optimisation.space import Free, Space
+from tuning.gains.scenarios import Ensemble, LoopSignals
+from tuning.optimisation.space import FreeParameter, SearchSpace
 
-PENALTY, HOPELESS = 10.0, 1e6
+PENALTY, DIVERGED_COST = 10.0, 1e6
 
-Named = dict[str, Float[Array, " n"]]
+ConstraintValues = dict[str, Float[Array, " n"]]
 
 
 class TuningProblem(NamedTuple):
@@ -37,7 +37,7 @@ class DesignPoint(NamedTuple):
     """What a point of the search is worth."""
 
     objective: Scalar
-    kept: Named  # requirements by name; above zero where missed
+    kept: ConstraintValues  # requirements by name; above zero where missed
 
     @property
     def missed(self) -> Scalar:
@@ -48,15 +48,17 @@ class DesignPoint(NamedTuple):
     def penalised(self) -> Scalar:
         """One number for searches that know no requirements: the objective, raised by what is missed.
 
-        `HOPELESS` and more where the loop diverges.
+        `DIVERGED_COST` and more where the loop diverges.
         """
         missed = sum(jnp.maximum(0.0, jnp.max(values)) for values in self.kept.values())
         number = self.objective * (1.0 + PENALTY * missed)
-        known = jnp.isfinite(number) & (number < HOPELESS)
-        return jnp.where(known, number, HOPELESS * (1.0 + jnp.nan_to_num(jnp.max(self.kept["stability"]), nan=1e3)))
+        known = jnp.isfinite(number) & (number < DIVERGED_COST)
+        return jnp.where(
+            known, number, DIVERGED_COST * (1.0 + jnp.nan_to_num(jnp.max(self.kept["stability"]), nan=1e3))
+        )
 
 
-class Linearised(NamedTuple):
+class LinearisedPoint(NamedTuple):
     """A point with the derivatives of everything along the search vector."""
 
     point: DesignPoint
@@ -71,11 +73,11 @@ class Linearised(NamedTuple):
 class ConstrainedGains:
     """The search as a function of y; hashed by value, so that the same question is compiled once."""
 
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     objective: Objective
 
-    def seen(self, y: Float[Array, " k"], problem: TuningProblem) -> tuple[Signals, Named]:
-        controller = Space(self.free, problem.origin).insert(problem.controller, y)
+    def seen(self, y: Float[Array, " k"], problem: TuningProblem) -> tuple[LoopSignals, ConstraintValues]:
+        controller = SearchSpace(self.free, problem.origin).insert(problem.controller, y)
         signals = problem.scenarios.signals(controller)
         return signals, problem.requirements.of_loop(controller) | problem.requirements.of_signals(signals)
 
@@ -84,10 +86,12 @@ class ConstrainedGains:
         signals, kept = self.seen(y, problem)
         return DesignPoint(self.objective(signals), kept)
 
-    def linearised(self, y: Float[Array, " k"], problem: TuningProblem) -> Linearised:
+    def linearised(self, y: Float[Array, " k"], problem: TuningProblem) -> LinearisedPoint:
         """The point's worth with derivatives, in one forward pass for all parameters."""
 
-        def along(direction: Array) -> tuple[tuple[Signals, Named], tuple[Signals, Named]]:
+        def along(
+            direction: Array,
+        ) -> tuple[tuple[LoopSignals, ConstraintValues], tuple[LoopSignals, ConstraintValues]]:
             return jax.jvp(lambda y: self.seen(y, problem), (y,), (direction,))
 
         (signals, kept), (slopes, kept_slopes) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(y)))
@@ -98,7 +102,7 @@ class ConstrainedGains:
                 *(jax.tree.leaves(each) for each in (weights, signals, slopes)), strict=True
             )
         ]
-        return Linearised(
+        return LinearisedPoint(
             point=DesignPoint(self.objective(signals), kept),
             slope=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
             curvature=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
@@ -107,24 +111,28 @@ class ConstrainedGains:
         )
 
 
-def _products(requirements: Constraints, signals: Signals, slopes: Signals) -> dict[str, Float[Array, "lanes i j"]]:
+def _products(
+    requirements: Constraints, signals: LoopSignals, slopes: LoopSignals
+) -> dict[str, Float[Array, "lanes i j"]]:
     values, derivatives = requirements.limited(signals), jax.vmap(requirements.limited)(slopes)
     both = {name: jnp.concatenate([values[name][None], derivatives[name]]) for name in values}
     return {name: jnp.einsum("iln,jln->lij", one, one) / one.shape[-1] for name, one in both.items()}
 
 
 @eqx.filter_jit
-def worth(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
+def evaluate(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
     """`ConstrainedGains.at`, compiled."""
     return gains.at(y, problem)
 
 
 @eqx.filter_jit
-def linearised(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> Linearised:
+def linearise_at(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> LinearisedPoint:
     """`ConstrainedGains.linearised`, compiled."""
     return gains.linearised(y, problem)
 
 
-def problem_of(controller: Controller, space: Space, scenarios: Ensemble, requirements: Constraints) -> TuningProblem:
+def tuning_problem(
+    controller: Controller, space: SearchSpace, scenarios: Ensemble, requirements: Constraints
+) -> TuningProblem:
     """The problem of tuning `controller` (smooth, as arrays) in `space`."""
     return TuningProblem(controller, jnp.asarray(np.asarray(space.origin)), scenarios, requirements)

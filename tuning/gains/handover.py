@@ -9,7 +9,7 @@ import tomli_w
 from diffdrive.axis import Axis
 from diffdrive.loop.margins import Margins
 from diffdrive.support.atomic_write import write_text
-from tuning.gains.tune import Tuned
+from tuning.gains.tune import GainSearch
 
 LABELS = {
     "position": "Q_position", "velocity": "Q_velocity", "bristle": "Q_bristle", "load": "Q_load", "measurement": "R",
@@ -18,7 +18,7 @@ LABELS = {
 PER_VOLT = ("kp", "kd", "kv", "ki", "reach")  # gains in newtons of command per something
 
 
-def handover(description: Axis, tuned: Tuned, margins: Margins, conditions: dict[str, Any]) -> dict[str, Any]:
+def handover(description: Axis, tuned: GainSearch, margins: Margins, conditions: dict[str, Any]) -> dict[str, Any]:
     """The hand-over as nested tables: gains in SI, in command volts where the drive file says N/V; margins."""
     gains = {LABELS.get(name, name): float(value) for name, value in zip(tuned.names, tuned.after, strict=True)}
     per_volt = description.mapping.force_per_volt

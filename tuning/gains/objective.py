@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 from diffdrive.errors import ParameterError
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.model.parameters import Scalar
-from tuning.gains.scenarios import Signals
+from tuning.gains.scenarios import LoopSignals
 
 PEAK_NORM = 16  # the p-norm that stands for the largest
-WORST_SHARPNESS = 20.0  # of the smooth maximum over lanes, relative to their mean
+MAXIMUM_SHARPNESS = 20.0  # of the smooth maximum over lanes, relative to their mean
 TAIL = 0.25  # of the lanes, that CVaR is the mean of
 TINY = 1e-30
 
@@ -34,7 +34,7 @@ def mean(costs: Lanes) -> Scalar:
 
 def worst(costs: Lanes) -> Scalar:
     """A smooth maximum over the lanes."""
-    scale = jnp.mean(costs) / WORST_SHARPNESS + TINY
+    scale = jnp.mean(costs) / MAXIMUM_SHARPNESS + TINY
     return scale * jax.nn.logsumexp(costs / scale)
 
 
@@ -55,13 +55,13 @@ class Objective(NamedTuple):
     load_error: float = 0.0  # per N of RMS load error
     aggregation: str = "mean"
 
-    def __call__(self, signals: Signals) -> Scalar:
+    def __call__(self, signals: LoopSignals) -> Scalar:
         """The number."""
         if self.aggregation not in AGGREGATIONS:
             raise ParameterError(f"no aggregation '{self.aggregation}'; known: {', '.join(AGGREGATIONS)}")
         return AGGREGATIONS[self.aggregation](self.of_lanes(signals))
 
-    def of_lanes(self, signals: Signals) -> Lanes:
+    def of_lanes(self, signals: LoopSignals) -> Lanes:
         """The cost of each lane."""
         costs = self.error * rms(signals.error)
         if self.peak:
@@ -70,7 +70,7 @@ class Objective(NamedTuple):
             costs = costs + self.load_error * rms(signals.load_error)
         return costs
 
-    def weights(self, signals: Signals) -> Signals:
+    def weights(self, signals: LoopSignals) -> LoopSignals:
         """Square roots of the weights with which the squares of the signals have the gradient of the objective."""
 
         def root(slope: Array, signal: Array) -> Array:

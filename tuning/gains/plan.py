@@ -23,7 +23,7 @@ from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.pipeline import require_shorter
 from tuning.gains.scenarios import Scenario
 
-OFF_GRID = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
+OFF_GRID_FACTOR = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
 HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
 SETTLE = 0.4  # s: load estimators have found their load by then
 DURATION = 1.2  # s
@@ -54,7 +54,7 @@ class TuningPlan:
     def at(self, factor: float, rate: float) -> Motion:
         """The motion at so many times its speed, over as many times its way, in the same time."""
         if self.motion is None:
-            return reversal(factor * OFF_GRID * self.speed, rate)
+            return reversal(factor * OFF_GRID_FACTOR * self.speed, rate)
         one = self.motion
         start = one.position[0]
         scaled = start + factor * (one.position - start)
@@ -98,14 +98,14 @@ def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
     return [drive, *(jax.tree.map(float, one) for one in drawn)]
 
 
-def tuned_on(description: Axis, plan: TuningPlan) -> list[Scenario]:
+def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
     motion = plan.at(1.0, description.sampling.rate)
     constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(plan.min_load, plan.max_load, plan.loads)]
     found = []
     for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
         for name, weight in constant:
-            found.append(Scenario(f"{_machine(m)}, {name}", machine, motion, weight, len(found) + 1))
+            found.append(Scenario(f"{_machine_name(m)}, {name}", machine, motion, weight, len(found) + 1))
     half, time = 0.5 * (plan.min_load + plan.max_load), motion.time
     changing = {
         "load steps on": load.step(time, at=0.5 * plan.settle, to=half, before=plan.min_load),
@@ -117,7 +117,7 @@ def tuned_on(description: Axis, plan: TuningPlan) -> list[Scenario]:
     return found
 
 
-def held_out(description: Axis, plan: TuningPlan) -> list[Scenario]:
+def held_out_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Loads in between, loads that change, other speeds, another machine, other noise."""
     rate, drive = description.sampling.rate, description.drive
     motion = plan.at(1.0, rate)
@@ -151,7 +151,7 @@ def is_within(motion: Motion, limits: Limits) -> bool:
     return True
 
 
-def _machine(number: int) -> str:
+def _machine_name(number: int) -> str:
     return "nominal" if number == 0 else f"machine {number}"
 
 
@@ -164,7 +164,7 @@ def _require_possible(description: Axis, scenarios: list[Scenario]) -> None:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ScenarioResult:
     """One scenario on the exact simulator, after it has settled."""
 
     run: Run
@@ -174,7 +174,9 @@ class Judged:
     load_error: float | None  # kN
 
 
-def judge(controller: Controller, scenario: Scenario, sampling: Sampling, settle: float = SETTLE) -> Judged:
+def run_scenario(
+    controller: Controller, scenario: Scenario, sampling: Sampling, settle: float = SETTLE
+) -> ScenarioResult:
     """Run a scenario on the exact (quantised, limited) simulator."""
     with warnings.catch_warnings():  # the load estimator has its own verdict
         warnings.simplefilter("ignore", LoadEstimatorWarning)
@@ -186,4 +188,4 @@ def judge(controller: Controller, scenario: Scenario, sampling: Sampling, settle
     if run.load_estimate is not None:
         missed = 1e-3 * float(metrics.rms((run.load_estimate - run.load)[part]))
     noise = float(metrics.command_noise(run.command[part]))
-    return Judged(run, 1e6 * run.rms(settle), 1e6 * run.peak(settle), noise, missed)
+    return ScenarioResult(run, 1e6 * run.rms(settle), 1e6 * run.peak(settle), noise, missed)

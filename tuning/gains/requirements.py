@@ -21,13 +21,13 @@ from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from diffdrive.observers.convergence import convergence_gain, innovation_load_observer
 from diffdrive.observers.friction_observer import KalmanObserver
 from tuning.gains.objective import rms
-from tuning.gains.scenarios import Signals
+from tuning.gains.scenarios import LoopSignals
 
-MOST_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a loop gain of more, 1 is rounding
+MAX_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a loop gain of more, 1 is rounding
 UNSTABLE = 20.0  # 1/s of growth that counts as much as a margin that is missed altogether
 
 
-class Required(NamedTuple):
+class LoopLimits(NamedTuple):
     """What is required; None: not required."""
 
     gain_up: float = 2.0  # factors
@@ -39,7 +39,7 @@ class Required(NamedTuple):
     settling: float | None = 2.0  # s, in which an eq. (20) estimator forgets an error of the load to 1/e
 
 
-def check_limits(limits: Required) -> None:
+def check_limits(limits: LoopLimits) -> None:
     """Raises `ParameterError` for limits that no loop can keep or that mean nothing."""
     for name, value in limits._asdict().items():
         least = 1.0 if name in ("gain_up", "gain_down", "sensitivity") else 0.0
@@ -47,7 +47,7 @@ def check_limits(limits: Required) -> None:
             raise ParameterError(f"the limit {name} must be at least {least:g}, got {np.min(np.asarray(value)):g}")
         if value is not None and not np.all(np.isfinite(np.asarray(value))):
             raise ParameterError(f"the limit {name} must be finite; None requires nothing")
-    most = 10.0 ** (MOST_GAIN_MARGIN / 20.0)
+    most = 10.0 ** (MAX_GAIN_MARGIN / 20.0)
     for name in ("gain_up", "gain_down"):
         if getattr(limits, name) > most:
             raise ParameterError(
@@ -55,7 +55,7 @@ def check_limits(limits: Required) -> None:
             )
 
 
-class Points(NamedTuple):
+class OperatingPoints(NamedTuple):
     """Operating points at which margins are looked at, [p] each, and the machines there."""
 
     drives: Drive  # every number [p]
@@ -63,19 +63,19 @@ class Points(NamedTuple):
     load: Float[np.ndarray, " p"]  # N
 
 
-def points(drives: Sequence[Drive], speeds: Sequence[float], loads: Sequence[float]) -> Points:
+def operating_points(drives: Sequence[Drive], speeds: Sequence[float], loads: Sequence[float]) -> OperatingPoints:
     """Every machine at every speed (m/s, both directions; 0 is standstill) under every load (N)."""
     velocities = sorted({sign * speed for speed in speeds for sign in (1.0, -1.0)})
     grid = [(drive, v, w) for drive in drives for v in velocities for w in loads]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(as_arrays(smooth(drive)) for drive, _, _ in grid))
-    return Points(stacked, np.array([v for _, v, _ in grid]), np.array([w for *_, w in grid], float))
+    return OperatingPoints(stacked, np.array([v for _, v, _ in grid]), np.array([w for *_, w in grid], float))
 
 
 class Constraints(eqx.Module):
     """Limits, and where they are looked at. Every number is an array, so that another limit is no other program."""
 
-    limits: Required = eqx.field(converter=as_arrays)
-    points: Points
+    limits: LoopLimits = eqx.field(converter=as_arrays)
+    points: OperatingPoints
     sampling: Sampling = eqx.field(static=True)
 
     def margins(self, controller: Controller) -> Margins:
@@ -119,7 +119,7 @@ class Constraints(eqx.Module):
         per_step = estimator.gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
         return jnp.where(at_work, 1.0 - per_step * self.limits.settling / self.sampling.period, -1.0)
 
-    def limited(self, signals: Signals) -> dict[str, Float[Array, "lanes n"]]:
+    def limited(self, signals: LoopSignals) -> dict[str, Float[Array, "lanes n"]]:
         """Signals whose RMS is limited, by name, in units of their limits; linear in the signals."""
         limits, found = self.limits, {}
         if limits.command_noise is not None:
@@ -128,7 +128,7 @@ class Constraints(eqx.Module):
             found["load error"] = signals.load_error / jnp.reshape(limits.load_error, (-1, 1))
         return found
 
-    def of_signals(self, signals: Signals) -> dict[str, Float[Array, " lanes"]]:
+    def of_signals(self, signals: LoopSignals) -> dict[str, Float[Array, " lanes"]]:
         """Requirements on the simulated signals, by name."""
         kept = {name: rms(signal) - 1.0 for name, signal in self.limited(signals).items()}
         if signals.excess is not None:

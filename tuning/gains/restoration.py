@@ -4,19 +4,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.gains.constrained import DesignPoint, Linearised
+from tuning.gains.constrained import DesignPoint, LinearisedPoint
 from tuning.optimisation.least_distance import quadratic_program
 
-FARTHER = 1.3  # of what is missed: a growth rate is no straight line
+OVERSHOOT = 1.3  # of what is missed: a growth rate is no straight line
 RELAXATIONS = (1.0, 0.5, 0.25, 0.1)  # share of what is missed that one step is to mend
 
 
-def simulates(point: DesignPoint) -> bool:
+def is_simulable(point: DesignPoint) -> bool:
     """Whether the loop is stable and its simulation stays finite, so that an objective means something."""
     return bool(np.isfinite(float(point.objective)) and float(jnp.max(point.kept["stability"])) <= 0.0)
 
 
-def stabilising_step(at: Linearised, radius: float) -> Float[np.ndarray, " k"] | None:
+def stabilising_step(at: LinearisedPoint, radius: float) -> Float[np.ndarray, " k"] | None:
     """The shortest step within the radius that takes every growth rate below zero, or as far as one step can.
 
     None where the loop is as stable as it gets: its growth rates have no slope, or the linearised loop is stable and
@@ -29,7 +29,7 @@ def stabilising_step(at: Linearised, radius: float) -> Float[np.ndarray, " k"] |
         return None
     box = np.vstack([np.eye(count), -np.eye(count)])
     for share in RELAXATIONS:
-        room = np.where(values > 0.0, -FARTHER * share * values, -values)
+        room = np.where(values > 0.0, -OVERSHOOT * share * values, -values)
         rows, ends = np.vstack([slopes, box]), np.r_[room, np.full(2 * count, radius)]
         solved = quadratic_program(np.eye(count), np.zeros(count), rows, ends)
         if solved is not None:

@@ -30,7 +30,7 @@ class Scenario:
     seed: int = 0
 
 
-class Signals(NamedTuple):
+class LoopSignals(NamedTuple):
     """What a roll-out shows after it has settled, [lanes, n] each; all of them are better when smaller."""
 
     error: Float[Array, "lanes n"]  # m, tracking error
@@ -48,15 +48,15 @@ class Ensemble(eqx.Module):
     sampling: Sampling = eqx.field(static=True)
     settled: int = eqx.field(static=True)
 
-    def signals(self, controller: Controller) -> Signals:
+    def signals(self, controller: Controller) -> LoopSignals:
         """Roll every lane. Pure: for use under `jit`, `vmap` and `jacfwd`."""
 
-        def one(drive: Drive, inputs: Inputs, seed: Array) -> Signals:
+        def one(drive: Drive, inputs: Inputs, seed: Array) -> LoopSignals:
             frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
             late, before = slice(self.settled, None), slice(self.settled - 1, None)
             limit = force_limit(drive)
             known = frame.estimate is not None and frame.estimate.load is not None
-            return Signals(
+            return LoopSignals(
                 error=(inputs.reference.position - frame.position)[late],
                 change=jnp.diff(frame.command[before]) / np.sqrt(2.0),
                 excess=None if limit is None else jnp.maximum(jnp.abs(frame.command[late]) - limit, 0.0),
@@ -85,7 +85,7 @@ def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float
     settled = max(1, round(settle * sampling.rate))
     if settled >= len(first.time) - 1:
         raise MotionError(f"nothing is left of {first.time[-1]:g} s of motion after {settle:g} s to settle")
-    drives = [as_arrays(smooth(_noisy(one.drive))) for one in scenarios]
+    drives = [as_arrays(smooth(_with_quantisation_noise(one.drive))) for one in scenarios]
     if len({jax.tree.structure(drive) for drive in drives}) > 1:
         raise ParameterError(
             "the machines of the scenarios differ in kind (delay samples, force limit, resolution, Stribeck exponent): "
@@ -106,7 +106,7 @@ def _stacked(trees: Sequence[object]) -> object:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
-def _noisy(drive: Drive) -> Drive:
+def _with_quantisation_noise(drive: Drive) -> Drive:
     sensor = drive.sensor
     rounding = 0.0 if sensor.resolution is None else float(sensor.resolution) ** 2 / 12
     noise = float(np.sqrt(float(sensor.noise) ** 2 + rounding))

@@ -18,27 +18,27 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays, check, require_double_precision
 from diffdrive.support.resources import format_count, require_memory
 from tuning.gains.checkpoint import Checkpoint
-from tuning.gains.constrained import ConstrainedGains, DesignPoint, problem_of, worth
+from tuning.gains.constrained import ConstrainedGains, DesignPoint, evaluate, tuning_problem
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Constraints
 from tuning.gains.scenarios import Ensemble
-from tuning.gains.sequential import KEPT, SearchEnd, SearchState, search
-from tuning.optimisation.least_squares import Progress, silent
-from tuning.optimisation.space import Space, around
+from tuning.gains.sequential import FEASIBILITY_TOLERANCE, SearchResult, SearchState, search
+from tuning.optimisation.least_squares import StepProgress, no_progress
+from tuning.optimisation.space import SearchSpace, space_around
 
 FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
 STARTS = 4
-SCATTER = 1.0  # units of y
-SENSITIVE = 0.05  # share of the objective
-ANY_FACTOR = 1e3  # what is said of a gain that may move as far as it likes
+START_STD = 1.0  # units of y
+TOLERATED_LOSS = 0.05  # share of the objective
+MAX_TOLERANCE = 1e3  # what is said of a gain that may move as far as it likes
 
 
-def default_space(controller: Controller, *, friction: bool = False) -> Space:
+def default_space(controller: Controller, *, friction: bool = False) -> SearchSpace:
     """The gains that this kind of controller is tuned by, those that are zero left out: they stay."""
-    return around(controller, factors_of(controller, friction=friction))
+    return space_around(controller, gain_factors(controller, friction=friction))
 
 
-def factors_of(controller: Controller, *, friction: bool = False) -> dict[str, float]:
+def gain_factors(controller: Controller, *, friction: bool = False) -> dict[str, float]:
     """The gains of this kind of controller, and by what factor each may move from where it is.
 
     `friction` frees the friction parameters that an observer believes in as well, in each direction.
@@ -57,7 +57,7 @@ def factors_of(controller: Controller, *, friction: bool = False) -> dict[str, f
 
 
 @dataclass(frozen=True)
-class Binding:
+class BindingRequirement:
     """A requirement that holds the objective back: what a relaxation of 1 % would gain, in percent of the objective."""
 
     name: str
@@ -65,7 +65,7 @@ class Binding:
 
 
 @dataclass(frozen=True)
-class Tuned:
+class GainSearch:
     """The tuned controller, each gain before and after, and what stood in the way of better ones."""
 
     controller: Controller
@@ -75,10 +75,10 @@ class Tuned:
     at_bound: list[str]
     point: DesignPoint  # the objective, and every requirement
     began: DesignPoint  # the same where the controller was given
-    binding: list[Binding]
+    binding: list[BindingRequirement]
     tolerance: Float[np.ndarray, " k"]  # factor by which each alone may move for 5 % more of the objective; 1000: any
-    found: SearchEnd
-    searches: list[SearchEnd]  # one from each start, in the order in which they were made
+    found: SearchResult
+    searches: list[SearchResult]  # one from each start, in the order in which they were made
     starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it kept not what is required
     screening: float  # s, in which the starts were looked at
 
@@ -90,27 +90,31 @@ class Tuned:
     @property
     def feasible(self) -> bool:
         """Whether every requirement is kept."""
-        return bool(self.point.missed <= KEPT)
+        return bool(self.point.missed <= FEASIBILITY_TOLERANCE)
 
     @property
     def missed(self) -> dict[str, float]:
         """The requirements that are not kept, and by which share."""
-        return {name: float(jnp.max(v)) for name, v in self.point.kept.items() if not float(jnp.max(v)) <= KEPT}
+        return {
+            name: float(jnp.max(v))
+            for name, v in self.point.kept.items()
+            if not float(jnp.max(v)) <= FEASIBILITY_TOLERANCE
+        }
 
 
 def tune(
     controller: Controller,
     scenarios: Ensemble,
     requirements: Constraints,
-    space: Space | None = None,
+    space: SearchSpace | None = None,
     *,
     objective: Objective = Objective(),
     starts: int = STARTS,
     seed: int = 0,
     max_steps: int = 40,
     checkpoint: Path | None = None,
-    progress: Progress = silent,
-) -> Tuned:
+    progress: StepProgress = no_progress,
+) -> GainSearch:
     """Tune `controller` over `scenarios` within `requirements`; verify the result on the exact simulator.
 
     The first start is the controller as given, the others are drawn about it: the landscape has several valleys of
@@ -124,14 +128,14 @@ def tune(
     require_starts(starts)
     space = default_space(controller) if space is None else space
     gains = ConstrainedGains(space.free, objective)
-    problem = problem_of(as_arrays(smooth(controller)), space, scenarios, requirements)
-    scattered = _scattered(len(space.free), starts, seed)
+    problem = tuning_problem(as_arrays(smooth(controller)), space, scenarios, requirements)
+    scattered = _start_points(len(space.free), starts, seed)
     kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
     clock = time.perf_counter()
-    worths = [jax.block_until_ready(worth(gains, jnp.asarray(point), problem)) for point in scattered]
+    worths = [jax.block_until_ready(evaluate(gains, jnp.asarray(point), problem)) for point in scattered]
     screening = time.perf_counter() - clock
     order = np.argsort([float(one.penalised) for one in worths])
-    results: list[SearchEnd] = []
+    results: list[SearchResult] = []
     ends = np.full(starts, np.inf)
     for k in order:
         standing = kept.standing(int(k)) or SearchState(tuple(float(one) for one in scattered[k]))
@@ -144,33 +148,33 @@ def tune(
             keep=lambda now, k=k: kept.keep(int(k), now),
         )
         results.append(found)
-        ends[k] = float(found.at.point.objective) if found.at.point.missed <= KEPT else np.inf
+        ends[k] = float(found.at.point.objective) if found.at.point.missed <= FEASIBILITY_TOLERANCE else np.inf
         if found.standing.status.startswith("interrupted"):
             break
     best = min(results, key=lambda one: float(one.at.point.penalised))
-    return _tuned(controller, space, best, worths[0], results, ends, screening)
+    return _gain_search(controller, space, best, worths[0], results, ends, screening)
 
 
-START = 1e4  # bytes: what is known of a start before any is searched from
+BYTES_PER_START = 1e4  # bytes: what is known of a start before any is searched from
 
 
 def require_starts(starts: int) -> None:
     """Raise `ParameterError` for more starts than fit into memory; looking at one takes a tenth of a second or more."""
-    require_memory(ParameterError, f"{format_count(starts)} starts", START * starts, "give fewer")
+    require_memory(ParameterError, f"{format_count(starts)} starts", BYTES_PER_START * starts, "give fewer")
 
 
-def _scattered(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
-    others = SCATTER * np.random.default_rng(seed).normal(size=(max(0, starts - 1), count))
+def _start_points(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+    others = START_STD * np.random.default_rng(seed).normal(size=(max(0, starts - 1), count))
     return np.vstack([np.zeros((1, count)), others])
 
 
-def _tuned(
-    controller: Controller, space: Space, found: SearchEnd, began: DesignPoint, searches: list[SearchEnd],
+def _gain_search(
+    controller: Controller, space: SearchSpace, found: SearchResult, began: DesignPoint, searches: list[SearchResult],
     ends: Float[np.ndarray, " s"], screening: float,
-) -> Tuned:  # fmt: skip
+) -> GainSearch:  # fmt: skip
     objective = float(found.at.point.objective)
     binding = [
-        Binding(name, float(np.sum(prices)) / objective)
+        BindingRequirement(name, float(np.sum(prices)) / objective)
         for name, prices in found.multipliers.items()
         if float(np.sum(prices)) > 1e-3 * objective
     ]
@@ -178,8 +182,8 @@ def _tuned(
     # a step of y that moves the logarithm of each value by one, and how far that goes for a share of the objective
     per_log = 1.0 / np.diag(np.asarray(jax.jacobian(lambda y: jnp.log(space.values(y)))(jnp.asarray(found.y))))
     curvature = np.diag(np.asarray(found.at.curvature)) * per_log**2
-    reach = np.sqrt(2.0 * SENSITIVE * objective / np.maximum(curvature, 1e-300))
-    return Tuned(
+    reach = np.sqrt(2.0 * TOLERATED_LOSS * objective / np.maximum(curvature, 1e-300))
+    return GainSearch(
         controller=jax.tree.map(float, space.insert(as_arrays(controller), found.y)),
         names=space.names,
         before=np.asarray(space.values(np.zeros_like(found.y))),
@@ -188,7 +192,7 @@ def _tuned(
         point=found.at.point,
         began=began,
         binding=sorted(binding, key=lambda one: -one.worth),
-        tolerance=np.exp(np.minimum(reach, np.log(ANY_FACTOR))),
+        tolerance=np.exp(np.minimum(reach, np.log(MAX_TOLERANCE))),
         found=found,
         searches=searches,
         starts=ends,

@@ -19,17 +19,20 @@ from diffdrive.model.parameters import Friction, Sampling, as_arrays
 from diffdrive.motion.motion import Motion
 from diffdrive.results import Result, Status
 from tuning.gains.objective import Objective
-from tuning.gains.plan import Judged, TuningPlan, held_out, judge, machines, tuned_on
-from tuning.gains.requirements import MOST_GAIN_MARGIN, Constraints, Required, check_limits, points
+from tuning.gains.plan import ScenarioResult, TuningPlan, held_out_scenarios, machines, run_scenario, training_scenarios
+from tuning.gains.requirements import MAX_GAIN_MARGIN, Constraints, LoopLimits, check_limits, operating_points
 from tuning.gains.scenarios import Ensemble, Scenario, ensemble
-from tuning.gains.tune import STARTS, Tuned, default_space, factors_of, require_starts
+from tuning.gains.tune import STARTS, GainSearch, default_space, gain_factors, require_starts
 from tuning.gains.tune import tune as search_gains
-from tuning.optimisation.space import Space
-from tuning.progress import Progress, shown
+from tuning.optimisation.space import SearchSpace
+from tuning.progress import Progress, reporting
 
 SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s, where margins are looked at; from 1 on, times the speed tuned at
-OVER = 1.05  # times the limit of the command noise: more on the exact simulator is said
-NOISIER, WORSE = 2.0, 1.1  # times the command noise, and the load error, of the gains as given: where no limit is told
+NOISE_TOLERANCE = 1.05  # times the limit of the command noise: more on the exact simulator is said
+DEFAULT_NOISE_FACTOR, DEFAULT_LOAD_ERROR_FACTOR = (
+    2.0,
+    1.1,
+)  # times the command noise, and the load error, of the gains as given: where no limit is told
 Role = Literal["tuned on", "held out"]
 
 
@@ -49,14 +52,14 @@ class Requirements:
     load_error: float | None = None  # N
     load_settling: float | None = 2.0  # s, in which an estimator as eq. (20) forgets an error of the load to 1/e
 
-    def required(self) -> Required:
+    def required(self) -> LoopLimits:
         """As factors and radians; raises `ParameterError` for what no loop can keep."""
-        if not 0.0 <= self.gain_margin <= MOST_GAIN_MARGIN:
+        if not 0.0 <= self.gain_margin <= MAX_GAIN_MARGIN:
             raise ParameterError(
-                f"gain_margin: must be from 0 to {MOST_GAIN_MARGIN:.0f} dB, got {self.gain_margin:g}; 6 to 12 are usual"
+                f"gain_margin: must be from 0 to {MAX_GAIN_MARGIN:.0f} dB, got {self.gain_margin:g}; 6 to 12 are usual"
             )
         factor = 10.0 ** (self.gain_margin / 20.0)
-        required = Required(
+        required = LoopLimits(
             gain_up=factor, gain_down=factor, phase=float(np.radians(self.phase_margin)),
             sensitivity=self.peak_sensitivity, command_noise=self.command_noise, load_error=self.load_error,
             settling=self.load_settling,
@@ -65,52 +68,61 @@ class Requirements:
         return required
 
 
-class Prepared(NamedTuple):
+class TuningSetup(NamedTuple):
     """A tuning before its search: what it is tuned on and verified on, what is free, and what is required."""
 
     on: list[Scenario]
     off: list[Scenario]
     lanes: Ensemble
-    required: Required
+    required: LoopLimits
     constraints: Constraints
-    space: Space
+    space: SearchSpace
     speeds: tuple[float, ...]  # m/s, at which margins are looked at
     notes: tuple[str, ...]
 
 
-def prepare(axis: Axis, plan: TuningPlan, required: Required, *, friction: bool = False) -> Prepared:
+def set_up(axis: Axis, plan: TuningPlan, required: LoopLimits, *, friction: bool = False) -> TuningSetup:
     """Scenarios, constraints and search space of a tuning as planned. Raises `ParameterError` and `MotionError`."""
     check_limits(required)
     if friction and not isinstance(axis.controller, FrictionCompensation):
         raise ParameterError("friction: this controller observes no friction that could be tuned along")
-    on, off = tuned_on(axis, plan), held_out(axis, plan)
+    on, off = training_scenarios(axis, plan), held_out_scenarios(axis, plan)
     coarse = Sampling(axis.rate, max(2, -(-axis.sampling.plant_steps // 2)))
     lanes = ensemble(on, coarse, settle=plan.settle)
-    required, notes = _completed(axis, required, on, plan.settle)
-    speeds = speeds_of(plan)
-    at = points([axis.drive], speeds, (plan.min_load, plan.max_load))
+    required, notes = _with_default_limits(axis, required, on, plan.settle)
+    speeds = margin_speeds(plan)
+    at = operating_points([axis.drive], speeds, (plan.min_load, plan.max_load))
     space = default_space(axis.controller, friction=friction)
-    if left := sorted(factors_of(axis.controller, friction=friction).keys() - {one.path for one in space.free}):
+    if left := sorted(gain_factors(axis.controller, friction=friction).keys() - {one.path for one in space.free}):
         notes.append(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
-    return Prepared(on, off, lanes, required, Constraints(required, at, coarse), space, speeds, tuple(notes))
+    return TuningSetup(on, off, lanes, required, Constraints(required, at, coarse), space, speeds, tuple(notes))
 
 
-def _completed(axis: Axis, required: Required, on: Sequence[Scenario], settle: float) -> tuple[Required, list[str]]:
+def _with_default_limits(
+    axis: Axis, required: LoopLimits, on: Sequence[Scenario], settle: float
+) -> tuple[LoopLimits, list[str]]:
     """Limits that were not given, from what the gains as given do; and what to say of them."""
     notes = []
-    was = [judge(axis.controller, one, axis.sampling, settle) for one in on]
+    was = [run_scenario(axis.controller, one, axis.sampling, settle) for one in on]
     if required.command_noise is None:
-        noise = NOISIER * max(one.command_noise for one in was)
+        noise = DEFAULT_NOISE_FACTOR * max(one.command_noise for one in was)
         required = required._replace(command_noise=noise)
-        notes.append(f"Command noise is limited to {NOISIER:g} times that of the gains as given: {noise:.3g} N.")
+        notes.append(
+            f"Command noise is limited to {DEFAULT_NOISE_FACTOR:g} times that of the gains as given: {noise:.3g} N."
+        )
     if required.load_error is None and was[0].load_error is not None:
-        errors = np.array([1e3 * WORSE * one.load_error for one in was if one.load_error is not None])
+        errors = np.array(
+            [1e3 * DEFAULT_LOAD_ERROR_FACTOR * one.load_error for one in was if one.load_error is not None]
+        )
         required = required._replace(load_error=errors)
-        notes.append(f"The load error in each scenario is limited to {WORSE:g} times that of the gains as given.")
+        notes.append(
+            f"The load error in each scenario is limited to {DEFAULT_LOAD_ERROR_FACTOR:g} times that of the gains as "
+            "given."
+        )
     return required, notes
 
 
-def speeds_of(plan: TuningPlan) -> tuple[float, ...]:
+def margin_speeds(plan: TuningPlan) -> tuple[float, ...]:
     """The speeds (m/s) at which margins are looked at."""
     return tuple(speed if speed < 1.0 else speed * plan.top_speed for speed in SPEEDS)
 
@@ -120,43 +132,49 @@ def _margins(constraints: Constraints, controller: Controller) -> Margins:
     return constraints.margins(controller)
 
 
-class MarginsOf(NamedTuple):
+class ControllerMargins(NamedTuple):
     """The margins of one controller, at the operating points that it was tuned at, and at others."""
 
     as_tuned: Margins
     held_out: Margins
 
 
-def margins_at(axis: Axis, controllers: Sequence[Controller], plan: TuningPlan) -> list[MarginsOf]:
+def margins_at(axis: Axis, controllers: Sequence[Controller], plan: TuningPlan) -> list[ControllerMargins]:
     """Margins of each controller, also on a machine, at loads and at speeds that were not tuned on."""
     other = machines(axis.drive, 2, plan.spread, plan.seed + 1000)[1]
     low, high = plan.min_load, plan.max_load
     between = [0.3e-3, 0.5 * plan.top_speed, 100e-3 if plan.top_speed < 50e-3 else 2.0 * plan.top_speed]
-    tuned_at = points([axis.drive], speeds_of(plan), (low, high))
-    others = points([other, axis.drive], between, (low + 0.25 * (high - low), low + 0.75 * (high - low)))
+    tuned_at = operating_points([axis.drive], margin_speeds(plan), (low, high))
+    others = operating_points([other, axis.drive], between, (low + 0.25 * (high - low), low + 0.75 * (high - low)))
     count = len(tuned_at.velocity)
     everywhere = jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others)
-    constraints = Constraints(Required(), everywhere, axis.sampling)
+    constraints = Constraints(LoopLimits(), everywhere, axis.sampling)
     found = [_margins(constraints, as_arrays(smooth(one))) for one in controllers]
     parts = slice(None, count), slice(count, None)
-    return [MarginsOf(*(jax.tree.map(lambda values, part=part: values[part], one) for part in parts)) for one in found]
+    return [
+        ControllerMargins(*(jax.tree.map(lambda values, part=part: values[part], one) for part in parts))
+        for one in found
+    ]
 
 
-class Verified(NamedTuple):
+class ScenarioComparison(NamedTuple):
     """One scenario on the exact (quantised, limited) simulator, with the gains as given and as tuned."""
 
     scenario: Scenario
     role: Role
-    before: Judged
-    after: Judged
+    before: ScenarioResult
+    after: ScenarioResult
 
 
-def verify(axis: Axis, after: Controller, prepared: Prepared, settle: float) -> list[Verified]:
+def verify(axis: Axis, after: Controller, prepared: TuningSetup, settle: float) -> list[ScenarioComparison]:
     """Every scenario, tuned on and held out, on the exact simulator."""
     roles: tuple[tuple[Role, list[Scenario]], ...] = (("tuned on", prepared.on), ("held out", prepared.off))
     return [
-        Verified(
-            one, role, judge(axis.controller, one, axis.sampling, settle), judge(after, one, axis.sampling, settle)
+        ScenarioComparison(
+            one,
+            role,
+            run_scenario(axis.controller, one, axis.sampling, settle),
+            run_scenario(after, one, axis.sampling, settle),
         )
         for role, several in roles
         for one in several
@@ -172,10 +190,10 @@ def tuned_axis(axis: Axis, controller: Controller) -> Axis:
     return replace(axis, drive=drive, controller=controller)
 
 
-def warned_of(prepared: Prepared, runs: Sequence[Verified]) -> str:
+def noise_warning(prepared: TuningSetup, runs: Sequence[ScenarioComparison]) -> str:
     """What to say where the exact simulator is noisier than the smooth one on which the limit was kept; "" else."""
     limit, noisiest = prepared.required.command_noise, max(one.after.command_noise for one in runs)
-    if limit is None or noisiest <= OVER * limit:
+    if limit is None or noisiest <= NOISE_TOLERANCE * limit:
         return ""
     return (
         f"On the exact simulator the command noise is up to {noisiest:.3g} N: the limit of {limit:.3g} N is kept on "
@@ -183,13 +201,13 @@ def warned_of(prepared: Prepared, runs: Sequence[Verified]) -> str:
     )
 
 
-def is_accepted(tuned: Tuned, runs: Sequence[Verified]) -> bool:
+def is_accepted(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> bool:
     """Whether every requirement is kept, and every verification run ok."""
     done = not tuned.status.startswith("interrupted")
     return done and tuned.feasible and all(one.after.run.status.ok for one in runs)
 
 
-class Gain(NamedTuple):
+class ErrorComparison(NamedTuple):
     """What the tuned gains do in some scenarios on the exact simulator: means over them, and the largest peak."""
 
     rms_before: float  # m
@@ -200,7 +218,7 @@ class Gain(NamedTuple):
     command_noise_after: float
 
     @classmethod
-    def of(cls, runs: Sequence[Verified]) -> "Gain":
+    def of(cls, runs: Sequence[ScenarioComparison]) -> "ErrorComparison":
         """Of these scenarios."""
 
         def mean(which: str, of: str) -> float:
@@ -247,15 +265,15 @@ class TuningResult(Result):
     axis: Axis
     accepted: bool
     gains: Mapping[str, tuple[float, float]]
-    tuned_on: Gain
-    held_out: Gain
+    tuned_on: ErrorComparison
+    held_out: ErrorComparison
     margins: WorstMargins
-    found: Tuned
-    runs: tuple[Verified, ...]
+    found: GainSearch
+    runs: tuple[ScenarioComparison, ...]
     notes: tuple[str, ...]
     given: Axis
     plan: TuningPlan
-    required: Required
+    required: LoopLimits
     status: Status
 
     schema: ClassVar[str] = "tuning/1"
@@ -349,8 +367,8 @@ def tune(
         third = 0.0 if motion is None else motion.duration / 3.0
         plan = replace(plan, settle=min(plan.settle, third) if settle is None else settle)
     require_starts(starts)
-    with shown(progress) as tell:
-        prepared = prepare(axis, plan, requirements.required(), friction=friction)
+    with reporting(progress) as tell:
+        prepared = set_up(axis, plan, requirements.required(), friction=friction)
         tuned = search_gains(
             axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective, starts=starts,
             seed=seed, max_steps=max_steps, checkpoint=checkpoint,
@@ -360,16 +378,21 @@ def tune(
         (margins,) = margins_at(axis, [tuned.controller], plan)
         runs = verify(axis, tuned.controller, prepared, plan.settle)
         tell("verifying on the exact simulator", 1, 1)
-    result = result_of(axis, plan, prepared, tuned, margins, runs)
+    result = tuning_result(axis, plan, prepared, tuned, margins, runs)
     return result.require_ok() if throw else result
 
 
-def result_of(
-    axis: Axis, plan: TuningPlan, prepared: Prepared, tuned: Tuned, margins: MarginsOf, runs: Sequence[Verified]
+def tuning_result(
+    axis: Axis,
+    plan: TuningPlan,
+    prepared: TuningSetup,
+    tuned: GainSearch,
+    margins: ControllerMargins,
+    runs: Sequence[ScenarioComparison],
 ) -> TuningResult:
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)
-    notes = [*prepared.notes, *(note for note in [warned_of(prepared, runs)] if note), *words(tuned)]
+    notes = [*prepared.notes, *(note for note in [noise_warning(prepared, runs)] if note), *remarks(tuned)]
     bad = [f"{one.scenario.name}: {one.after.run.status.message}" for one in runs if not one.after.run.status.ok]
     names = {one.path: name for name, one in axis.controller.tunables.items()}
     gains = {
@@ -382,8 +405,8 @@ def result_of(
         axis=replace(tuned_axis(axis, tuned.controller), name="tuned"),
         accepted=accepted,
         gains=gains,
-        tuned_on=Gain.of([one for one in runs if one.role == "tuned on"]),
-        held_out=Gain.of([one for one in runs if one.role == "held out"]),
+        tuned_on=ErrorComparison.of([one for one in runs if one.role == "tuned on"]),
+        held_out=ErrorComparison.of([one for one in runs if one.role == "held out"]),
         margins=WorstMargins.of(margins.as_tuned),
         found=tuned,
         runs=tuple(runs),
@@ -395,7 +418,7 @@ def result_of(
     )
 
 
-def words(tuned: Tuned) -> list[str]:
+def remarks(tuned: GainSearch) -> list[str]:
     """What stood in the way of better gains."""
     found = [f"At the bound of its range: {', '.join(tuned.at_bound)}."] if tuned.at_bound else []
     found += [

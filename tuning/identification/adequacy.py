@@ -13,9 +13,9 @@ from jaxtyping import Float
 from tuning.identification.uncertainty import autocorrelation
 
 LAGS = 100
-FORETOLD = 0.01  # share of the variance
+PREDICTABLE = 0.01  # share of the variance
 IMPROBABLE = 1e-3  # p-value
-MISSING = 2e-3  # of the Coulomb friction
+MISSING_SHARE = 2e-3  # of the Coulomb friction
 DEVIANCE = 20.0  # a gain beyond any chance
 
 
@@ -36,12 +36,12 @@ class Adequacy(NamedTuple):
     @property
     def coloured(self) -> bool:
         """Innovations that their past foretells."""
-        return not self.p_value >= IMPROBABLE and self.foretold > FORETOLD
+        return not self.p_value >= IMPROBABLE and self.foretold > PREDICTABLE
 
     @property
     def lacking(self) -> bool:
         """A force that the filter had to invent; also where nothing could be judged."""
-        return not self.gain <= DEVIANCE and not self.share <= MISSING
+        return not self.gain <= DEVIANCE and not self.share <= MISSING_SHARE
 
     @property
     def says(self) -> str:

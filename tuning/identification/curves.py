@@ -196,7 +196,7 @@ def hysteresis_curves(
     begun = [
         (along, one)
         for along, travels in zip(found, travelled, strict=True)
-        for one in _after_reversals(along, travels, reach)
+        for one in _passes_after_reversals(along, travels, reach)
     ]
     if not begun:
         why = f"no hysteresis curve: the table nowhere reverses with {reach:.3g} m of travel before and after"
@@ -222,7 +222,7 @@ def _travel(along: MeasuredFriction, one: slice) -> float:
     return float(np.ptp(along.position[one]))
 
 
-def _after_reversals(along: MeasuredFriction, travels: list[float], reach: float) -> list[slice]:
+def _passes_after_reversals(along: MeasuredFriction, travels: list[float], reach: float) -> list[slice]:
     """The passes of `reach` and more whose last such predecessor went the other way."""
     found: list[slice] = []
     before: bool | None = None

@@ -10,11 +10,11 @@ from jaxtyping import Array, Float
 from diffdrive.model.parameters import Drive, Scalar
 from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
-from tuning.identification.unknowns import Unknowns, paths, placed
-from tuning.optimisation.space import Space
+from tuning.identification.unknowns import Unknowns, free_paths, with_value
+from tuning.optimisation.space import SearchSpace
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """One parameter as found, between `low` and `high` with 95 % confidence.
 
     Both are `value` where it was not fitted, and NaN where it ended at its bound. The search was free to move it from
@@ -32,7 +32,7 @@ class Estimate(NamedTuple):
     status: str  # "fitted", "fixed", "not determined", or "at its bound"
 
 
-class Reported(NamedTuple):
+class ReportedParameter(NamedTuple):
     """One parameter as it is reported: which unknown it rests on, and its value."""
 
     key: str
@@ -57,7 +57,7 @@ OPEN = 50.0  # half-width in the logarithm, beyond which an interval is simply o
 LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
 
 
-def reported(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list[Reported]:
+def reported_parameters(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list[ReportedParameter]:
     """Every parameter that can be identified; those in `together` have one value for both directions."""
     friction = drive.friction
     pairs = (
@@ -71,16 +71,16 @@ def reported(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list
         ("bristle_damping", "N*s/m", "bristle_damping", friction.bristle_damping),
     )
     rows = [
-        Reported("mass", "", "kg", "mass", drive.plant.mass),
-        Reported("constant_force", "", "N", "constant_force", drive.plant.constant_force),
+        ReportedParameter("mass", "", "kg", "mass", drive.plant.mass),
+        ReportedParameter("constant_force", "", "N", "constant_force", drive.plant.constant_force),
     ]
     for key, unit, unknown, pair in pairs:
         if unknown in together:
-            rows.append(Reported(key, "", unit, unknown, pair.positive))
+            rows.append(ReportedParameter(key, "", unit, unknown, pair.positive))
         else:
-            rows.append(Reported(key, "positive", unit, unknown, pair.positive))
-            rows.append(Reported(key, "negative", unit, unknown, pair.negative))
-    return [*rows, Reported("delay", "", "periods", "delay", unknowns.delay)]
+            rows.append(ReportedParameter(key, "positive", unit, unknown, pair.positive))
+            rows.append(ReportedParameter(key, "negative", unit, unknown, pair.negative))
+    return [*rows, ReportedParameter("delay", "", "periods", "delay", unknowns.delay)]
 
 
 def estimates(
@@ -89,23 +89,23 @@ def estimates(
     problem: IdentificationProblem,
     covariance: Covariance,
     undetermined: set[str],
-) -> tuple[list[Estimate], Float[np.ndarray, "q q"]]:
+) -> tuple[list[ParameterEstimate], Float[np.ndarray, "q q"]]:
     """The table of estimates at y, and their covariance. Positive parameters get the interval of their logarithm."""
 
     def values(y: Float[Array, " k"]) -> Float[Array, " q"]:
         drive, unknowns = innovations.unpack(y, problem)
-        return jnp.stack([jnp.asarray(row.value) for row in reported(drive, unknowns, together)])
+        return jnp.stack([jnp.asarray(row.value) for row in reported_parameters(drive, unknowns, together)])
 
     together = frozenset(
-        path for path in paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping")
+        path for path in free_paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping")
     )
-    before = reported(problem.believed, problem.believed_unknowns, together)
+    before = reported_parameters(problem.believed, problem.believed_unknowns, together)
     point = jnp.asarray(y)
     found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
     scatter = slope @ covariance.matrix @ slope.T
     widths = covariance.quantile * np.sqrt(np.diag(scatter))
-    ends = _ends(point, innovations, problem, together)
-    at_bound = set(Space(innovations.free, problem.origin).near_bound(y))
+    ends = _reported_bounds(point, innovations, problem, together)
+    at_bound = set(SearchSpace(innovations.free, problem.origin).near_bound(y))
     table = []
     for row, value, width, direction in zip(before, found, widths, slope, strict=True):
         if row.path in undetermined:
@@ -123,22 +123,24 @@ def estimates(
             low, high = value / factor, value * factor
         lowest, highest = ends.get(row.path, {}).get(row.name, (value, value))
         table.append(
-            Estimate(
+            ParameterEstimate(
                 row.name, row.unit, float(row.value), float(value), float(low), float(high), lowest, highest, status
             )
         )
     return table, scatter * (covariance.quantile / NORMAL) ** 2
 
 
-def _ends(
+def _reported_bounds(
     y: Float[Array, " k"], innovations: Innovations, problem: IdentificationProblem, together: frozenset[str]
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """For each free path the bounds of what is reported of it, by name, the other unknowns as found."""
     unknowns = innovations.unpack(y, problem)[1]
 
     def at(path: str, end: float) -> dict[str, float]:
-        there = placed(unknowns, path, end)
-        return {row.name: float(row.value) for row in reported(there.drive(problem.believed), there, together)}
+        there = with_value(unknowns, path, end)
+        return {
+            row.name: float(row.value) for row in reported_parameters(there.drive(problem.believed), there, together)
+        }
 
     found = {}
     for path, low, high in innovations.free:

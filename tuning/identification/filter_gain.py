@@ -19,13 +19,13 @@ from diffdrive.model import plant
 from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.numerics.once import once
 from diffdrive.observers.kalman import Matrix, Triangle, diagonal, kalman_gain, predict_covariance, update_covariance
-from tuning.identification.prediction import FilterGains, Lanes, acting_force, moving
+from tuning.identification.prediction import FilterGains, Lanes, applied_force, initial_state
 
-PROCESSES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
-UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
+PROCESS_FORCES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
+INITIAL_VELOCITY_STD = 1e-3  # m/s, standard deviation at the first sample
 
 
-class Filtered(NamedTuple):
+class FilterResult(NamedTuple):
     """Gains along the log, and how likely its innovations are."""
 
     gains: FilterGains
@@ -33,7 +33,7 @@ class Filtered(NamedTuple):
     deviance: Scalar  # -2 log likelihood of the innovations, up to a constant
 
 
-def _period(drive: Drive, sampling: Sampling) -> Any:
+def _linearised_period(drive: Drive, sampling: Sampling) -> Any:
     """One control period and its derivative with respect to the state before it."""
 
     def ahead(velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar) -> plant.PlantState:
@@ -55,9 +55,11 @@ def _period(drive: Drive, sampling: Sampling) -> Any:
     return both
 
 
-def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes: Lanes, sampling: Sampling) -> Filtered:
+def run_filter(
+    drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes: Lanes, sampling: Sampling
+) -> FilterResult:
     """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's."""
-    period = _period(drive, sampling)
+    period = _linearised_period(drive, sampling)
     jolt = (process * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
@@ -75,58 +77,60 @@ def filtered(drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes:
         return (state, covariance), (FilterGains(*pull, scatter), innovation)
 
     def one(lane: Lanes) -> Any:
-        begin = moving(drive, lane)
+        begin = initial_state(drive, lane)
         level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
             drive.friction.initial_load + lane.load[0]
         )
         bent = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off at the start
-        spread = diagonal((measured_variance, jnp.asarray(UNKNOWN_VELOCITY) ** 2, bent**2))
-        force = acting_force(drive, lane, delay)
+        spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bent**2))
+        force = applied_force(drive, lane, delay)
         return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
 
     gains, innovation = lax.map(one, lanes)
     counts = lanes.counts
     weighed = jnp.sum(counts * (innovation / gains.scatter) ** 2) / jnp.sum(counts)
     deviance = jnp.sum(counts) * jnp.log(weighed) + 2.0 * jnp.sum(counts * jnp.log(gains.scatter))
-    return Filtered(gains, innovation, deviance)
+    return FilterResult(gains, innovation, deviance)
 
 
 @eqx.filter_jit
 def _deviances(
     drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
 ) -> Any:
-    return jax.vmap(lambda one: filtered(drive, delay, one, noise, lanes, sampling).deviance)(processes)
+    return jax.vmap(lambda one: run_filter(drive, delay, one, noise, lanes, sampling).deviance)(processes)
 
 
 @eqx.filter_jit
-def _filtered(*arguments: Any) -> Filtered:
-    return filtered(*arguments)
+def _run_filter(*arguments: Any) -> FilterResult:
+    return run_filter(*arguments)
 
 
-class Likeliest(NamedTuple):
+class MostLikely(NamedTuple):
     """The process force under which a log is likeliest, and what that says about the model."""
 
     process: float  # N, standard deviation of a white force, one value per control period
     deviance: float
     gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
-    track: Filtered
+    track: FilterResult
 
 
-def likeliest(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> Likeliest:
-    """Filter the lanes under the likeliest of `PROCESSES`.
+def most_likely(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> MostLikely:
+    """Filter the lanes under the likeliest of `PROCESS_FORCES`.
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
     deviances = np.asarray(
-        _deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESSES), jnp.asarray(noise), lanes, sampling)
+        _deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESS_FORCES), jnp.asarray(noise), lanes, sampling)
     )
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
-    process = float(PROCESSES[best])
-    gains = track(drive, delay, process, noise, lanes, sampling)
-    return Likeliest(process, float(found[best]), float(found[0] - found[best]), gains)
+    process = float(PROCESS_FORCES[best])
+    gains = filter_lanes(drive, delay, process, noise, lanes, sampling)
+    return MostLikely(process, float(found[best]), float(found[0] - found[best]), gains)
 
 
-def track(drive: Drive, delay: float, process: float, noise: float, lanes: Lanes, sampling: Sampling) -> Filtered:
+def filter_lanes(
+    drive: Drive, delay: float, process: float, noise: float, lanes: Lanes, sampling: Sampling
+) -> FilterResult:
     """Filter the lanes under a given process force (N)."""
-    return _filtered(drive, jnp.asarray(delay), jnp.asarray(process), jnp.asarray(noise), lanes, sampling)
+    return _run_filter(drive, jnp.asarray(delay), jnp.asarray(process), jnp.asarray(noise), lanes, sampling)

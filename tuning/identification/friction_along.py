@@ -12,7 +12,7 @@ from diffdrive.model.friction import deflection_after, friction_force, lugre_coe
 from diffdrive.model.parameters import Drive, Scalar
 
 
-class Along(NamedTuple):
+class FrictionAlong(NamedTuple):
     """What resists a motion, sample by sample."""
 
     friction: Float[Array, " n"]  # N, and damping
@@ -25,21 +25,21 @@ def friction_along(
     load: Float[Array, " n"],
     period: Scalar,
     acts: Acts | None = None,
-) -> Along:
+) -> FrictionAlong:
     """Friction and its bristle at these velocities (m/s) and loads (N), the bristle relaxed at the start.
 
     Between two samples, `period` (s) apart, the bristle moves at their mean velocity. `acts`, [n] each, bend the
     friction.
     """
 
-    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, Along]:
+    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, FrictionAlong]:
         now, ahead, applied, acts = at
         friction = with_friction_offset(drive, acts).friction
         force = friction_force(lugre_coefficients(friction, now, deflection, applied), now, deflection)
         mean = 0.5 * (now + ahead)
         rate = lugre_coefficients(friction, mean, deflection, applied).rate
         resisting = force + drive.plant.damping.towards(now) * now
-        return deflection_after(deflection, mean, rate, period), Along(resisting, deflection)
+        return deflection_after(deflection, mean, rate, period), FrictionAlong(resisting, deflection)
 
     ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
     nothing = Acts(*(jnp.zeros_like(velocity) for _ in Acts._fields))

@@ -19,30 +19,38 @@ from diffdrive.logs import Log
 from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
 from diffdrive.support.resources import format_count, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
-from tuning.identification.estimates import Estimate, estimates
+from tuning.identification.estimates import ParameterEstimate, estimates
 from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, IdentificationProblem, Innovations, sampling_of
-from tuning.identification.refinement import Fit, friction_of, interrupted, missing_force, narrowed, refined, sharpened
-from tuning.identification.setup import ask
-from tuning.identification.uncertainty import Covariance, repetition
-from tuning.optimisation.least_squares import Progress, Search, many_starts, silent
-from tuning.optimisation.space import Free, Space
+from tuning.identification.refinement import (
+    RefinedFit,
+    coulomb_level,
+    missing_force,
+    refine,
+    refine_substeps,
+    was_interrupted,
+    without_undetermined,
+)
+from tuning.identification.setup import build_problem
+from tuning.identification.uncertainty import Covariance, repetition_inflation
+from tuning.optimisation.least_squares import LeastSquaresResult, StepProgress, multistart, no_progress
+from tuning.optimisation.space import FreeParameter, SearchSpace
 from tuning.store.store import Store, digest
 
-SCATTERED = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
+MULTIMODAL = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
 DELAYS = 19  # that are tried before, over the range of the delay
 UNDETERMINED = 0.25  # standard error in units of belief: the value is not known to a factor of two
-LEAST_DELAY = 0.01  # control periods, below which a delay is none
+MIN_DELAY = 0.01  # control periods, below which a delay is none
 INSEPARABLE = 0.95  # correlation
 
 
 @dataclass(frozen=True)
-class Identified:
+class Identification:
     """The drive that the logs tell, how sure each of its parameters is, and whether the model suffices."""
 
     drive: Drive
-    estimates: list[Estimate]
+    estimates: list[ParameterEstimate]
     scatter: Float[np.ndarray, "q q"]  # their covariance, as wide as their intervals are
     adequacy: Adequacy
     covariance: Covariance
@@ -52,12 +60,12 @@ class Identified:
     innovation: Float[np.ndarray, "lanes n"]  # m
     missing: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
     velocity: Float[np.ndarray, "lanes n"]  # m/s, as predicted
-    search: Search
+    search: LeastSquaresResult
     starts: Float[np.ndarray, " s"]  # cost of each start, over the best
     simulations: int  # of all logs, forward and with derivatives
     notes: tuple[str, ...]
     undetermined: frozenset[str]  # paths in the search space
-    wide: Fit  # with every parameter free, before the undetermined ones were put back
+    wide: RefinedFit  # with every parameter free, before the undetermined ones were put back
 
     @property
     def status(self) -> str:
@@ -76,8 +84,8 @@ def identify(
     starts: int = 6,
     seed: int = 0,
     store: Store | None = None,
-    progress: Progress = silent,
-) -> Identified:
+    progress: StepProgress = no_progress,
+) -> Identification:
     """Identify `drive` from `logs` of one machine (all at one rate), starting from what it says.
 
     `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
@@ -86,26 +94,28 @@ def identify(
     """
     require_double_precision()
     check_drive(drive)
-    question = ask(logs, drive, fixed, bounded or {})
+    question = build_problem(logs, drive, fixed, bounded or {})
     problem, free, rate = question.problem, question.free, question.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
     y, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
-    progress = _stop if stopped else progress
-    wide = refined(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress, store)
+    progress = _interrupt if stopped else progress
+    wide = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress, store)
     lost = _undetermined(wide)
     fit = wide
-    if lost and not interrupted(wide.search):
-        fit = refined(*narrowed(wide, lost), question.noise, progress, store)
-    if not interrupted(fit.search):
-        fit = _told_apart(sharpened(fit, question.noise, progress, store), rate)
-    found, remark = _drive(fit)
+    if lost and not was_interrupted(wide.search):
+        fit = refine(*without_undetermined(wide, lost), question.noise, progress, store)
+    if not was_interrupted(fit.search):
+        fit = _with_repetition(refine_substeps(fit, question.noise, progress, store), rate)
+    found, remark = _file_drive(fit)
     missing = missing_force(fit)
     table, scatter = estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked)
-    return Identified(
+    return Identification(
         drive=found,
         estimates=table,
         scatter=scatter,
-        adequacy=adequacy(fit.innovation / np.asarray(fit.problem.gains.scatter), fit.gain, missing, friction_of(fit)),
+        adequacy=adequacy(
+            fit.innovation / np.asarray(fit.problem.gains.scatter), fit.gain, missing, coulomb_level(fit)
+        ),
         covariance=fit.covariance,
         correlated=_correlated(fit.residuals.free, fit.covariance),
         noise=question.noise,
@@ -122,41 +132,46 @@ def identify(
     )
 
 
-def scattered(free: Sequence[Free], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+def start_points(free: Sequence[FreeParameter], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
     require_memory(ParameterError, f"{format_count(starts)} starts", 8.0 * starts * len(free), "give fewer")
-    loose = np.array([one.path.split(".")[0] in SCATTERED for one in free])
+    loose = np.array([one.path.split(".")[0] in MULTIMODAL for one in free])
     noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
     return np.vstack([np.zeros(len(loose)), noise])
 
 
 def _many_starts(
-    coarse: Innovations, problem: IdentificationProblem, starts: int, seed: int, progress: Progress, store: Store | None
+    coarse: Innovations,
+    problem: IdentificationProblem,
+    starts: int,
+    seed: int,
+    progress: StepProgress,
+    store: Store | None,
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
     """The best of several coarse searches, their costs, and whether they were interrupted.
 
     The first starts where the problem says, the others around it.
     """
-    points = scattered(coarse.free, starts, seed)
+    points = start_points(coarse.free, starts, seed)
     key = "" if store is None else digest("starts", coarse, problem, points)
     kept = None if store is None else store.read(key)
     if kept is not None:
         return kept["y"], kept["costs"], False
     points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
-    found, costs, stopped = many_starts(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
+    found, costs, stopped = multistart(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
     best = found[int(np.argmin(costs))]
     if store is not None and not stopped:
         store.write(key, {"y": best, "costs": costs})
     return best, costs, stopped
 
 
-def _told_apart(fit: Fit, rate: float) -> Fit:
+def _with_repetition(fit: RefinedFit, rate: float) -> RefinedFit:
     """The fit with the covariance of laps that are no new ones where residuals repeat from lap to lap."""
-    again = repetition(fit.innovation / np.asarray(fit.problem.gains.scatter), rate)
+    again = repetition_inflation(fit.innovation / np.asarray(fit.problem.gains.scatter), rate)
     return fit._replace(covariance=fit.covariance._replace(matrix=again * fit.covariance.matrix))
 
 
-def _stop(*_: object) -> None:
+def _interrupt(*_: object) -> None:
     """A progress that ends a search with its first step, when the starts before it were interrupted."""
     raise KeyboardInterrupt
 
@@ -180,14 +195,14 @@ def _best_delay(coarse: Innovations, problem: IdentificationProblem) -> Float[np
     return points[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
 
 
-def _undetermined(fit: Fit) -> set[str]:
+def _undetermined(fit: RefinedFit) -> set[str]:
     """What the logs hardly narrow; not what they push against its bound, where the search vector has no more effect."""
     free, errors = fit.residuals.free, fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
-    pushed = Space(free, fit.problem.origin).near_bound(fit.search.y)
+    pushed = SearchSpace(free, fit.problem.origin).near_bound(fit.search.y)
     return {one.path for one, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
 
 
-def _correlated(free: tuple[Free, ...], covariance: Covariance) -> list[tuple[str, str, float]]:
+def _correlated(free: tuple[FreeParameter, ...], covariance: Covariance) -> list[tuple[str, str, float]]:
     found = []
     for a in range(len(free)):
         for b in range(a):
@@ -196,14 +211,14 @@ def _correlated(free: tuple[Free, ...], covariance: Covariance) -> list[tuple[st
     return found
 
 
-def _drive(fit: Fit) -> tuple[Drive, tuple[str, ...]]:
+def _file_drive(fit: RefinedFit) -> tuple[Drive, tuple[str, ...]]:
     """The drive found, as a drive file can say it, and what had to be bent for that."""
     drive, unknowns = jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem))
     remarks = []
     delay = unknowns.delay
-    if delay < -LEAST_DELAY:
+    if delay < -MIN_DELAY:
         remarks.append(f"the command seems logged {-delay:.3g} samples late; the drive is written without a delay")
-    delay = delay if delay > LEAST_DELAY else 0.0
+    delay = delay if delay > MIN_DELAY else 0.0
     whole = int(delay)
     fraction = delay - whole
     actuator = replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)

@@ -27,12 +27,12 @@ from diffdrive.model.parameters import Directional
 from tuning.identification.determined import solve
 from tuning.identification.regressors import SYMMETRIC, Kinematics, Regressors
 from tuning.identification.stretches import Stretch, stretches
-from tuning.identification.zero_phase import decimate, differentiate, kept
+from tuning.identification.zero_phase import decimate, decimation_slice, differentiate
 
 Signal = Float[np.ndarray, " n"]
 
 DYNAMICS = 20.0  # Hz
-SLOWEST = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
+MIN_SPEED = 1e-3  # m/s; below, the sign of the velocity says nothing about the direction of friction
 BOTH_ENDS = (1.0, 1.0)
 BENCHMARK_BORDERS = (1.0, 0.0)
 LOAD_SPREAD = 0.05  # of the largest load: smaller differences say nothing about the slope
@@ -214,12 +214,12 @@ def _table(
     slowest = minimum_filter1d(np.abs(at.velocity), 2 * ratio + 1)
     return _RegressorTable(
         log=source.log,
-        time=source.time[border][kept(len(at.velocity), ratio)],
+        time=source.time[border][decimation_slice(len(at.velocity), ratio)],
         at=Kinematics(*(decimate(signal, ratio) for signal in at)),
         names=tuple(columns),
         columns=np.stack([decimate(column, ratio) for column in columns.values()], axis=1),
         force=decimate(source.force[border], ratio),
-        used=slowest[kept(len(at.velocity), ratio)] >= min_speed,
+        used=slowest[decimation_slice(len(at.velocity), ratio)] >= min_speed,
     )
 
 

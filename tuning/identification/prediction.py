@@ -24,9 +24,12 @@ from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive, Sampling, Scalar, require_double_precision
 from diffdrive.numerics.once import once
 
-LONGEST_DELAY = 8  # control periods
-EARLIEST_DELAY = -1  # a command that is logged one sample late
-BEGIN, FEW = 5e-3, 5  # s, and samples at least, in which the velocity at the first sample is measured
+MAX_DELAY = 8  # control periods
+MIN_DELAY = -1  # a command that is logged one sample late
+INITIAL_WINDOW, MIN_WINDOW_SAMPLES = (
+    5e-3,
+    5,
+)  # s, and samples at least, in which the velocity at the first sample is measured
 
 
 class Lanes(NamedTuple):
@@ -66,9 +69,9 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     """The command `delay` periods later, linear between samples; before the log its first value."""
     shifted = jnp.zeros_like(command)
     # not 1 - |delay - periods|: at whole delays, where searches start, its derivative is none of this one's
-    whole = lax.stop_gradient(jnp.clip(jnp.floor(delay), EARLIEST_DELAY, LONGEST_DELAY - 1))
+    whole = lax.stop_gradient(jnp.clip(jnp.floor(delay), MIN_DELAY, MAX_DELAY - 1))
     later = delay - whole
-    for periods in range(EARLIEST_DELAY, LONGEST_DELAY + 1):
+    for periods in range(MIN_DELAY, MAX_DELAY + 1):
         share = jnp.where(periods == whole, 1.0 - later, jnp.where(periods == whole + 1, later, 0.0))
         if periods >= 0:
             past = jnp.concatenate([jnp.full(periods, command[0]), command[: len(command) - periods]])
@@ -78,23 +81,23 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     return shifted
 
 
-def acting_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]:
+def applied_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]:
     """The force (N) on the table of one lane: the command limited and delayed, and the known disturbance."""
     return delayed(saturate(drive.actuator, lane.command), delay) + lane.disturbance
 
 
-def begin_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:
+def initial_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:
     """Velocity (m/s) at the first sample: that of the parabola through the first few.
 
     A straight line would give the velocity in their middle, which at 10 m/s^2 is 25 mm/s off: a filter that begins with
     that is lost, and stays so.
     """
-    few = min(max(FEW, round(BEGIN * rate)), position.shape[-1])
+    few = min(max(MIN_WINDOW_SAMPLES, round(INITIAL_WINDOW * rate)), position.shape[-1])
     powers = np.vander(np.arange(few) / rate, 3, increasing=True)
     return (position[..., :few] - position[..., :1]) @ jnp.asarray(np.linalg.pinv(powers)[1])
 
 
-def moving(drive: Drive, lane: Lanes) -> plant.PlantState:
+def initial_state(drive: Drive, lane: Lanes) -> plant.PlantState:
     """Where one lane begins: where it is measured, at its velocity, the bristle bent as that velocity bends it."""
     stiffness = drive.friction.bristle_stiffness.towards(lane.velocity)
     bent = stribeck_level(drive.friction, lane.velocity, lane.load[0]) / stiffness
@@ -104,31 +107,31 @@ def moving(drive: Drive, lane: Lanes) -> plant.PlantState:
 SLIDING = 1e-3  # m/s; well above it the bristle is taken as bent, well below as relaxed
 
 
-class Predicted(NamedTuple):
+class Prediction(NamedTuple):
     """What was predicted, [lanes, n] each."""
 
     innovation: Float[Array, "lanes n"]  # m
     velocity: Float[Array, "lanes n"]  # m/s, after the correction
 
 
-def predict(drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampling: Sampling) -> Predicted:
+def predict(drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampling: Sampling) -> Prediction:
     """Predict each lane. Pure: for use under `jit`, `vmap` and `jacfwd`.
 
     `delay` (control periods) stands for the drive's own.
     """
     require_double_precision()
 
-    def body(state: plant.PlantState, at: tuple[Scalar, ...]) -> tuple[plant.PlantState, Predicted]:
+    def body(state: plant.PlantState, at: tuple[Scalar, ...]) -> tuple[plant.PlantState, Prediction]:
         measured, force, load, *pull = at
         innovation = measured - state.position
         state = plant.PlantState(*(value + gain * innovation for value, gain in zip(state, pull, strict=True)))
         state = once(state)
         ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
-        return ahead, Predicted(innovation, state.velocity)
+        return ahead, Prediction(innovation, state.velocity)
 
-    def one(lane: Lanes, gains: FilterGains) -> Predicted:
-        force = acting_force(drive, lane, delay)
-        return lax.scan(body, moving(drive, lane), (lane.position, force, lane.load, *gains[:3]))[1]
+    def one(lane: Lanes, gains: FilterGains) -> Prediction:
+        force = applied_force(drive, lane, delay)
+        return lax.scan(body, initial_state(drive, lane), (lane.position, force, lane.load, *gains[:3]))[1]
 
     # one lane after the other: batched derivatives then lie side by side in memory, which is four times faster
     return lax.map(lambda pair: one(*pair), (lanes, gains))

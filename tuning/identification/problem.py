@@ -11,21 +11,23 @@ from jaxtyping import Array, Float
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling
-from tuning.identification.prediction import FilterGains, Lanes, Predicted, begin_velocity, predict
+from tuning.identification.prediction import FilterGains, Lanes, Prediction, initial_velocity, predict
 from tuning.identification.unknowns import Unknowns
-from tuning.optimisation.space import Free, Space
+from tuning.optimisation.space import FreeParameter, SearchSpace
 
 SLOW_LOG = 999.0  # Hz, below which motion shows in third differences
 WINDOW = 50
-SHORTEST = 200  # samples of a stretch that is worth a lane
+MIN_LANE_SAMPLES = 200  # samples of a stretch that is worth a lane
 COARSE_SUBSTEP, FINE_SUBSTEP, FINEST_SUBSTEP = 100e-6, 25e-6, 6.25e-6  # s, at most
 
 
 def lanes_of(logs: list[Log]) -> Lanes:
     """The gap-free stretches of the logs side by side."""
-    stretches = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= SHORTEST]
+    stretches = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
     if not stretches:
-        raise LogError(f"no stretch of {SHORTEST} samples without a gap in {', '.join(log.name for log in logs)}")
+        raise LogError(
+            f"no stretch of {MIN_LANE_SAMPLES} samples without a gap in {', '.join(log.name for log in logs)}"
+        )
     longest = max(piece.stop - piece.start for _, piece in stretches)
 
     def padded(signal: np.ndarray | None, log: Log, piece: slice) -> np.ndarray:
@@ -36,7 +38,7 @@ def lanes_of(logs: list[Log]) -> Lanes:
         return np.stack([padded(getattr(log, name), log, piece) for log, piece in stretches])
 
     counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
-    begins = [begin_velocity(log.position[piece], log.rate) for log, piece in stretches]
+    begins = [initial_velocity(log.position[piece], log.rate) for log, piece in stretches]
     arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
     return Lanes(*(jnp.asarray(one) for one in arrays))
 
@@ -81,16 +83,16 @@ class Innovations:
     it at its start where the log says nothing.
     """
 
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     sampling: Sampling
     every: int = 1
 
     def unpack(self, y: Float[Array, " k"], problem: IdentificationProblem) -> tuple[Drive, Unknowns]:
         """The drive and the unknowns at y."""
-        unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
+        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, y)
         return unknowns.drive(problem.believed), unknowns
 
-    def predict(self, y: Float[Array, " k"], problem: IdentificationProblem) -> Predicted:
+    def predict(self, y: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
         """What the drive at y predicts."""
         drive, unknowns = self.unpack(y, problem)
         return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)

@@ -6,8 +6,8 @@ import numpy as np
 
 from diffdrive.errors import ParameterError
 from tuning.identification.problem import IdentificationProblem
-from tuning.identification.unknowns import bounds, paths, placed, value
-from tuning.optimisation.space import Free, space_of
+from tuning.identification.unknowns import default_bounds, free_paths, value_at, with_value
+from tuning.optimisation.space import FreeParameter, search_space
 
 NAMES = {  # in the drive file -> in the search
     "mass": "mass",
@@ -22,51 +22,56 @@ NAMES = {  # in the drive file -> in the search
     "delay": "delay",
 }
 BOUNDABLE = NAMES | {"coulomb_at_no_load": "coulomb"}
-EDGE = 0.02  # of its range (of its decades, where it is positive), by which a start is kept off its bounds
+MARGIN = 0.02  # of its range (of its decades, where it is positive), by which a start is kept off its bounds
 
 
 def free_space(
     problem: IdentificationProblem, held: set[str], bounded: Mapping[str, tuple[float, float]]
-) -> tuple[IdentificationProblem, tuple[Free, ...], list[str]]:
+) -> tuple[IdentificationProblem, tuple[FreeParameter, ...], list[str]]:
     """What is free, within bounds about what was believed; the problem with its starts inside them; notes."""
-    given, notes = _given(problem, held, bounded)
+    given, notes = _user_bounds(problem, held, bounded)
     unknowns, free = problem.unknowns, []
-    for path in paths(unknowns):
+    for path in free_paths(unknowns):
         stem = path.split(".")[0]
         if stem in held:
             continue
-        limits = given.get(path) or _usual(problem, path)
+        limits = given.get(path) or _default_bounds(problem, path)
         possible = np.isfinite([limits.low, limits.high]).all() and limits.low < limits.high
-        if not possible or limits.low <= 0 < _usual(problem, path).low:
+        if not possible or limits.low <= 0 < _default_bounds(problem, path).low:
             raise ParameterError(
                 f"cannot bound {path} within {limits.low:g} to {limits.high:g}: not a range of its values"
             )
-        unknowns = placed(unknowns, path, inside(value(unknowns, path), limits))
+        unknowns = with_value(unknowns, path, clipped_start(value_at(unknowns, path), limits))
         free.append(limits)
     if not free:
         raise ParameterError("every parameter is fixed: leave at least one free")
-    prior = np.array([_reach(one) / _reach(_usual(problem, one.path)) for one in free])
-    within = problem._replace(unknowns=unknowns, origin=space_of(unknowns, free).origin, prior=prior)
+    prior = np.array([_width(one) / _width(_default_bounds(problem, one.path)) for one in free])
+    within = problem._replace(unknowns=unknowns, origin=search_space(unknowns, free).origin, prior=prior)
     return within, tuple(free), notes
 
 
-def _reach(limits: Free) -> float:
+def _width(limits: FreeParameter) -> float:
     """How far bounds are apart, in the coordinate in which the parameter moves."""
     return float(np.log(limits.high / limits.low)) if limits.low > 0 else limits.high - limits.low
 
 
-def _usual(problem: IdentificationProblem, path: str) -> Free:
+def _default_bounds(problem: IdentificationProblem, path: str) -> FreeParameter:
     """Bounds about the belief, unless inverse dynamics says that it is far off: the same for like machines."""
-    believed, seeded = value(problem.believed_unknowns, path), value(problem.unknowns, path)
+    believed, seeded = value_at(problem.believed_unknowns, path), value_at(problem.unknowns, path)
     trusted = 0.2 < believed / seeded < 5.0 if seeded > 0 else True
-    return bounds(path, believed if trusted else seeded, value(problem.believed_unknowns, "coulomb"))
+    return default_bounds(path, believed if trusted else seeded, value_at(problem.believed_unknowns, "coulomb"))
 
 
-def _given(
+def _user_bounds(
     problem: IdentificationProblem, held: set[str], bounded: Mapping[str, tuple[float, float]]
-) -> tuple[dict[str, Free], list[str]]:
+) -> tuple[dict[str, FreeParameter], list[str]]:
     """The user's bounds as bounds of the unknowns, by path, and notes on what that took."""
-    before, friction, found, notes = problem.believed_unknowns, problem.believed.friction, dict[str, Free](), []
+    before, friction, found, notes = (
+        problem.believed_unknowns,
+        problem.believed.friction,
+        dict[str, FreeParameter](),
+        [],
+    )
     for name, (low, high) in bounded.items():
         if name not in BOUNDABLE:
             raise ParameterError(f"cannot bound '{name}'; known: {', '.join(BOUNDABLE)}")
@@ -80,18 +85,18 @@ def _given(
             )
         if any(one.split(".")[0] == stem for one in found):
             raise ParameterError(f"{name} is bounded twice, under two names")
-        for path in paths(before):
+        for path in free_paths(before):
             if path.split(".")[0] != stem:
                 continue
             shift, unit = 0.0, 1.0
             if name == "viscous":  # only the sum with the damping acts
-                shift = value(problem.believed.plant, path.replace("viscous", "damping"))
+                shift = value_at(problem.believed.plant, path.replace("viscous", "damping"))
             if name == "coulomb_screw":
-                slope = value(before, path.replace("coulomb", "load_coefficient"))
+                slope = value_at(before, path.replace("coulomb", "load_coefficient"))
                 shift = slope * float(friction.initial_load)
             if name == "breakaway_gap":  # searched as the ratio F_S / F_C
-                shift, unit = 1.0, value(before, path.replace("breakaway", "coulomb"))
-            found[path] = Free(path, low / unit + shift, high / unit + shift)
+                shift, unit = 1.0, value_at(before, path.replace("breakaway", "coulomb"))
+            found[path] = FreeParameter(path, low / unit + shift, high / unit + shift)
         if name == "breakaway_gap" and "coulomb" not in held:
             notes.append(
                 "the bounds of breakaway_gap are those of F_S / F_C at the drive file's Coulomb friction: they scale "
@@ -100,10 +105,10 @@ def _given(
     return found, notes
 
 
-def inside(start: float, limits: Free) -> float:
+def clipped_start(start: float, limits: FreeParameter) -> float:
     """The start, moved away from a bound, where it would have no gradient."""
     if limits.low > 0:
         reach = limits.high / limits.low
-        return float(np.clip(start, limits.low * reach**EDGE, limits.high * reach**-EDGE))
-    edge = EDGE * (limits.high - limits.low)
+        return float(np.clip(start, limits.low * reach**MARGIN, limits.high * reach**-MARGIN))
+    edge = MARGIN * (limits.high - limits.low)
     return float(np.clip(start, limits.low + edge, limits.high - edge))

@@ -12,30 +12,30 @@ import scipy.ndimage
 from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Drive, as_arrays
-from tuning.identification.filter_gain import PROCESSES, Likeliest, likeliest, track
-from tuning.identification.prediction import Predicted
+from tuning.identification.filter_gain import PROCESS_FORCES, MostLikely, filter_lanes, most_likely
+from tuning.identification.prediction import Prediction
 from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.uncertainty import Covariance, sandwich
-from tuning.identification.unknowns import placed, value
-from tuning.optimisation.least_squares import Progress, Search, levenberg_marquardt
+from tuning.identification.unknowns import value_at, with_value
+from tuning.optimisation.least_squares import LeastSquaresResult, StepProgress, levenberg_marquardt
 from tuning.store.store import Store, digest
 
-MOST_STEPS, ROUGH_STEPS = 40, 80  # of each search
-MOST_ROUNDS = 15  # of filtering and searching
-BOLDNESS = 10.0
-LIKELIER = 1.0  # in deviance, twice the logarithm of the likelihood
+MAX_STEPS, MAX_ROUGH_STEPS = 40, 80  # of each search
+MAX_ROUNDS = 15  # of filtering and searching
+TRUST = 10.0
+MIN_DEVIANCE_GAIN = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
-ROUGHLY, EXACTLY = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
+ROUGH_GAIN, FINE_GAIN = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
 INTEGRATOR_ERROR = 1e-2  # N of process force: what steps of `FINE_SUBSTEP` look like to the filter, and more
 SMOOTHING, SETTLING = 0.02, 0.1  # s
 
 
-class Fit(NamedTuple):
+class RefinedFit(NamedTuple):
     """A refined fit: the last search, the gains it went by, and what it leaves."""
 
     residuals: Innovations
     problem: IdentificationProblem
-    search: Search
+    search: LeastSquaresResult
     covariance: Covariance
     innovation: Float[np.ndarray, "lanes n"]  # m; zero where nothing was measured
     velocity: Float[np.ndarray, "lanes n"]  # m/s
@@ -44,24 +44,24 @@ class Fit(NamedTuple):
     steps: int = 0
 
 
-def refined(
-    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float, progress: Progress,
+def refine(
+    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float, progress: StepProgress,
     store: Store | None = None,
-) -> Fit:  # fmt: skip
+) -> RefinedFit:  # fmt: skip
     """Search and filter in turn, until neither changes the other.
 
     The first search goes by the constant gains that the problem comes with, which forgive a rough start. Far from the
     truth the filter blames the model and forgives it too much, which makes the next search timid. So each search trusts
-    the model `BOLDNESS` times more than the filter would, as long as that makes the log likelier.
+    the model `TRUST` times more than the filter would, as long as that makes the log likelier.
     """
-    rough = searched(fine, y, problem, progress, ROUGHLY, ROUGH_STEPS, store)
-    if interrupted(rough.search):
-        return rough._replace(process=float(PROCESSES[-1]), steps=rough.search.steps)
-    fit = _alternated(fine, rough.search.y, problem, noise, progress, ROUGHLY, store)
+    rough = search_once(fine, y, problem, progress, ROUGH_GAIN, MAX_ROUGH_STEPS, store)
+    if was_interrupted(rough.search):
+        return rough._replace(process=float(PROCESS_FORCES[-1]), steps=rough.search.steps)
+    fit = _alternate(fine, rough.search.y, problem, noise, progress, ROUGH_GAIN, store)
     return fit._replace(steps=rough.search.steps + fit.steps)
 
 
-def sharpened(fit: Fit, noise: float, progress: Progress, store: Store | None = None) -> Fit:
+def refine_substeps(fit: RefinedFit, noise: float, progress: StepProgress, store: Store | None = None) -> RefinedFit:
     """The fit at a quarter of the substep, and what the integrator's error may still be, added to its covariance.
 
     The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
@@ -70,77 +70,83 @@ def sharpened(fit: Fit, noise: float, progress: Progress, store: Store | None = 
     if fit.process > INTEGRATOR_ERROR:
         return fit
     finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
-    sharp = _alternated(finest, fit.search.y, fit.problem, noise, progress, EXACTLY, store)
+    sharp = _alternate(finest, fit.search.y, fit.problem, noise, progress, FINE_GAIN, store)
     left = (sharp.search.y - fit.search.y) / 15.0
     covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
     return sharp._replace(covariance=covariance, steps=fit.steps + sharp.steps)
 
 
-def _alternated(
+def _alternate(
     fine: Innovations,
     y: Float[np.ndarray, " k"],
     problem: IdentificationProblem,
     noise: float,
-    progress: Progress,
+    progress: StepProgress,
     enough: float,
     store: Store | None,
-) -> Fit:
+) -> RefinedFit:
     """Searches under the filter's gains and gains at the search's end, as long as the log becomes likelier."""
-    best, kept, steps, boldness = _filtered(fine, y, problem, noise), None, 0, BOLDNESS
-    for _ in range(MOST_ROUNDS):
-        process = max(best.process / boldness, float(PROCESSES[0]))
+    best, kept, steps, boldness = _most_likely_at(fine, y, problem, noise), None, 0, TRUST
+    for _ in range(MAX_ROUNDS):
+        process = max(best.process / boldness, float(PROCESS_FORCES[0]))
         gains = best.track.gains
         if process != best.process:
-            gains = track(*_machine(fine, y, problem), process, noise, problem.lanes, fine.sampling).gains
+            gains = filter_lanes(
+                *_drive_and_delay(fine, y, problem), process, noise, problem.lanes, fine.sampling
+            ).gains
         given = problem._replace(gains=jax.tree.map(np.asarray, gains))
-        fit = searched(fine, y, given, progress, enough, store=store)
-        then, steps = _filtered(fine, fit.search.y, problem, noise), steps + fit.search.steps
-        likelier = then.deviance < best.deviance - LIKELIER
+        fit = search_once(fine, y, given, progress, enough, store=store)
+        then, steps = _most_likely_at(fine, fit.search.y, problem, noise), steps + fit.search.steps
+        likelier = then.deviance < best.deviance - MIN_DEVIANCE_GAIN
         if likelier:
             y, best = fit.search.y, then
         if likelier or process == best.process or kept is None:
             kept = fit  # in the end the one whose gains are those of the likeliest process
-        if interrupted(fit.search):
-            kept = _ended(kept, fit.search.status)
+        if was_interrupted(fit.search):
+            kept = _with_status(kept, fit.search.status)
             break
         if not likelier and process == best.process:
             break
         if not likelier:
             boldness = 1.0  # it was too bold: not again
     else:
-        kept = _ended(kept, f"stopped after {MOST_ROUNDS} rounds of filtering")
+        kept = _with_status(kept, f"stopped after {MAX_ROUNDS} rounds of filtering")
     assert kept is not None
     return kept._replace(process=best.process, gain=best.gain, steps=steps)
 
 
-def _ended(fit: Fit | None, status: str) -> Fit:
+def _with_status(fit: RefinedFit | None, status: str) -> RefinedFit:
     assert fit is not None  # no round passes without one
     return fit._replace(search=dataclasses.replace(fit.search, status=status))
 
 
-def interrupted(search: Search) -> bool:
+def was_interrupted(search: LeastSquaresResult) -> bool:
     """Whether somebody stopped the search."""
     return search.status.startswith("interrupted")
 
 
-def _machine(fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem) -> tuple[Drive, float]:
+def _drive_and_delay(
+    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem
+) -> tuple[Drive, float]:
     drive, unknowns = fine.unpack(jnp.asarray(y), problem)
     return drive, unknowns.delay
 
 
-def _filtered(fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float) -> Likeliest:
-    return likeliest(*_machine(fine, y, problem), noise, problem.lanes, fine.sampling)
+def _most_likely_at(
+    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float
+) -> MostLikely:
+    return most_likely(*_drive_and_delay(fine, y, problem), noise, problem.lanes, fine.sampling)
 
 
-def searched(
+def search_once(
     fine: Innovations,
     y: Float[np.ndarray, " k"],
     problem: IdentificationProblem,
-    progress: Progress,
+    progress: StepProgress,
     enough: float,
-    most: int = MOST_STEPS,
+    most: int = MAX_STEPS,
     store: Store | None = None,
-) -> Fit:
+) -> RefinedFit:
     """One search under given gains; a finished one is kept in the `store`, or taken from there."""
     given = as_arrays(problem)
     key = "" if store is None else digest("searched", fine, y, problem, enough, most)
@@ -149,22 +155,22 @@ def searched(
         search = levenberg_marquardt(
             fine, y, given, max_steps=most, tolerance=TOLERANCE, enough=enough, progress=progress
         )
-        if store is not None and not interrupted(search):
+        if store is not None and not was_interrupted(search):
             store.write(key, {name: np.asarray(one) for name, one in dataclasses.asdict(search).items()})
     else:
         values = {name: one if name == "y" else one.tolist() for name, one in kept.items()}
-        search = Search(**values)
+        search = LeastSquaresResult(**values)
         try:
             progress(search.steps, most, search.cost)
         except KeyboardInterrupt:  # as in the search itself
             search = dataclasses.replace(search, status=f"interrupted after {search.steps} steps")
     predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
-    return Fit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
+    return RefinedFit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
 
 
 @eqx.filter_jit
-def _predict(fine: Innovations, y: Float[Array, " k"], problem: IdentificationProblem) -> Predicted:
+def _predict(fine: Innovations, y: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
     return fine.predict(y, problem)
 
 
@@ -186,7 +192,9 @@ def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: Identifi
     return sandwich(residual, jacobian, fine.sampling.rate, np.asarray(problem.prior))
 
 
-def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, " k"], IdentificationProblem]:
+def without_undetermined(
+    fit: RefinedFit, lost: set[str]
+) -> tuple[Innovations, Float[np.ndarray, " k"], IdentificationProblem]:
     """The problem without the parameters in `lost`, which go back to what was believed, and y of the others.
 
     A believed value outside the bounds goes to the nearer one.
@@ -197,19 +205,19 @@ def narrowed(fit: Fit, lost: set[str]) -> tuple[Innovations, Float[np.ndarray, "
     for path, low, high in free:
         if path not in lost:
             continue
-        believed = value(problem.believed_unknowns, path)
+        believed = value_at(problem.believed_unknowns, path)
         stem, _, side = path.partition(".")
         if stem == "breakaway":  # the gap stays, not its ratio to a Coulomb friction that was found to be another
             gap = getattr(problem.believed.friction.breakaway_gap, side)
             level = problem.believed_unknowns if f"coulomb.{side}" in lost else found
-            believed = 1.0 + float(gap) / value(level, f"coulomb.{side}")
-        unknowns = placed(unknowns, path, float(np.clip(believed, low, high)))
+            believed = 1.0 + float(gap) / value_at(level, f"coulomb.{side}")
+        unknowns = with_value(unknowns, path, float(np.clip(believed, low, high)))
     smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, kept)))
     origin, prior = np.asarray(problem.origin)[kept], np.asarray(problem.prior)[kept]
     return smaller, fit.search.y[kept], problem._replace(unknowns=unknowns, origin=origin, prior=prior)
 
 
-def missing_force(fit: Fit) -> Float[np.ndarray, "lanes n"]:
+def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
     """The force (N) that the filter's corrections of the velocity stand for, averaged over `SMOOTHING`.
 
     NaN where there is no log, and during `SETTLING`, while the filter finds the velocity and the bristle that the log
@@ -224,7 +232,7 @@ def missing_force(fit: Fit) -> Float[np.ndarray, "lanes n"]:
     return np.where(np.asarray(fit.problem.lanes.counts) > 0, smooth, np.nan)
 
 
-def friction_of(fit: Fit) -> float:
+def coulomb_level(fit: RefinedFit) -> float:
     """Coulomb friction (N) at no load, the scale against which missing forces count."""
     unknowns = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)[1]
     return 0.5 * float(unknowns.coulomb.positive + unknowns.coulomb.negative)

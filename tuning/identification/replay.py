@@ -25,14 +25,14 @@ from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
 from diffdrive.motion.builders import from_array
 from diffdrive.numerics.pipeline import require_shorter
-from tuning.identification.prediction import FilterGains, Lanes, moving, predict
-from tuning.identification.problem import FINE_SUBSTEP, SHORTEST, lanes_of, sampling_of
+from tuning.identification.prediction import FilterGains, Lanes, initial_state, predict
+from tuning.identification.problem import FINE_SUBSTEP, MIN_LANE_SAMPLES, lanes_of, sampling_of
 
-PAST = 10  # samples before the log over which the controller is warmed up
-FIRST = 5e-3  # s, and PAST samples at least: through so much the parabola at the first sample is laid
+WARM_UP = 10  # samples before the log over which the controller is warmed up
+INITIAL_WINDOW = 5e-3  # s, and PAST samples at least: through so much the parabola at the first sample is laid
 
 
-class Given(NamedTuple):
+class ReplayInputs(NamedTuple):
     """What a replay is given: the pieces of logs side by side, the reference of each, and what led up to them."""
 
     lanes: Lanes  # `velocity` is that of the parabola through the first samples
@@ -41,19 +41,19 @@ class Given(NamedTuple):
     past_position: Float[Array, "lanes past"]  # m, extrapolated
 
 
-class Replayed(NamedTuple):
+class ReplayOutput(NamedTuple):
     """What came out, [lanes, n] each; meaningless where the lanes' `counts` are 0."""
 
     position: Float[Array, "lanes n"]  # m
     command: Float[Array, "lanes n"]  # N
 
 
-def given(logs: list[Log]) -> Given:
+def replay_inputs(logs: list[Log]) -> ReplayInputs:
     """The pieces of the logs as `replay` takes them; raises `LogError` where there is no reference or no long piece."""
     lanes = lanes_of(logs)
     rows = [_row(log, piece, lanes.position.shape[1]) for log in logs for piece in long_pieces(log)]
     reference, past, position, velocity = zip(*rows, strict=True)
-    return Given(
+    return ReplayInputs(
         lanes._replace(velocity=jnp.asarray(velocity)),
         Reference(*(jnp.stack(signals) for signals in zip(*reference, strict=True))),
         Reference(*(jnp.stack(signals) for signals in zip(*past, strict=True))),
@@ -63,7 +63,7 @@ def given(logs: list[Log]) -> Given:
 
 def long_pieces(log: Log) -> list[slice]:
     """The pieces that `lanes_of` makes lanes of."""
-    return [piece for piece in log.pieces() if piece.stop - piece.start >= SHORTEST]
+    return [piece for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
 
 
 def _row(log: Log, piece: slice, longest: int) -> tuple[Reference, Reference, np.ndarray, float]:
@@ -73,21 +73,22 @@ def _row(log: Log, piece: slice, longest: int) -> tuple[Reference, Reference, np
     # not the log's own times: the controller ran on a uniform clock
     motion = from_array(np.arange(piece.stop - piece.start) / log.rate, log.reference[piece], name=log.name)
     signals = (motion.position, motion.velocity, motion.acceleration)
-    ago = np.arange(-PAST, 0.0) / log.rate
+    ago = np.arange(-WARM_UP, 0.0) / log.rate
     at, speed, rising = (signal[0] for signal in signals)
-    past = Reference(at + speed * ago + 0.5 * rising * ago**2, speed + rising * ago, np.full(PAST, rising))
-    first = log.position[piece][: max(PAST, round(FIRST * log.rate))]
+    past = Reference(at + speed * ago + 0.5 * rising * ago**2, speed + rising * ago, np.full(WARM_UP, rising))
+    first = log.position[piece][: max(WARM_UP, round(INITIAL_WINDOW * log.rate))]
     bend, slope, _ = np.polyfit(np.arange(len(first)) / log.rate, first, 2)
     padded = Reference(*(np.pad(signal, (0, longest - len(signal)), mode="edge") for signal in signals))
     return padded, past, first[0] + slope * ago + bend * ago**2, float(slope)
 
 
-def begun(drive: Drive, controller: Controller, at: Given, period: float) -> LoopState:
+def initial_loop_state(drive: Drive, controller: Controller, at: ReplayInputs, period: float) -> LoopState:
     """The loop at the first sample of one lane, in motion.
 
-    The table is where it was measured, the bristle in the steady state of its velocity. The controller has seen `PAST`
-    samples of table and reference extrapolated backwards, under the first command: that fills difference quotients and
-    short filters. What a controller remembers for longer, an integral or a slow observer, begins as at rest.
+    The table is where it was measured, the bristle in the steady state of its velocity. The controller has seen
+    `WARM_UP` samples of table and reference extrapolated backwards, under the first command: that fills difference
+    quotients and short filters. What a controller remembers for longer, an integral or a slow observer, begins as at
+    rest.
     """
     force = saturate(drive.actuator, at.lanes.command[0])
 
@@ -97,25 +98,25 @@ def begun(drive: Drive, controller: Controller, at: Given, period: float) -> Loo
     warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
     effects = stages.initial_states(drive.effects, force)
     return LoopState(
-        moving(drive, at.lanes), steady_state(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
+        initial_state(drive, at.lanes), steady_state(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
     )
 
 
-def replay(drive: Drive, controller: Controller, given: Given, sampling: Sampling) -> Replayed:
+def replay(drive: Drive, controller: Controller, given: ReplayInputs, sampling: Sampling) -> ReplayOutput:
     """Simulated position and command of each piece in closed loop. Pure: for use under `jit`, `vmap` and `jacfwd`."""
     require_double_precision()
 
-    def one(at: Given) -> Replayed:
+    def one(at: ReplayInputs) -> ReplayOutput:
         inputs = Inputs(at.reference, at.lanes.load, at.lanes.disturbance)
-        begin = begun(drive, controller, at, sampling.period)
+        begin = initial_loop_state(drive, controller, at, sampling.period)
         frame = rollout(drive, controller, inputs, sampling, begin=begin)
-        return Replayed(frame.position, frame.command)
+        return ReplayOutput(frame.position, frame.command)
 
     return lax.map(one, given)
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class ClosedLoopReplay:
     """A log beside its replay in closed loop; arrays over the samples replayed, the pieces one after the other.
 
     Where `status` is not ok the simulation ran away: its figures are infinite.
@@ -146,16 +147,18 @@ _replay = eqx.filter_jit(replay)
 _predict = eqx.filter_jit(predict)
 
 
-def closed_loop(drive: Drive, controller: Controller, log: Log, sampling: Sampling | None = None) -> ClosedLoop:
+def replay_closed_loop(
+    drive: Drive, controller: Controller, log: Log, sampling: Sampling | None = None
+) -> ClosedLoopReplay:
     """Replay `log` in closed loop. `sampling`: by default the log's rate, with substeps of 25 us.
 
-    Raises `LogError` where the log has no reference or no piece of `SHORTEST` samples, and `ParameterError` for a
-    drive, controller or sampling that is out of range. A loop that diverges does not raise: see `status`.
+    Raises `LogError` where the log has no reference or no piece of `MIN_LANE_SAMPLES` samples, and `ParameterError`
+    for a drive, controller or sampling that is out of range. A loop that diverges does not raise: see `status`.
     """
     check_drive(drive)
     check(controller)
     require_shorter(len(log.time), (*drive.actuator.pipelines, *controller.pipelines))
-    pieces = given([log])
+    pieces = replay_inputs([log])
     found = _replay(*as_arrays((drive, controller)), pieces, _sampling(log, sampling))
     counted = np.asarray(pieces.lanes.counts) > 0
     position, command = (np.asarray(signal)[counted] for signal in found)
@@ -163,7 +166,7 @@ def closed_loop(drive: Drive, controller: Controller, log: Log, sampling: Sampli
     status = _status(log, position - np.asarray(pieces.reference.position)[counted], "reference")
     missing = command - logged
     rms = np.sqrt(np.mean(missing**2)) if status.ok else np.inf
-    return ClosedLoop(
+    return ClosedLoopReplay(
         time=_time(log),
         position=position,
         command=command,
@@ -175,10 +178,10 @@ def closed_loop(drive: Drive, controller: Controller, log: Log, sampling: Sampli
     )
 
 
-def open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -> OpenLoopReplay:
-    """The drive's answer to the logged command, without any correction; needs no reference, raises as `closed_loop`.
+def replay_open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -> OpenLoopReplay:
+    """The drive's response to the logged command, without any correction; raises as `replay_closed_loop`.
 
-    The figure that a benchmark usually asks for, and a poor one: see `drift_note`.
+    It needs no reference. The figure that a benchmark usually asks for, and a poor one: see `drift_note`.
     """
     check_drive(drive)
     lanes = lanes_of([log])

@@ -9,7 +9,7 @@ SIGNIFICANT = 2.0  # standard errors that a parameter must be away from zero to 
 VISCOUS_FLOOR = 0.01  # of the total: what is left to the friction where the plant's damping takes it all
 
 
-def seed_drive(drive: Drive, result: InverseDynamics) -> tuple[Drive, tuple[str, ...]]:
+def initial_drive(drive: Drive, result: InverseDynamics) -> tuple[Drive, tuple[str, ...]]:
     """`drive` with the mass, constant force, Coulomb and viscous friction of `result`, and notes on what it kept.
 
     The Coulomb friction goes into `coulomb_screw`, so that F_C under the applied load of the logs is as identified;
@@ -18,7 +18,7 @@ def seed_drive(drive: Drive, result: InverseDynamics) -> tuple[Drive, tuple[str,
     """
     notes: list[str] = []
     plant, friction = drive.plant, drive.friction
-    mass, reason = _determined(result, "mass")
+    mass, reason = _determined_value(result, "mass")
     if reason:
         notes.append(f"plant.mass stays at {float(plant.mass):g} kg: {reason}")
     else:
@@ -51,13 +51,13 @@ def _side(drive: Drive, result: InverseDynamics, side: str, notes: list[str]) ->
     def keep(name: str, reason: str) -> None:
         notes.append(f"friction.{name} ({side}) stays at {seeded[name]:g}: {reason}")
 
-    slope, reason = _determined(result, "load_coefficient", side)
+    slope, reason = _determined_value(result, "load_coefficient", side)
     if result.load_coefficient is not None and reason:
         keep("load_coefficient", reason)
     elif result.load_coefficient is not None:
         seeded["load_coefficient"] = slope
 
-    level, reason = _determined(result, "coulomb", side)
+    level, reason = _determined_value(result, "coulomb", side)
     if reason:
         keep("coulomb_screw", reason)
     else:
@@ -72,7 +72,7 @@ def _side(drive: Drive, result: InverseDynamics, side: str, notes: list[str]) ->
                 "coulomb_screw", "load_coefficient and initial_load alone make more Coulomb friction than the logs show"
             )
 
-    total, reason = _determined(result, "viscous", side)
+    total, reason = _determined_value(result, "viscous", side)
     if reason:
         keep("viscous", reason)
     else:
@@ -86,7 +86,7 @@ def _side(drive: Drive, result: InverseDynamics, side: str, notes: list[str]) ->
     return seeded
 
 
-def _determined(result: InverseDynamics, name: str, side: str = "") -> tuple[float, str]:
+def _determined_value(result: InverseDynamics, name: str, side: str = "") -> tuple[float, str]:
     """A parameter's value (NaN if the logs do not tell it), and why it is not to be used, or an empty reason."""
     key = name if name in result.values else f"{name}.{side}"
     value = result.values.get(key, float("nan"))

@@ -11,14 +11,14 @@ from diffdrive.logs import Log
 from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, check_drive
 from tuning.identification import inverse_dynamics
-from tuning.identification.inverse_dynamics import LOAD_SPREAD, SLOWEST
-from tuning.identification.prediction import LONGEST_DELAY, constant_gains
+from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
+from tuning.identification.prediction import MAX_DELAY, constant_gains
 from tuning.identification.problem import IdentificationProblem, lanes_of, noise_floor
 from tuning.identification.ranges import NAMES, free_space
 from tuning.identification.regressors import DIRECTIONAL
-from tuning.identification.seed import seed_drive
-from tuning.identification.unknowns import paths, unknowns_of
-from tuning.optimisation.space import Free
+from tuning.identification.seed import initial_drive
+from tuning.identification.unknowns import free_paths, unknowns_of
+from tuning.optimisation.space import FreeParameter
 
 SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
 ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on a falling Stribeck curve
@@ -28,27 +28,27 @@ class IdentificationSetup(NamedTuple):
     """A problem, the parameters that are free in it, the measuring noise, and what the logs cannot even be asked."""
 
     problem: IdentificationProblem
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     rate: float  # Hz
     noise: float  # m
     unasked: frozenset[str]  # paths of parameters that no motion of these logs bears on
     notes: tuple[str, ...]
 
 
-def ask(
+def build_problem(
     logs: Sequence[Log], drive: Drive, fixed: Sequence[str], bounded: Mapping[str, tuple[float, float]]
 ) -> IdentificationSetup:
     """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none."""
     if drive.effects:
         names = ", ".join(effect.name for effect in drive.effects)
         raise ParameterError(f"identification does not know the drive file's effects ({names}): take them out")
-    rate = _one_rate(logs)
+    rate = _common_rate(logs)
     lanes = lanes_of(list(logs))
-    seeded, notes = _seeded(drive, logs)
+    seeded, notes = _initial_drive(drive, logs)
     delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
-    if delay >= LONGEST_DELAY:
+    if delay >= MAX_DELAY:
         raise ParameterError(
-            f"the drive file's delay of {delay:g} samples is beyond the {LONGEST_DELAY} that identification looks at: "
+            f"the drive file's delay of {delay:g} samples is beyond the {MAX_DELAY} that identification looks at: "
             "shift the log's command by the whole samples, and lower delay_samples by as many"
         )
     noise = noise_floor(drive, lanes, rate)
@@ -62,25 +62,25 @@ def ask(
         origin=np.zeros(0),
         prior=np.zeros(0),
     )
-    held, unasked = _held(fixed), frozenset[str]()
-    if "coulomb" in held and "load_coefficient" not in held and not _one_load(problem):
+    held, unasked = _fixed_unknowns(fixed), frozenset[str]()
+    if "coulomb" in held and "load_coefficient" not in held and not _has_one_load(problem):
         raise ParameterError(
             "the loads differ between or within the logs: fix coulomb_screw and load_coefficient together, or neither, "
             "since friction shows only their sum at each load"
         )
-    if "load_coefficient" not in held and _one_load(problem):
+    if "load_coefficient" not in held and _has_one_load(problem):
         held.add("load_coefficient")
-        unasked = frozenset(path for path in paths(believed) if path.startswith("load_coefficient"))
+        unasked = frozenset(path for path in free_paths(believed) if path.startswith("load_coefficient"))
         notes.append("these logs hold one load: load_coefficient stays as in the drive file")
     if "load_coefficient" not in held and float(drive.friction.initial_load) > 0:
         notes.append(
             "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
         )
-    problem, free, said = free_space(_without(problem, held), held, bounded)
+    problem, free, said = free_space(_with_fixed(problem, held), held, bounded)
     return IdentificationSetup(problem, free, rate, noise, unasked, (*notes, *said))
 
 
-def _one_rate(logs: Sequence[Log]) -> float:
+def _common_rate(logs: Sequence[Log]) -> float:
     if not logs:
         raise LogError("no log to identify from")
     for log in logs:
@@ -92,18 +92,18 @@ def _one_rate(logs: Sequence[Log]) -> float:
     return float(round(np.mean([log.rate for log in logs]), 6))
 
 
-def _seeded(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]:
+def _initial_drive(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]:
     """The drive with what inverse dynamics finds; as it is, with a note, where that finds nothing."""
     try:
-        found = inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST)
-        seeded, notes = seed_drive(drive, found)
+        found = inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=MIN_SPEED)
+        seeded, notes = initial_drive(drive, found)
         check_drive(seeded)
     except DiffdriveError as problem:
         return drive, [f"inverse dynamics gave no start ({problem}); started from the drive file"]
     return seeded, list(notes)
 
 
-def _held(fixed: Sequence[str]) -> set[str]:
+def _fixed_unknowns(fixed: Sequence[str]) -> set[str]:
     unknown = [name for name in fixed if name not in NAMES]
     if unknown:
         raise ParameterError(f"cannot fix '{unknown[0]}'; known: {', '.join(NAMES)}")
@@ -117,13 +117,13 @@ def _rough_bandwidth(drive: Drive, rate: float) -> float:
     return float(np.clip(FASTER * max(slopes) / mass, ROUGH_BANDWIDTH, 0.3 * rate))
 
 
-def _one_load(problem: IdentificationProblem) -> bool:
+def _has_one_load(problem: IdentificationProblem) -> bool:
     """Whether the load differs too little for friction to show it."""
     loads = np.asarray(problem.lanes.load)[np.asarray(problem.lanes.counts) > 0]
     return bool(np.ptp(loads) <= LOAD_SPREAD * np.max(np.abs(loads)))
 
 
-def _without(problem: IdentificationProblem, held: set[str]) -> IdentificationProblem:
+def _with_fixed(problem: IdentificationProblem, held: set[str]) -> IdentificationProblem:
     """Held parameters at the believed values; a held gap stays a gap, whatever becomes of the Coulomb friction."""
     before = problem.believed_unknowns
     values = {name: getattr(before, name) for name in held} | ({"breakaway": None} if "breakaway" in held else {})

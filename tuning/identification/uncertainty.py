@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 LEVEL = 0.95
 BLOCK = 0.25  # s, at least
-CHANCE = 0.01  # that white residuals seem to repeat
-FEWEST_BLOCKS_PER_PARAMETER = 2  # a long memory does not make blocks so long that fewer are left
+SIGNIFICANCE = 0.01  # that white residuals seem to repeat
+MIN_BLOCKS_PER_PARAMETER = 2  # a long memory does not make blocks so long that fewer are left
 
 
 class Covariance(NamedTuple):
@@ -37,7 +37,7 @@ class Covariance(NamedTuple):
         return self.matrix / np.outer(scale, scale)
 
 
-def memory(residual: Float[np.ndarray, "lanes n"]) -> int:
+def correlation_length(residual: Float[np.ndarray, "lanes n"]) -> int:
     """Samples after which a residual has forgotten itself: where its autocorrelation first stays within the noise."""
     correlation = autocorrelation(residual, residual.shape[1] // 10)
     inside = np.abs(correlation) < 3.0 / np.sqrt(residual.size) + 0.02
@@ -53,7 +53,7 @@ def autocorrelation(residual: Float[np.ndarray, "lanes n"], lags: int) -> Float[
     return covariance[1 : lags + 1] / covariance[0]
 
 
-def repetition(residual: Float[np.ndarray, "lanes n"], rate: float) -> float:
+def repetition_inflation(residual: Float[np.ndarray, "lanes n"], rate: float) -> float:
     """By how much the variance of estimates is larger because residuals come again later on, as from lap to lap.
 
     Strokes of a whole number of counts meet the grid of the scale in the same places each time, and so does friction
@@ -67,7 +67,7 @@ def repetition(residual: Float[np.ndarray, "lanes n"], rate: float) -> float:
         return 1.0
     far = autocorrelation(residual, lags)[first:]
     counted = max(1, int(np.count_nonzero(residual)))
-    chance = float(scipy.stats.norm.isf(CHANCE / len(far))) / np.sqrt(counted)
+    chance = float(scipy.stats.norm.isf(SIGNIFICANCE / len(far))) / np.sqrt(counted)
     return 1.0 + 2.0 * max(0.0, float(np.sum(far[np.abs(far) > chance])))
 
 
@@ -87,8 +87,8 @@ def sandwich(
     largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
     jacobian, believed = jacobian / largest, np.diag((prior / largest) ** 2)
     information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + believed
-    enough = lanes * samples // (FEWEST_BLOCKS_PER_PARAMETER * count)
-    block = min(samples, max(round(BLOCK * rate), min(2 * memory(residual), enough)))
+    enough = lanes * samples // (MIN_BLOCKS_PER_PARAMETER * count)
+    block = min(samples, max(round(BLOCK * rate), min(2 * correlation_length(residual), enough)))
     filled = -(-samples // block) * block  # the last block of a lane may be short
     scores = np.pad(jacobian * residual[:, :, None], ((0, 0), (0, filled - samples), (0, 0)))
     sums = scores.reshape(lanes, -1, block, count).sum(axis=2).reshape(-1, count)
@@ -101,9 +101,9 @@ def sandwich(
         # each fitted parameter has taken a block's worth of scatter out of the sums
         scatter = (sums.T @ sums * (blocks / (blocks - count)) + believed) / np.outer(scale, scale)
         # a few blocks can agree by chance: no variance below that of white residuals
-        matrix = _at_least(inverse @ scatter @ inverse, _variance(residual, 0) * inverse)
+        matrix = _with_variance_floor(inverse @ scatter @ inverse, _variance(residual, 0) * inverse)
     else:
-        matrix = _variance(residual, memory(residual)) * inverse
+        matrix = _variance(residual, correlation_length(residual)) * inverse
     matrix = matrix / np.outer(scale, scale) / largest[:, None] / largest
     return Covariance(0.5 * (matrix + matrix.T), blocks, float(np.linalg.cond(scaled)))
 
@@ -115,7 +115,7 @@ def _variance(residual: Float[np.ndarray, "lanes n"], lags: int) -> float:
     return float(np.mean(counted**2)) * max(1.0, colour) if len(counted) else 1.0
 
 
-def _at_least(matrix: Float[np.ndarray, "k k"], floor: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+def _with_variance_floor(matrix: Float[np.ndarray, "k k"], floor: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
     """The covariance with no variance below that of `floor`, its correlations kept."""
     wider = np.sqrt(np.maximum(1.0, np.diag(floor) / np.diag(matrix)))
     return matrix * np.outer(wider, wider)

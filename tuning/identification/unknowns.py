@@ -13,8 +13,8 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
-from tuning.identification.prediction import EARLIEST_DELAY, LONGEST_DELAY
-from tuning.optimisation.space import Free
+from tuning.identification.prediction import MAX_DELAY, MIN_DELAY
+from tuning.optimisation.space import FreeParameter
 
 
 class Unknowns(eqx.Module):
@@ -66,12 +66,12 @@ class Unknowns(eqx.Module):
         )
 
 
-LEAST = {
+LOGARITHM_FLOOR = {
     "load_coefficient": 1e-5,
     "viscous": 1.0,
     "bristle_damping": 10.0,
 }  # what moves in a logarithm cannot start at 0
-WIDTH = 30.0  # factor by which a parameter may move from its start, either way
+MAX_FACTOR = 30.0  # factor by which a parameter may move from its start, either way
 
 
 def unknowns_of(drive: Drive, delay: float) -> Unknowns:
@@ -101,7 +101,7 @@ def unknowns_of(drive: Drive, delay: float) -> Unknowns:
     )
 
 
-def paths(unknowns: Unknowns) -> list[str]:
+def free_paths(unknowns: Unknowns) -> list[str]:
     """Every path that can be free: both directions of friction each, but for a bristle that is the same in both."""
     found = []
     for field in dataclasses.fields(unknowns):
@@ -116,24 +116,24 @@ def paths(unknowns: Unknowns) -> list[str]:
     return found
 
 
-def bounds(path: str, start: float, friction: float) -> Free:
+def default_bounds(path: str, start: float, friction: float) -> FreeParameter:
     """How far a parameter may move by default; `friction` is the Coulomb level (N)."""
     if path == "constant_force":
         reach = 10.0 * friction + 2.0 * abs(start)
-        return Free(path, -reach, reach)
+        return FreeParameter(path, -reach, reach)
     if path == "delay":
-        return Free(path, float(EARLIEST_DELAY), float(LONGEST_DELAY))
-    middle = max(start, LEAST.get(path.split(".")[0], 0.0))
-    return Free(path, middle / WIDTH, middle * WIDTH)
+        return FreeParameter(path, float(MIN_DELAY), float(MAX_DELAY))
+    middle = max(start, LOGARITHM_FLOOR.get(path.split(".")[0], 0.0))
+    return FreeParameter(path, middle / MAX_FACTOR, middle * MAX_FACTOR)
 
 
-def value(unknowns: Unknowns, path: str) -> float:
+def value_at(unknowns: Unknowns, path: str) -> float:
     """The value at `path`; of a pair that is the same in both directions, that one."""
     node = attrgetter(path)(unknowns)
     return float(node.positive if isinstance(node, Directional) else node)
 
 
-def placed(unknowns: Unknowns, path: str, value: float) -> Unknowns:
+def with_value(unknowns: Unknowns, path: str, value: float) -> Unknowns:
     """The unknowns with `value` at `path`, in both directions where the path names a pair."""
     node = attrgetter(path)(unknowns)
     new = Directional(value, value) if isinstance(node, Directional) else value

@@ -10,14 +10,14 @@ from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.results import Result, Status
-from tuning.checked_logs import CheckedLogs, check_logs, logs_of, require_sound
-from tuning.identification.estimates import Estimate
-from tuning.identification.identify import Identified
+from tuning.checked_logs import CheckedLogs, as_logs, check_logs, require_sound
+from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.identify import Identification
 from tuning.identification.identify import identify as fit_drive
 from tuning.identification.ranges import NAMES
-from tuning.identification.refinement import interrupted
+from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
-from tuning.progress import Progress, shown
+from tuning.progress import Progress, reporting
 from tuning.store.store import Store
 
 PLANT = ("mass", "constant_force")
@@ -33,8 +33,8 @@ class IdentificationResult(Result):
     """
 
     axis: Axis
-    estimates: tuple[Estimate, ...]
-    found: Identified
+    estimates: tuple[ParameterEstimate, ...]
+    found: Identification
     logs: CheckedLogs
     notes: tuple[str, ...]
     given: Axis  # before
@@ -42,7 +42,7 @@ class IdentificationResult(Result):
 
     schema: ClassVar[str] = "identification/1"
 
-    def estimate(self, name: str) -> Estimate:
+    def estimate(self, name: str) -> ParameterEstimate:
         """One parameter: by its path in the axis, such as `plant.mass`, or by its name.
 
         A parameter that differs between the directions is named with `.positive` or `.negative`. Raises
@@ -136,23 +136,23 @@ def identify(
         >>> fit.axis.write("identified.toml")
 
     """
-    checked = check_logs(axis, logs_of(axis, logs), loads=loads)
+    checked = check_logs(axis, as_logs(axis, logs), loads=loads)
     if not force:
         require_sound(checked, "force=True identifies all the same, and fits that as mass or friction")
-    names = {_name(name): limits for name, limits in (bounds or {}).items()}
-    with shown(progress) as tell:
+    names = {_parameter_name(name): limits for name, limits in (bounds or {}).items()}
+    with reporting(progress) as tell:
         found = fit_drive(
-            checked.logs, axis.drive, fixed=[_name(name) for name in fixed], bounded=names, starts=starts, seed=seed,
-            store=store, progress=lambda step, most, _: tell("searching", step, most),
+            checked.logs, axis.drive, fixed=[_parameter_name(name) for name in fixed], bounded=names, starts=starts,
+            seed=seed, store=store, progress=lambda step, most, _: tell("searching", step, most),
         )  # fmt: skip
-    result = identification_of(axis, found, checked)
+    result = identification_result(axis, found, checked)
     return result.require_ok() if throw else result
 
 
-def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> IdentificationResult:
+def identification_result(axis: Axis, found: Identification, checked: CheckedLogs) -> IdentificationResult:
     """The result, with what is to be said of it."""
     ok = found.search.status == "converged"
-    code = CODES.get(found.status, "interrupted" if interrupted(found.search) else "not_converged")
+    code = CODES.get(found.status, "interrupted" if was_interrupted(found.search) else "not_converged")
     notes = [f"{log}: {one.message}; {one.remedy}" for log, one in checked.worth_saying]
     notes += [*found.notes, found.adequacy.says]
     unstated = unstated_noise(axis.drive, found.noise)
@@ -163,7 +163,7 @@ def identification_of(axis: Axis, found: Identified, checked: CheckedLogs) -> Id
     )  # fmt: skip
 
 
-def _name(path: str) -> str:
+def _parameter_name(path: str) -> str:
     """The name of a parameter that is given by its path in the axis."""
     part, _, name = path.partition(".")
     return name if name and part in ("plant", "friction", "actuator") else path

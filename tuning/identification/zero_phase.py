@@ -44,9 +44,9 @@ def decimate(signal: Signal, ratio: int) -> Signal:
     corner = CHEBYSHEV_CORNER / ratio
     sections = cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE, corner, output="sos")
     slow_gain = 10 ** (-2 * CHEBYSHEV_RIPPLE / 20)  # of an even order, passed twice; MATLAB leaves it in
-    return sosfiltfilt(sections, signal, padlen=round(2.4 * ratio))[kept(len(signal), ratio)] / slow_gain
+    return sosfiltfilt(sections, signal, padlen=round(2.4 * ratio))[decimation_slice(len(signal), ratio)] / slow_gain
 
 
-def kept(count: int, ratio: int) -> slice:
+def decimation_slice(count: int, ratio: int) -> slice:
     """Which of `count` samples `decimate` keeps."""
     return slice((count - 1) % ratio, None, ratio)

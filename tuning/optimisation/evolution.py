@@ -19,12 +19,12 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from tuning.optimisation.least_squares import Residuals
-from tuning.optimisation.space import Space
+from tuning.optimisation.space import SearchSpace
 
 POPULATION = 3  # members per free parameter: quicker on EMPS than 5 or 15 (docs/evidence/identification-baseline.md)
 BLOCK = 32  # simulations side by side
 EDGE = 1e-4  # of each parameter's range, that its sigmoid nears but never reaches
-WORST = 1e30  # the cost of a simulation that is not finite: differential evolution takes no infinity
+DIVERGED_COST = 1e30  # the cost of a simulation that is not finite: differential evolution takes no infinity
 
 Population = Float[np.ndarray, "s k"]  # of shares, 0 to 1, of each parameter's range
 Costs = Callable[[Population], Float[np.ndarray, " s"]]
@@ -38,7 +38,7 @@ class Budget(NamedTuple):
     cost: float = 0.0
 
 
-class Visit(NamedTuple):
+class HistoryEntry(NamedTuple):
     """The lowest cost after so many simulations."""
 
     simulations: int
@@ -53,7 +53,7 @@ class Evolution:
     share: Float[np.ndarray, " k"]
     cost: float
     status: str
-    history: list[Visit]  # generation by generation
+    history: list[HistoryEntry]  # generation by generation
 
     @property
     def simulations(self) -> int:
@@ -69,7 +69,7 @@ def evolve(
     population: int = POPULATION,
     sample: int = 0,
     seed: int = 0,
-    progress: Callable[[Visit], None] = lambda visit: None,
+    progress: Callable[[HistoryEntry], None] = lambda visit: None,
 ) -> Evolution:
     """Minimise `costs` over the unit cube; `begin` is one member of the first population, the others fill it evenly.
 
@@ -77,13 +77,13 @@ def evolve(
     Differential evolution with scipy's defaults (best1bin, mutation 0.5 to 1, recombination 0.7), without its final
     gradient polish. Costs that are not finite count as the worst.
     """
-    began, history, status = time.perf_counter(), list[Visit](), "converged: the population has collapsed"
+    began, history, status = time.perf_counter(), list[HistoryEntry](), "converged: the population has collapsed"
 
     def generation(shares: Float[np.ndarray, "k s"]) -> Float[np.ndarray, " s"]:
-        found = np.nan_to_num(costs(shares.T), nan=WORST, posinf=WORST)
-        simulations, _, least = history[-1] if history else Visit(0, 0.0, np.inf)
+        found = np.nan_to_num(costs(shares.T), nan=DIVERGED_COST, posinf=DIVERGED_COST)
+        simulations, _, least = history[-1] if history else HistoryEntry(0, 0.0, np.inf)
         now = time.perf_counter() - began
-        history.append(Visit(simulations + len(found), now, min(least, float(found.min()))))
+        history.append(HistoryEntry(simulations + len(found), now, min(least, float(found.min()))))
         progress(history[-1])
         return found
 
@@ -127,22 +127,22 @@ def _norms(residuals: Residuals, points: Float[Array, "s k"], args: Any, block: 
     return lax.map(lambda y: jnp.linalg.norm(residuals(y, args)), points, batch_size=block)
 
 
-def norms(residuals: Residuals, space: Space, args: Any, block: int = BLOCK) -> Costs:
+def norm_costs(residuals: Residuals, space: SearchSpace, args: Any, block: int = BLOCK) -> Costs:
     """The root of the sum of squares of `residuals(y, args)`, the cost of `tuning.optimisation.least_squares`, over
     `space`.
     """
 
     def costs(shares: Population) -> Float[np.ndarray, " s"]:
-        return np.asarray(_norms(residuals, jnp.asarray(point(space, shares)), args, block))
+        return np.asarray(_norms(residuals, jnp.asarray(theta_at(space, shares)), args, block))
 
     return costs
 
 
-def point(space: Space, shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s k"]:
+def theta_at(space: SearchSpace, shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s k"]:
     """The coordinates y of the gradient search at these shares of each parameter's range."""
     return np.log(shares / (1.0 - shares)) - space.origin
 
 
-def origin_share(space: Space) -> Float[np.ndarray, " k"]:
+def origin_fractions(space: SearchSpace) -> Float[np.ndarray, " k"]:
     """The shares at y = 0, where a gradient search starts."""
     return np.asarray(jax.nn.sigmoid(jnp.asarray(space.origin)))

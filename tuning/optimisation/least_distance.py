@@ -14,7 +14,7 @@ DAMPING = 1e-9  # of the largest curvature
 INCOMPATIBLE = 1e-9  # relative: what is left of the least distance where the constraints contradict each other
 
 
-class Solved(NamedTuple):
+class QPSolution(NamedTuple):
     """The minimiser and the price of each constraint; None where no point keeps them all."""
 
     d: Float[np.ndarray, " k"]
@@ -23,7 +23,7 @@ class Solved(NamedTuple):
 
 def quadratic_program(
     h: Float[np.ndarray, "k k"], g: Float[np.ndarray, " k"], c: Float[np.ndarray, "m k"], b: Float[np.ndarray, " m"]
-) -> Solved | None:
+) -> QPSolution | None:
     """Solve it; `h` is symmetric and not negative, and is damped where it is singular."""
     root = scipy.linalg.cholesky(h + DAMPING * max(float(np.max(np.diag(h))), 1e-300) * np.eye(len(g)))
     # with z = root d + root^-T g: minimise |z| / 2 subject to G z >= f
@@ -38,4 +38,4 @@ def quadratic_program(
         return None
     z = -unit * residual[:-1] / residual[-1]
     d = scipy.linalg.solve_triangular(root, z - free)
-    return Solved(d, unit * prices / -residual[-1])
+    return QPSolution(d, unit * prices / -residual[-1])

@@ -19,16 +19,16 @@ from jaxtyping import Array, Float
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.support.resources import require_memory
 
-Progress = Callable[[int, int, float], None]
+StepProgress = Callable[[int, int, float], None]
 Residuals = Callable[[Float[Array, " k"], Any], Float[Array, " m"]]
 
 
-def silent(step: int, most: int, cost: float) -> None:
+def no_progress(step: int, most: int, cost: float) -> None:
     """Show nothing."""
 
 
 @dataclass(frozen=True)
-class Search:
+class LeastSquaresResult:
     """Where a search ended: the best point, why it stopped, and the root of the sum of squares along the way."""
 
     y: np.ndarray
@@ -128,8 +128,8 @@ def levenberg_marquardt(
     max_steps: int,
     tolerance: float,
     enough: float = 1e-7,
-    progress: Progress = silent,
-) -> Search:
+    progress: StepProgress = no_progress,
+) -> LeastSquaresResult:
     """Minimise the sum of squares of `residuals(y, args)` from `y`.
 
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
@@ -167,7 +167,7 @@ def levenberg_marquardt(
                 break
     except KeyboardInterrupt:
         status = f"interrupted after {count - 1} steps"
-    return Search(np.asarray(best), status, first, cost, count, time.perf_counter() - began, history)
+    return LeastSquaresResult(np.asarray(best), status, first, cost, count, time.perf_counter() - began, history)
 
 
 _LANES = eqx.if_array(0)
@@ -196,7 +196,7 @@ def _step_lanes(residuals: Residuals, solver: Any, points: Any, units: Any, args
     return eqx.filter_vmap(one, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
 
 
-def require_room(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: Any) -> None:
+def require_search_memory(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: Any) -> None:
     """Raise `ParameterError` where searches from all these starts at once do not fit into memory.
 
     Each holds its residuals and their derivative by every parameter.
@@ -207,20 +207,20 @@ def require_room(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: A
     require_memory(ParameterError, request, needed, "give fewer starts")
 
 
-def many_starts(
+def multistart(
     residuals: Residuals,
     starts: Float[np.ndarray, "s k"],
     args: Any,
     *,
     steps: int,
-    progress: Progress = silent,
+    progress: StepProgress = no_progress,
 ) -> tuple[Float[np.ndarray, "s k"], Float[np.ndarray, " s"], bool]:
     """`steps` steps from each start, all starts as lanes of one program: the best point of each, and its cost.
 
     The cost is the root of the sum of squares; infinite where a start never had a finite one. Interrupted (Ctrl-C), it
     returns the best so far and says so, with True at the end.
     """
-    require_room(residuals, starts, args)
+    require_search_memory(residuals, starts, args)
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0)
     points = jnp.asarray(starts)
     units, state = _begin_lanes(residuals, solver, points, args)

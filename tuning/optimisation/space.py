@@ -16,7 +16,7 @@ from diffdrive.model.parameters import Directional, quantities
 Model = TypeVar("Model")
 
 
-class Free(NamedTuple):
+class FreeParameter(NamedTuple):
     """One free parameter: its dotted path in the tree, and the bounds it stays within.
 
     A path may end at a parameter per direction (both directions move together) or at its `positive` or `negative`.
@@ -28,13 +28,13 @@ class Free(NamedTuple):
     high: float
 
 
-class Space(NamedTuple):
+class SearchSpace(NamedTuple):
     """Free parameters as one unbounded vector: y = 0 is where each started, and no y leaves the bounds.
 
     Gains are positive and span decades: each moves in its logarithm, through a sigmoid between its bounds.
     """
 
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     origin: Float[np.ndarray, " k"]
 
     @property
@@ -89,7 +89,7 @@ def _value(model: object, path: str) -> float:
     return float(node.positive)
 
 
-def space_of(model: object, bounds: Sequence[Free]) -> Space:
+def search_space(model: object, bounds: Sequence[FreeParameter]) -> SearchSpace:
     """The space of these free parameters, started where `model` has them."""
     known = {name for name, *_ in quantities(model)}
     origin = []
@@ -103,10 +103,12 @@ def space_of(model: object, bounds: Sequence[Free]) -> Space:
             )
         share = np.log(value / low) / np.log(high / low) if low > 0 else (value - low) / (high - low)
         origin.append(np.log(share / (1 - share)))
-    return Space(tuple(bounds), np.array(origin))
+    return SearchSpace(tuple(bounds), np.array(origin))
 
 
-def around(model: object, factors: dict[str, float]) -> Space:
+def space_around(model: object, factors: dict[str, float]) -> SearchSpace:
     """A space in which each named parameter may move by its factor, up or down; those that are zero stay."""
     values = {path: _value(model, path) for path in factors}
-    return space_of(model, [Free(path, v / factors[path], v * factors[path]) for path, v in values.items() if v > 0])
+    return search_space(
+        model, [FreeParameter(path, v / factors[path], v * factors[path]) for path, v in values.items() if v > 0]
+    )

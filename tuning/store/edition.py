@@ -13,7 +13,7 @@ import tuning
 
 
 @functools.cache
-def edition(*modules: str) -> str:
+def code_digest(*modules: str) -> str:
     """A digest of the simulator, of the tuning, and of further modules by their names."""
     text = hashlib.sha256()
     for package in (diffdrive, tuning):

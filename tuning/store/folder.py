@@ -9,11 +9,11 @@ import numpy as np
 
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.atomic_write import atomic_write, remove_temporary
-from tuning.store.edition import edition
+from tuning.store.edition import code_digest
 from tuning.store.store import Arrays, digest
 
 
-class KeptParts:
+class FolderStore:
     """A `Store` in a folder: one file of arrays a part, written as a whole, read back to the last bit.
 
     A part is found again by the same edition of the code on the same kind of processor alone: others round otherwise.
@@ -22,12 +22,12 @@ class KeptParts:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.found = 0  # parts that were there
-        self._of = digest(edition(), arithmetic_signature())
+        self._of = digest(code_digest(), arithmetic_signature())
         self._lock = threading.Lock()
         remove_temporary(folder)  # of a run that was killed as it wrote
 
     @classmethod
-    def within(cls, out: Path | None, name: str) -> "KeptParts | None":
+    def within(cls, out: Path | None, name: str) -> "FolderStore | None":
         """Those of that name in a command's folder; None without a folder."""
         return None if out is None else cls(out / name)
 

@@ -12,30 +12,30 @@ from typing import Any
 
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import NO_SPACE
-from tuning.sweeps.parts import Computed, Engine, Say
+from tuning.sweeps.parts import ComputedParts, Engine, Notify
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.spec import SweepSpec, to_text
 from tuning.sweeps.workers import run_part
 
-ANSWERS_WITHIN = 20.0  # s, the scheduler at an address
-SELDOM = 2.0  # s, between two looks at who is there
-AHEAD = 3  # parts for each worker that the scheduler knows of: it holds what it is given
+CONNECTION_TIMEOUT = 20.0  # s, the scheduler at an address
+POLLING_PERIOD = 2.0  # s, between two looks at who is there
+PARTS_PER_WORKER = 3  # parts for each worker that the scheduler knows of: it holds what it is given
 
 
 def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout=ANSWERS_WITHIN)
+        return Client(address, timeout=CONNECTION_TIMEOUT)
     except (OSError, ValueError) as problem:  # ValueError: a scheme that Dask does not know
         raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
 
 
-def _await(client: Any, done: Any, where: str, say: Say) -> None:
+def _wait(client: Any, done: Any, where: str, say: Notify) -> None:
     """Until a part is done, saying once if nobody is there to do it."""
     said, asked = False, 0.0
     while not done.has_ready():
-        if time.monotonic() - asked > SELDOM:
+        if time.monotonic() - asked > POLLING_PERIOD:
             asked = time.monotonic()
             if client.nthreads():
                 said = False
@@ -58,20 +58,20 @@ def on_cluster(asked: SweepSpec, address: str) -> Engine:
     except ImportError:
         raise ParameterError("--cluster needs Dask: pip install 'diffdrive[cluster]'") from None
 
-    def engine(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
+    def engine(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
         text, question = to_text(asked), plan.question()
         where = f"--cluster {address}"
         if not wanted:
             return (part for part in ())
         client = _client(address)
 
-        def parts() -> Computed:
+        def parts() -> ComputedParts:
             with client:
                 left, number = iter(wanted), {}
 
                 def submitted() -> list[Any]:
                     """As many as the workers of this moment are short of: some join late, some go."""
-                    short = AHEAD * max(1, len(client.nthreads())) - len(number)
+                    short = PARTS_PER_WORKER * max(1, len(client.nthreads())) - len(number)
                     futures = []
                     for part in itertools.islice(left, max(0, short)):
                         future = client.submit(run_part, text, question, None, part, pure=False)
@@ -81,13 +81,13 @@ def on_cluster(asked: SweepSpec, address: str) -> Engine:
 
                 done = as_completed(submitted())
                 while not done.is_empty():
-                    _await(client, done, where, say)
+                    _wait(client, done, where, say)
                     future = next(done)
                     yield number.pop(future), future.result()
                     future.release()
                     done.update(submitted())
 
-        def reported() -> Computed:
+        def reported() -> ComputedParts:
             try:
                 yield from parts()
             except (CancelledError, OSError) as problem:

@@ -21,43 +21,43 @@ from diffdrive.loop.run import divergence_bound
 from diffdrive.motion.motion import Limits, Motion
 from diffdrive.motion.text import Recipe, load_recipe, parse_load
 from tuning.sweeps import engine
-from tuning.sweeps.varied import LOAD, Known, Varied
+from tuning.sweeps.varied import LOAD, KnownQuantity, VariedQuantity
 
-MOST_CORNERS = 6  # settings of which every combination of ends is looked at
+MAX_CORNER_SETTINGS = 6  # settings of which every combination of ends is looked at
 
 
-class MachineCourse(NamedTuple):
+class DutyCycle(NamedTuple):
     """What one machine goes through."""
 
     motion: Motion
     load: Float[np.ndarray, " t"]  # N, beside the ramp that varies
 
 
-def of_a_course(name: str) -> bool:
+def is_cycle_setting(name: str) -> bool:
     """Whether what varies under this name is a setting of the motion or of the load over time."""
     return name.startswith(("motion.", "load.")) and name not in LOAD
 
 
-def settings(recipes: Mapping[str, Recipe | None], load: Recipe | None) -> dict[str, Known]:
+def variable_settings(recipes: Mapping[str, Recipe | None], load: Recipe | None) -> dict[str, KnownQuantity]:
     """The settings that may vary: those that every motion has, and those of the load."""
     told = [{} if recipe is None else recipe.numbers() for recipe in recipes.values()]
     common = [name for name in (told[0] if told else ()) if all(name in one for one in told)]
-    found = {f"motion.{name}": Known(told[0][name][0], tuple(one[name][1] for one in told)) for name in common}
+    found = {f"motion.{name}": KnownQuantity(told[0][name][0], tuple(one[name][1] for one in told)) for name in common}
     for name, (unit, value) in ({} if load is None else load.numbers()).items():
-        if of_a_course(f"load.{name}"):
-            found[f"load.{name}"] = Known(unit, (value,))
+        if is_cycle_setting(f"load.{name}"):
+            found[f"load.{name}"] = KnownQuantity(unit, (value,))
     return found
 
 
 @dataclass(frozen=True)
-class Courses:
+class DutyCycles:
     """The motions of a sweep by their names, its load over time, and which of their settings vary."""
 
     motions: Mapping[str, Motion]
     recipes: Mapping[str, Recipe | None]
     load: str  # as `scenario.parse_load` takes it
     rate: float  # Hz
-    varied: tuple[Varied, ...]
+    varied: tuple[VariedQuantity, ...]
 
     @cached_property
     def _load(self) -> Recipe | None:
@@ -65,13 +65,13 @@ class Courses:
 
     def values(self, name: str, shares: Float[np.ndarray, "n d"]) -> dict[str, Float[np.ndarray, " n"]]:
         """The values of the settings, with a motion of that name, at shares of the probability of each."""
-        known = settings({name: self.recipes.get(name)}, self._load)
+        known = variable_settings({name: self.recipes.get(name)}, self._load)
         return {
             one.name: np.asarray(one.met(known[one.name].values[0], one.of(shares[:, k])))
             for k, one in enumerate(self.varied)
         }
 
-    def of(self, name: str, values: Mapping[str, float]) -> MachineCourse:
+    def of(self, name: str, values: Mapping[str, float]) -> DutyCycle:
         """The course with a motion of that name and such settings. Raises `MotionError` for settings that make none."""
         motion, recipe = self.motions[name], self.recipes.get(name)
         of_motion, of_load = (
@@ -81,26 +81,28 @@ class Courses:
         if recipe is not None and of_motion:
             motion = recipe.build(rate=self.rate, **of_motion)
         loads = parse_load(self.load, motion.time) if self._load is None else self._load.build(motion.time, **of_load)
-        return MachineCourse(motion, loads)
+        return DutyCycle(motion, loads)
 
 
 def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:
     """The machines nearest to each combination of ends: what goes wrong between settings goes wrong there first."""
     count = shares.shape[1]
-    every = list(product((-1.0, 1.0), repeat=count)) if count <= MOST_CORNERS else [*np.eye(count), *-np.eye(count)]
+    every = (
+        list(product((-1.0, 1.0), repeat=count)) if count <= MAX_CORNER_SETTINGS else [*np.eye(count), *-np.eye(count)]
+    )
     return sorted({int(np.argmax(shares @ np.asarray(way))) for way in every})
 
 
-def for_all(course: MachineCourse, settle: float, limits: Limits) -> engine.LaneCourse:
+def shared_cycle(course: DutyCycle, settle: float, limits: Limits) -> engine.LaneCycle:
     """The course of all machines, as the engine takes it; its first `settle` seconds do not count."""
     motion, load = course
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
     counts = (motion.time >= settle).astype(float)
-    told = engine.LaneCourse(reference, load, counts, np.asarray(divergence_bound(motion.position, limits)))
+    told = engine.LaneCycle(reference, load, counts, np.asarray(divergence_bound(motion.position, limits)))
     return jax.tree.map(lambda one: jnp.asarray(one, float), told)
 
 
-def for_each(courses: Sequence[MachineCourse], settle: float, limits: Limits) -> engine.LaneCourse:
+def stacked_cycles(courses: Sequence[DutyCycle], settle: float, limits: Limits) -> engine.LaneCycle:
     """The same of several machines side by side, [n, t]; where a shorter course rests does not count."""
     shape = len(courses), _rounded_up(max(len(one.load) for one in courses))
     position, velocity, acceleration, loads, counts = (np.zeros(shape) for _ in range(5))
@@ -111,7 +113,7 @@ def for_each(courses: Sequence[MachineCourse], settle: float, limits: Limits) ->
         loads[k, :end], loads[k, end:] = load, load[-1]
         counts[k, :end] = motion.time >= settle
     reach = np.array([divergence_bound(motion.position, limits) for motion, _ in courses])
-    return engine.LaneCourse(Reference(position, velocity, acceleration), loads, counts, reach)
+    return engine.LaneCycle(Reference(position, velocity, acceleration), loads, counts, reach)
 
 
 def _rounded_up(count: int) -> int:

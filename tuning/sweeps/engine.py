@@ -18,11 +18,11 @@ Precision = Literal["double", "single"]  # as numpy calls them, too
 
 # Lanes at a time (docs/evidence/performance.md): as a processor's first cache holds; as keep a GPU busy, and as its
 # memory holds if each has a course of its own.
-ON_CPU, ON_GPU, ON_GPU_OWN = 64, 65_536, 1024
+CPU_BLOCK, GPU_BLOCK, GPU_BLOCK_OWN_CYCLES = 64, 65_536, 1024
 LEAST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen cores
 
 
-class LaneCourse(NamedTuple):
+class LaneCycle(NamedTuple):
     """What a machine goes through, [t] over time; [n, t] where machines differ in it."""
 
     reference: Reference
@@ -39,14 +39,14 @@ class SweepLanes(NamedTuple):
     drive: Any
     ramp: Ramp
     key: Array | None
-    course: LaneCourse | None = None
+    course: LaneCycle | None = None
 
 
 @eqx.filter_jit
 def _costs(
-    lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCourse | None, sampling: Sampling, devices: int
+    lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCycle | None, sampling: Sampling, devices: int
 ) -> Costs:
-    def share(lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCourse | None) -> Costs:
+    def share(lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCycle | None) -> Costs:
         def one(lane: SweepLanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
             own = course if lane.course is None else lane.course
@@ -55,7 +55,7 @@ def _costs(
                 drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, divergence_bound=own.reach
             )
 
-        return jax.lax.map(one, lanes, batch_size=block(lanes.course is not None))
+        return jax.lax.map(one, lanes, batch_size=block_size(lanes.course is not None))
 
     apart, everywhere = PartitionSpec("lanes"), PartitionSpec()
     return jax.shard_map(
@@ -67,27 +67,27 @@ def _costs(
     )(lanes, fixed, controller, course)
 
 
-def block(own_courses: bool = False) -> int:
+def block_size(own_courses: bool = False) -> int:
     """How many lanes run side by side on a device; `own_courses`: each with one of its own."""
     if jax.default_backend() == "cpu":
-        return ON_CPU
-    return ON_GPU_OWN if own_courses else ON_GPU
+        return CPU_BLOCK
+    return GPU_BLOCK_OWN_CYCLES if own_courses else GPU_BLOCK
 
 
 def most_in_a_part() -> int:
     """How many machines a part should have on this kind of device, a power of two."""
-    return max(LEAST_IN_A_PART, block())
+    return max(LEAST_IN_A_PART, block_size())
 
 
-def costs_of(
-    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: LaneCourse, sampling: Sampling,
+def lane_costs(
+    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: LaneCycle, sampling: Sampling,
     precision: Precision = "double",
 ) -> Costs:  # fmt: skip
     """Costs of machines whose varied leaves, loads and keys are [n], along one course or [n] of them; [n] each.
 
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
-    count, of_each = len(ramp.load), block(np.ndim(course.load) == 2)
+    count, of_each = len(ramp.load), block_size(np.ndim(course.load) == 2)
     devices = min(len(jax.devices()), -(-count // of_each))
     total = -(-count // (of_each * devices)) * of_each * devices
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)

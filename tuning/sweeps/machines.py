@@ -11,12 +11,12 @@ from jaxtyping import Float
 
 from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive
 from diffdrive.motion.load import Ramp
-from tuning.sweeps.varied import LOAD, Varied, with_effects
+from tuning.sweeps.varied import LOAD, VariedQuantity, with_effects
 
 Values = dict[str, Float[np.ndarray, " n"]]
 
 
-def _place(drive: Drive, name: str) -> Any:
+def _node_at(drive: Drive, name: str) -> Any:
     """The number or pair of that name."""
     at: Any = drive
     for part in name.split("."):
@@ -24,14 +24,16 @@ def _place(drive: Drive, name: str) -> Any:
     return at
 
 
-def _met(value: Any, one: Varied, drawn: Float[np.ndarray, " n"]) -> Any:
+def _varied_value(value: Any, one: VariedQuantity, drawn: Float[np.ndarray, " n"]) -> Any:
     """A value of the drive file, or a pair, under what was drawn."""
     if isinstance(value, Directional):
-        return Directional(_met(value.positive, one, drawn), _met(value.negative, one, drawn))
+        return Directional(_varied_value(value.positive, one, drawn), _varied_value(value.negative, one, drawn))
     return jnp.asarray(one.met(value, drawn))
 
 
-def machines(drive: Drive, varied: Sequence[Varied], shares: Float[np.ndarray, "n d"]) -> tuple[Drive, Ramp, Values]:
+def machines(
+    drive: Drive, varied: Sequence[VariedQuantity], shares: Float[np.ndarray, "n d"]
+) -> tuple[Drive, Ramp, Values]:
     """A drive whose varied leaves are arrays over the machines, their loads, and the values of what varies.
 
     A quantity per direction is told by its value in positive direction. Raises `ParameterError` for values that no
@@ -46,8 +48,10 @@ def machines(drive: Drive, varied: Sequence[Varied], shares: Float[np.ndarray, "
         if one.name in LOAD:
             ends[one.name] = values[one.name] = drawn
             continue
-        met = _met(_place(machine, one.name), one, drawn)
-        machine = eqx.tree_at(lambda tree, n=one.name: _place(tree, n), machine, met, is_leaf=lambda leaf: leaf is None)
+        met = _varied_value(_node_at(machine, one.name), one, drawn)
+        machine = eqx.tree_at(
+            lambda tree, n=one.name: _node_at(tree, n), machine, met, is_leaf=lambda leaf: leaf is None
+        )
         values[one.name] = np.asarray(met.positive if isinstance(met, Directional) else met)
     check_drive(machine)
     count = len(shares)

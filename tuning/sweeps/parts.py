@@ -14,34 +14,34 @@ from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import atomic_write
 from tuning.sweeps.plan import SweepPlan
 
-QUESTION = b"diffdrive.sweep"
-Done = Callable[[int], None]  # machines that were done by now
-Say = Callable[[str], None]  # what keeps an engine from beginning
-Computed = Generator[tuple[int, pa.Table], None, None]
-Engine = Callable[[SweepPlan, list[int], Say], Computed]  # the wanted parts, in any order
+IDENTITY_KEY = b"diffdrive.sweep"
+MachinesDone = Callable[[int], None]  # machines that were done by now
+Notify = Callable[[str], None]  # what keeps an engine from beginning
+ComputedParts = Generator[tuple[int, pa.Table], None, None]
+Engine = Callable[[SweepPlan, list[int], Notify], ComputedParts]  # the wanted parts, in any order
 
 
-def path_of(folder: Path, part: int) -> Path:
+def part_path(folder: Path, part: int) -> Path:
     """Where a part lies."""
     return folder / f"part-{part:06d}.parquet"
 
 
-def keep(table: pa.Table, path: Path, question: str) -> None:
+def write_part(table: pa.Table, path: Path, question: str) -> None:
     """Write a part, whole or not at all, with the question that it answers."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as file:
-        pq.write_table(table.replace_schema_metadata({QUESTION: question.encode()}), file)
+        pq.write_table(table.replace_schema_metadata({IDENTITY_KEY: question.encode()}), file)
 
 
-def missing(plan: SweepPlan, folder: Path) -> list[int]:
+def missing_parts(plan: SweepPlan, folder: Path) -> list[int]:
     """The parts that are not there yet.
 
     Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
     """
     question = plan.question().encode()
-    wanted = {path_of(folder, part): part for part in range(plan.parts)}
+    wanted = {part_path(folder, part): part for part in range(plan.parts)}
     for path in sorted(folder.glob("part-*.parquet")):
-        asked = _question(path)
+        asked = _identity(path)
         if asked is None and path in wanted:
             continue  # damaged: it is run again
         if asked != question or path not in wanted:
@@ -54,51 +54,53 @@ def missing(plan: SweepPlan, folder: Path) -> list[int]:
     return sorted(wanted.values())
 
 
-def _question(path: Path) -> bytes | None:
+def _identity(path: Path) -> bytes | None:
     """The question that a part answers; None where nothing can be read."""
     try:
-        return (pq.read_schema(path).metadata or {}).get(QUESTION, b"")
+        return (pq.read_schema(path).metadata or {}).get(IDENTITY_KEY, b"")
     except (OSError, pa.ArrowInvalid):
         return None
 
 
-def here(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
+def in_process(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
     """The parts one after the other, in this process."""
     for part in wanted:
         yield part, plan.costs(part)
 
 
-def _unsaid(_: str) -> None:
+def _no_notice(_: str) -> None:
     pass
 
 
-def run(plan: SweepPlan, folder: Path, done: Done, engine: Engine = here, say: Say = _unsaid) -> ds.Dataset:
+def run_parts(
+    plan: SweepPlan, folder: Path, done: MachinesDone, engine: Engine = in_process, say: Notify = _no_notice
+) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
-    question, left = plan.question(), missing(plan, folder)
+    question, left = plan.question(), missing_parts(plan, folder)
     plan.require_possible(left)
-    finished = plan.samples - sum(len_of(plan, part) for part in left)
+    finished = plan.samples - sum(part_length(plan, part) for part in left)
     done(finished)
     with contextlib.closing(engine(plan, left, say)) as computed:  # a full disk leaves no workers behind
         for part, table in computed:
-            keep(table, path_of(folder, part), question)
-            finished += len_of(plan, part)
+            write_part(table, part_path(folder, part), question)
+            finished += part_length(plan, part)
             done(finished)
-    return ds.dataset([str(path_of(folder, part)) for part in range(plan.parts)], format="parquet")
+    return ds.dataset([str(part_path(folder, part)) for part in range(plan.parts)], format="parquet")
 
 
-def kept(plan: SweepPlan, folder: Path, number: int, controller: str, motion: str) -> list[float] | None:
+def stored_errors(plan: SweepPlan, folder: Path, number: int, controller: str, motion: str) -> list[float] | None:
     """RMS and peak error (m) of one run of the sweep in `folder`, and when it diverged (s; NaN if it did not).
 
     None where it is not there, or of another edition.
     """
-    path = path_of(folder, number // plan.part_size)
-    if _question(path) != plan.question().encode():
+    path = part_path(folder, number // plan.part_size)
+    if _identity(path) != plan.question().encode():
         return None
     wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
     rows = pq.read_table(path, columns=["rms_m", "peak_m", "diverged_at_s"], filters=wanted).to_pylist()
     return [np.nan if value is None else value for value in rows[0].values()] if rows else None
 
 
-def len_of(plan: SweepPlan, part: int) -> int:
+def part_length(plan: SweepPlan, part: int) -> int:
     """How many machines a part has."""
     return min(plan.part_size, plan.samples - part * plan.part_size)

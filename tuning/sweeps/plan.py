@@ -24,18 +24,26 @@ from diffdrive.motion.motion import Motion, require_within
 from diffdrive.motion.text import RATE_TOLERANCE, Recipe, load_recipe, parse_load, require_longer_than
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.resources import require_memory
-from tuning.store.edition import edition
-from tuning.sweeps.courses import Courses, MachineCourse, at_corners, for_all, for_each, of_a_course, settings
-from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, block, costs_of
+from tuning.store.edition import code_digest
+from tuning.sweeps.courses import (
+    DutyCycle,
+    DutyCycles,
+    at_corners,
+    is_cycle_setting,
+    shared_cycle,
+    stacked_cycles,
+    variable_settings,
+)
+from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, block_size, lane_costs
 from tuning.sweeps.machines import Values, lane, machines
-from tuning.sweeps.possible import require_made, require_on_guides, require_ordered
-from tuning.sweeps.samples import Method, correlated, root_of, shares
-from tuning.sweeps.varied import Varied, parse_varied
+from tuning.sweeps.possible import require_buildable, require_on_guides, require_ordered
+from tuning.sweeps.samples import Method, correlate, correlation_root, unit_samples
+from tuning.sweeps.varied import VariedQuantity, parse_varied
 
-HELD, MOST_HELD = 160.0, 2e9  # bytes a step of a machine with a course of its own, and of all at once
+BYTES_PER_STEP, MAX_BYTES = 160.0, 2e9  # bytes a step of a machine with a course of its own, and of all at once
 
 
-class Outcome(NamedTuple):
+class SweepCosts(NamedTuple):
     """What came of machines, [n] each."""
 
     costs: Costs
@@ -52,7 +60,7 @@ class SweepPlan:
     axis: Axis
     controllers: Mapping[str, Controller]
     motions: Mapping[str, Motion]
-    varied: tuple[Varied, ...]
+    varied: tuple[VariedQuantity, ...]
     samples: int
     method: Method = "sobol"
     seed: int = 0
@@ -71,7 +79,7 @@ class SweepPlan:
         """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
         require_double_precision()
         recipes = more.get("recipes", {})
-        known = settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
+        known = variable_settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
         varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
         names = [one.name for one in varied]
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -96,25 +104,25 @@ class SweepPlan:
                 )
         if not 0 <= plan.seed < 2**63:
             raise ParameterError(f"sweep: seed must be from 0 to 2^63 - 1, got {plan.seed}")
-        root_of(plan.correlation, names)
+        correlation_root(plan.correlation, names)
         return plan
 
     @cached_property
     def _settings(self) -> list[int]:
         """Which of the quantities that vary are settings of the motions and of the load over time."""
-        return [k for k, one in enumerate(self.varied) if of_a_course(one.name)]
+        return [k for k, one in enumerate(self.varied) if is_cycle_setting(one.name)]
 
     @cached_property
-    def courses(self) -> Courses:
+    def courses(self) -> DutyCycles:
         """Motions and load over time."""
         varied = tuple(self.varied[k] for k in self._settings)
-        return Courses(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied)
+        return DutyCycles(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied)
 
     def _varies(self, of: str) -> bool:
         """Whether settings of the motions, or of the load, vary."""
         return any(one.name.startswith(f"{of}.") for one in self.courses.varied)
 
-    def courses_of(self, numbers: np.ndarray, motion: str) -> list[MachineCourse]:
+    def courses_of(self, numbers: np.ndarray, motion: str) -> list[DutyCycle]:
         """What machines of one part go through. Raises `ParameterError` that names one that cannot."""
         values = self.courses.values(motion, self._drawn(numbers)[:, self._settings])
         found = []
@@ -141,10 +149,10 @@ class SweepPlan:
             for motion in self.motions if self._settings else ():
                 self.corners(motion, part)
 
-    def require_machines(self, numbers: np.ndarray, courses: Sequence[MachineCourse]) -> None:
+    def require_machines(self, numbers: np.ndarray, courses: Sequence[DutyCycle]) -> None:
         """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
         least = min((float(np.min(course.load)) for course in courses), default=np.inf)
-        made = require_made(numbers, self._made)
+        made = require_buildable(numbers, self._made)
         require_on_guides(numbers, *made, np.full(len(numbers), least), lambda _: courses)
 
     def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
@@ -175,11 +183,11 @@ class SweepPlan:
         return every._replace(duration=max(one.duration for one in self.motions.values()))
 
     @property
-    def nominal(self) -> list[MachineCourse]:
+    def nominal(self) -> list[DutyCycle]:
         """What all machines go through but for settings of motions; nothing where the load over time varies."""
-        return [] if self._varies("load") else [MachineCourse(one, self.loads(one)) for one in self.motions.values()]
+        return [] if self._varies("load") else [DutyCycle(one, self.loads(one)) for one in self.motions.values()]
 
-    def corners(self, motion: str, part: int = 0) -> list[MachineCourse]:
+    def corners(self, motion: str, part: int = 0) -> list[DutyCycle]:
         """What the machines nearest to the ends of settings go through."""
         drawn = self.drawn(part)[:, self._settings]
         return self.courses_of(self.numbers(part)[at_corners(drawn)], motion)
@@ -188,18 +196,18 @@ class SweepPlan:
         """The load (N) along a motion as --load has it, beside what varies."""
         return parse_load(self.load, motion.time)
 
-    def extremes(self, motion: str) -> list[MachineCourse]:
+    def extremes(self, motion: str) -> list[DutyCycle]:
         """What comes at worst: the ends of the settings, with the least and the most of the load that varies."""
         planned = self.motions[motion]
-        courses = self.corners(motion) if self._settings else [MachineCourse(planned, self.loads(planned))]
+        courses = self.corners(motion) if self._settings else [DutyCycle(planned, self.loads(planned))]
         ends = {one.name: one.of(np.array([0.0, 1.0])) for one in self.varied}
         behind = np.append(ends.get("load.change", []), 0.0)
         more = [load + change for load in ends.get("load", [0.0]) for change in behind]
-        return [MachineCourse(one, np.concatenate([load + each for each in more])) for one, load in courses]
+        return [DutyCycle(one, np.concatenate([load + each for each in more])) for one, load in courses]
 
     @cached_property
     def _root(self) -> np.ndarray | None:
-        return root_of(self.correlation, [one.name for one in self.varied])
+        return correlation_root(self.correlation, [one.name for one in self.varied])
 
     @property
     def part_size(self) -> int:
@@ -214,8 +222,8 @@ class SweepPlan:
     def drawn(self, part: int) -> np.ndarray:
         """Shares of the probability of the machines of a part, [n, d]."""
         count = len(self.numbers(part))
-        drawn = shares(self.method, len(self.varied), self.seed, part, self.part_size, count)
-        return drawn if self._root is None else correlated(drawn, self._root)
+        drawn = unit_samples(self.method, len(self.varied), self.seed, part, self.part_size, count)
+        return drawn if self._root is None else correlate(drawn, self._root)
 
     def numbers(self, part: int) -> np.ndarray:
         """Numbers of the machines of a part."""
@@ -245,25 +253,25 @@ class SweepPlan:
         found |= self.courses.values(motion, drawn)
         return {one.name: found[one.name] for one in self.varied}
 
-    def costs_of(self, numbers: np.ndarray, motion: str, controllers: Iterable[str]) -> dict[str, Outcome]:
+    def costs_of(self, numbers: np.ndarray, motion: str, controllers: Iterable[str]) -> dict[str, SweepCosts]:
         """What comes of machines of one part; to the last bit the same whichever others stand beside them."""
         drives, ramps, _, keys = self.machines(numbers)
         sampling, limits = self.axis.sampling, self.axis.limits
 
-        def under(controller: str, course: Any, samples: np.ndarray, some: Any = ...) -> Outcome:
+        def under(controller: str, course: Any, samples: np.ndarray, some: Any = ...) -> SweepCosts:
             beside = jax.tree.map(lambda leaf: leaf[some], (ramps, keys))
             control = self.controllers[controller]
-            found = costs_of(lane(drives, some), *beside, control, course, sampling, self.precision)
+            found = lane_costs(lane(drives, some), *beside, control, course, sampling, self.precision)
             return _outcome(found, samples, sampling.period)
 
         if not self._settings:
             planned = self.motions[motion]
-            course = for_all(MachineCourse(planned, self.loads(planned)), self.settle, limits)
+            course = shared_cycle(DutyCycle(planned, self.loads(planned)), self.settle, limits)
             return {name: under(name, course, np.full(len(numbers), len(planned.time))) for name in controllers}
-        groups: dict[str, list[Outcome]] = {name: [] for name in controllers}
+        groups: dict[str, list[SweepCosts]] = {name: [] for name in controllers}
         for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._at_once(motion))[1:]):
             courses = self.courses_of(numbers[some], motion)
-            samples, course = np.array([len(one.load) for one in courses]), for_each(courses, self.settle, limits)
+            samples, course = np.array([len(one.load) for one in courses]), stacked_cycles(courses, self.settle, limits)
             for name, group in groups.items():
                 group.append(under(name, course, samples, some))
         return {name: jax.tree.map(lambda *one: np.concatenate(one), *group) for name, group in groups.items()}
@@ -275,16 +283,16 @@ class SweepPlan:
 
     def _at_once(self, motion: str) -> int:
         """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
-        of_one = HELD * self._longest[motion] * block(own_courses=True)
+        of_one = BYTES_PER_STEP * self._longest[motion] * block_size(own_courses=True)
         require_memory(
             ParameterError,
-            f"{motion}: {block(own_courses=True)} machines side by side, each on its own course of up to "
+            f"{motion}: {block_size(own_courses=True)} machines side by side, each on its own course of up to "
             f"{self._longest[motion]} samples,",
             of_one,
             "shorten the motion, or lower sampling.rate",
         )
-        blocks = int(MOST_HELD / of_one)
-        return block(own_courses=True) * max(1, min(blocks, len(jax.devices())))
+        blocks = int(MAX_BYTES / of_one)
+        return block_size(own_courses=True) * max(1, min(blocks, len(jax.devices())))
 
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
@@ -324,8 +332,8 @@ class SweepPlan:
     def question(self) -> str:
         """What tells this sweep from any other: everything that its numbers hang on."""
         text = hashlib.sha256(
-            edition(
-                *(one.__module__ for one in (SweepPlan, Courses, costs_of, machines, parse_varied, shares))
+            code_digest(
+                *(one.__module__ for one in (SweepPlan, DutyCycles, lane_costs, machines, parse_varied, unit_samples))
             ).encode()
         )
         asked = [
@@ -350,6 +358,6 @@ class SweepPlan:
         return text.hexdigest()
 
 
-def _outcome(costs: Costs, samples: np.ndarray, period: float) -> Outcome:
+def _outcome(costs: Costs, samples: np.ndarray, period: float) -> SweepCosts:
     """A machine diverged that did not stay to the end of its own course."""
-    return Outcome(costs, np.where(costs.steps_finite >= samples, np.nan, costs.steps_finite * period))
+    return SweepCosts(costs, np.where(costs.steps_finite >= samples, np.nan, costs.steps_finite * period))

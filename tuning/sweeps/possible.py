@@ -10,12 +10,12 @@ from jaxtyping import Float, Int
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
-from tuning.sweeps.courses import MachineCourse
+from tuning.sweeps.courses import DutyCycle
 
 Numbers = Int[np.ndarray, " n"]
 
 
-def require_made(numbers: Numbers, make: Callable[[Numbers], Any]) -> Any:
+def require_buildable(numbers: Numbers, make: Callable[[Numbers], Any]) -> Any:
     """What `make` makes of these machines. Raises `ParameterError` that names the first that it cannot make."""
     try:
         return make(numbers)
@@ -42,7 +42,7 @@ def require_on_guides(
     drives: Drive,
     ramps: Ramp,
     least: Float[np.ndarray, " n"],
-    courses: Callable[[int], Sequence[MachineCourse]],
+    courses: Callable[[int], Sequence[DutyCycle]],
 ) -> None:
     """Raises `ParameterError` that names the first machine whose load lifts its table off the guides.
 

@@ -13,7 +13,7 @@ from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Drive, as_arrays
 from tuning.sweeps.machines import lane
-from tuning.sweeps.plan import Outcome, SweepPlan
+from tuning.sweeps.plan import SweepCosts, SweepPlan
 
 SIGNALS = {
     "reference": "m",
@@ -31,7 +31,7 @@ SIGNALS = {
 _rollout = eqx.filter_jit(rollout)
 
 
-class Machine(NamedTuple):
+class SweepMachine(NamedTuple):
     """One machine of a sweep: the drive as it is in truth, the values of what varies, the load beside the plan's."""
 
     number: int
@@ -41,13 +41,13 @@ class Machine(NamedTuple):
     key: Any
 
 
-def machine_of(plan: SweepPlan, number: int, motion: str) -> Machine:
+def sweep_machine(plan: SweepPlan, number: int, motion: str) -> SweepMachine:
     """The machine of that number, as it is on a motion; raises `ParameterError` if the sweep has none."""
     if not 0 <= number < plan.samples:
         raise ParameterError(f"machine {number}: the sweep has machines 0 to {plan.samples - 1}")
     numbers = np.array([number])
     drives, ramps, _, keys = plan.machines(numbers)
-    return Machine(
+    return SweepMachine(
         number,
         lane(drives, 0),
         {name: float(value[0]) for name, value in plan.values(numbers, motion).items()},
@@ -56,21 +56,21 @@ def machine_of(plan: SweepPlan, number: int, motion: str) -> Machine:
     )
 
 
-def chosen(plan: SweepPlan, controller: str | None, motion: str | None) -> tuple[str, str]:
+def choose_names(plan: SweepPlan, controller: str | None, motion: str | None) -> tuple[str, str]:
     """The controller and the motion of these names, or the first ones; raises `ParameterError` for one that is not."""
     controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
-    _named(plan.controllers, controller, "--controller")
-    _named(plan.motions, motion, "--motion")
+    _lookup(plan.controllers, controller, "--controller")
+    _lookup(plan.motions, motion, "--motion")
     return controller, motion
 
 
-def _named(choices: Mapping[str, Any], name: str, what: str) -> Any:
+def _lookup(choices: Mapping[str, Any], name: str, what: str) -> Any:
     if name not in choices:
         raise ParameterError(f"{what} '{name}': is not of this sweep; known: {', '.join(choices)}")
     return choices[name]
 
 
-def run_of(plan: SweepPlan, machine: Machine, controller: str, motion: str, every: int = 1) -> Run:
+def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion: str, every: int = 1) -> Run:
     """Every signal of a machine under a controller, with a status as any simulation has."""
     control, [(planned, over_time)] = plan.controllers[controller], plan.courses_of(np.array([machine.number]), motion)
     loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
@@ -82,14 +82,14 @@ def run_of(plan: SweepPlan, machine: Machine, controller: str, motion: str, ever
     )
 
 
-def errors_of(plan: SweepPlan, run: Run) -> tuple[float, float]:
+def run_errors(plan: SweepPlan, run: Run) -> tuple[float, float]:
     """RMS and peak error (m) of a run from where errors count."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(run.error[run.time >= plan.settle])
         return float(np.sqrt(np.mean(error**2))), float(np.max(error))
 
 
-def costs_again(plan: SweepPlan, number: int, controller: str, motion: str) -> Outcome:
+def repeat_costs(plan: SweepPlan, number: int, controller: str, motion: str) -> SweepCosts:
     """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
     return plan.costs_of(np.array([number]), motion, [controller])[controller]
 
@@ -112,9 +112,9 @@ def traces(
 
     names, numbers, controllers = list(signals), list(numbers), list(controllers)
     for name in names:
-        _named(SIGNALS, name, "signal")
-    drawn = [machine_of(plan, number, motion) for number in numbers]
-    runs = [[run_of(plan, machine, controller, motion, every) for machine in drawn] for controller in controllers]
+        _lookup(SIGNALS, name, "signal")
+    drawn = [sweep_machine(plan, number, motion) for number in numbers]
+    runs = [[machine_run(plan, machine, controller, motion, every) for machine in drawn] for controller in controllers]
     time = max((run.time for run in runs[0]), key=len)
 
     def told(run: Run, name: str) -> np.ndarray:
@@ -134,7 +134,7 @@ def traces(
         )
         for name in names
     }
-    errors = np.array([[errors_of(plan, run) for run in row] for row in runs])
+    errors = np.array([[run_errors(plan, run) for run in row] for row in runs])
     judged_by = {
         name: (("controller", "machine"), errors[..., k], {"units": "m"}) for k, name in enumerate(("rms_m", "peak_m"))
     }

@@ -8,19 +8,19 @@ from diffdrive.support.resources import format_count, require_disk, require_memo
 from tuning.sweeps.plan import SweepPlan
 
 # the noise of a machine is drawn from its number, of which the generator takes 32 bits; Sobol's sequence has 30
-MOST = {"sobol": 2**30}
-MOST_OF_ANY = 2**32
+MAX_MACHINES = {"sobol": 2**30}
+MAX_NUMBER = 2**32
 NUMBER = 8  # bytes
 COLUMNS = 12  # of a row beside what varies, as they lie in memory with their names
 ARRAYS = 16  # over the samples of a motion: as it is planned, and as the engine takes it
 
 
-def require_room(plan: SweepPlan, folder: Path) -> None:
+def require_resources(plan: SweepPlan, folder: Path) -> None:
     """Raise `ParameterError` for a sweep that cannot be held: its results in memory, its parts on the disk of `folder`.
 
     A big one that fits goes on.
     """
-    most = MOST.get(plan.method, MOST_OF_ANY)
+    most = MAX_MACHINES.get(plan.method, MAX_NUMBER)
     if plan.samples > most:
         raise ParameterError(
             f"--samples {format_count(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or "
@@ -33,7 +33,9 @@ def require_room(plan: SweepPlan, folder: Path) -> None:
     )
     # the rows, and those of one group once more while they are put into their order
     require_memory(ParameterError, request, float(row) * (runs + plan.samples), "give fewer")
-    require_disk(ParameterError, request, _there(folder), 0.5 * row * runs, "give fewer, or --out on another disk")
+    require_disk(
+        ParameterError, request, _existing_parent(folder), 0.5 * row * runs, "give fewer, or --out on another disk"
+    )
     samples = sum(len(one.time) for one in plan.motions.values())
     require_memory(
         ParameterError,
@@ -43,7 +45,7 @@ def require_room(plan: SweepPlan, folder: Path) -> None:
     )
 
 
-def _there(folder: Path) -> Path:
+def _existing_parent(folder: Path) -> Path:
     """The folder, or the nearest one above it that is there."""
     above: Iterator[Path] = iter((folder, *folder.resolve().parents))
     return next(one for one in above if one.is_dir())

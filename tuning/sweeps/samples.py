@@ -16,10 +16,10 @@ from scipy.stats import qmc
 from diffdrive.errors import ParameterError
 
 Method = Literal["sobol", "latin-hypercube", "random"]
-ROUNDED = 0.01  # of a correlation: numbers that were rounded may be of no quantities by as much
+ROUNDING = 0.01  # of a correlation: numbers that were rounded may be of no quantities by as much
 
 
-def shares(
+def unit_samples(
     method: Method, dimensions: int, seed: int, part: int, size: int, count: int | None = None
 ) -> Float[np.ndarray, "count d"]:
     """The samples of part number `part`, `size` of them, a power of two (Sobol points are balanced by then).
@@ -46,7 +46,9 @@ def shares(
     return own.random((count, dimensions))
 
 
-def root_of(correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]) -> Float[np.ndarray, "d d"] | None:
+def correlation_root(
+    correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]
+) -> Float[np.ndarray, "d d"] | None:
     """A matrix whose product with its transpose is the correlation between `names`; None where there is none.
 
     `correlation` holds pairs of names, each pair once or twice. Raises `ParameterError` for numbers that no quantities
@@ -69,12 +71,12 @@ def root_of(correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]
     bends, along = np.linalg.eigh(matrix)
     root = along * np.sqrt(np.clip(bends, 0.0, None)) @ along.T
     root /= np.linalg.norm(root, axis=1, keepdims=True)
-    if np.abs(root @ root.T - matrix).max() > ROUNDED:
+    if np.abs(root @ root.T - matrix).max() > ROUNDING:
         raise ParameterError("correlation: no quantities can be correlated like that (the matrix is not positive)")
     return np.asarray(root)
 
 
-def correlated(shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:
+def correlate(shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:
     """The shares with the correlations of a `root`, each still uniform for itself (a Gaussian copula)."""
     least = np.finfo(float).eps
     normal = ndtri(np.clip(shares, least, 1.0 - least))

@@ -18,12 +18,12 @@ from jaxtyping import Float
 from numpy.polynomial.legendre import legvander
 from scipy.stats import mannwhitneyu
 
-FEWEST = 128  # machines, below which indices say nothing
-EXACTLY = 4096  # machines, up to which a rank test may count every order
-SIXTH = 1.0 / 6.0  # low and high: the lowest and the highest sixth, about a standard deviation off
+MIN_MACHINES = 128  # machines, below which indices say nothing
+MAX_EXACT = 4096  # machines, up to which a rank test may count every order
+TAIL = 1.0 / 6.0  # low and high: the lowest and the highest sixth, about a standard deviation off
 DEGREE, GROUPS = 6, 32  # of the polynomial; machines that the jackknife leaves out together
-USUAL = 1.96  # standard deviations of 95 %
-EVENTS = 32  # below so many, or so few that it did not happen to, shares of events have no interval
+NORMAL_95 = 1.96  # standard deviations of 95 %
+MIN_EVENTS = 32  # below so many, or so few that it did not happen to, shares of events have no interval
 
 
 class Influence(NamedTuple):
@@ -50,7 +50,7 @@ def influences(
     Empty where nothing varies, where there are too few machines, or where their errors are all the same.
     """
     good = np.isfinite(errors) & (errors > 0.0)
-    found = _shares(names, values[good], np.log(errors[good]), seed)
+    found = _influences(names, values[good], np.log(errors[good]), seed)
     return [one._replace(low=float(np.exp(one.low)), high=float(np.exp(one.high))) for one in found]
 
 
@@ -62,23 +62,25 @@ def influences_on_event(
     Where that is rare (or the rule), no interval of the shares can be told (NaN): `chance` can, by a rank test of where
     the events lie (Mann and Whitney 1947), paid for by how many quantities are looked at.
     """
-    rare = min(np.sum(happened), np.sum(~happened)) < EVENTS
+    rare = min(np.sum(happened), np.sum(~happened)) < MIN_EVENTS
     return [
         one._replace(
             uncertain=np.nan if rare else one.uncertain,
-            chance=min(1.0, len(names) * _chance(values[:, names.index(one.name)], happened)),
+            chance=min(1.0, len(names) * _p_value(values[:, names.index(one.name)], happened)),
         )
-        for one in _shares(names, values, happened.astype(float), seed)
+        for one in _influences(names, values, happened.astype(float), seed)
     ]
 
 
-def _chance(values: Float[np.ndarray, " n"], happened: np.ndarray) -> float:
-    method = "auto" if len(values) <= EXACTLY else "asymptotic"  # the exact one takes the square of their number
+def _p_value(values: Float[np.ndarray, " n"], happened: np.ndarray) -> float:
+    method = "auto" if len(values) <= MAX_EXACT else "asymptotic"  # the exact one takes the square of their number
     return float(mannwhitneyu(values[happened], values[~happened], method=method).pvalue)
 
 
-def _shares(names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.ndarray, seed: int) -> list[Influence]:
-    if len(outputs) < FEWEST or np.ptp(outputs) == 0.0:
+def _influences(
+    names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.ndarray, seed: int
+) -> list[Influence]:
+    if len(outputs) < MIN_MACHINES or np.ptp(outputs) == 0.0:
         return []
     group = np.random.default_rng(seed).permutation(len(outputs)) % GROUPS
     told = []
@@ -86,7 +88,7 @@ def _shares(names: Sequence[str], inputs: Float[np.ndarray, "n d"], outputs: np.
         if np.ptp(values) == 0.0:
             continue
         order = np.argsort(values, kind="stable")
-        few = max(1, round(SIXTH * len(order)))
+        few = max(1, round(TAIL * len(order)))
         low, high = (float(np.mean(outputs[part])) for part in (order[:few], order[-few:]))
         told.append(Influence(name, *_first_order(order, outputs, group), low, high))
     return sorted(told, key=lambda one: -one.share)
@@ -100,12 +102,12 @@ def _first_order(order: np.ndarray, outputs: np.ndarray, group: np.ndarray) -> t
     known = np.column_stack([legvander(rank, DEGREE), (outputs - np.mean(outputs)) / np.std(outputs)])
     products = np.stack([known[group == one].T @ known[group == one] for one in range(GROUPS)])
     total = products.sum(axis=0)
-    without = np.array([_adjusted(total - one) for one in products])
+    without = np.array([_adjusted_r_squared(total - one) for one in products])
     spread = np.sqrt((GROUPS - 1) * np.mean((without - np.mean(without)) ** 2))
-    return float(np.clip(_adjusted(total), 0.0, 1.0)), float(USUAL * spread)
+    return float(np.clip(_adjusted_r_squared(total), 0.0, 1.0)), float(NORMAL_95 * spread)
 
 
-def _adjusted(products: np.ndarray) -> float:
+def _adjusted_r_squared(products: np.ndarray) -> float:
     """Adjusted R^2 of the last column on the others, the first of which is ones, from all their products."""
     cross, count = products[:-1, -1], products[0, 0]
     left = products[-1, -1] - cross @ np.linalg.solve(products[:-1, :-1], cross)

@@ -116,13 +116,13 @@ def _motion(text: str) -> tuple[str, str]:
     return text, read_motion(Path(text))
 
 
-def keep(asked: SweepSpec, folder: Path) -> None:
+def write_spec(asked: SweepSpec, folder: Path) -> None:
     """Write it into the folder of the sweep."""
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / FILE, to_text(asked))
 
 
-def read_asked(folder: Path) -> SweepSpec:
+def read_spec(folder: Path) -> SweepSpec:
     """What the sweep in `folder` was asked for; raises `ParameterError` where there is none."""
     path = folder / FILE
     try:

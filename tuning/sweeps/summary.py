@@ -74,10 +74,10 @@ def quantile(values: Values, share: float) -> Interval:
 
 def exceedance(values: Values, tolerance: float) -> Interval:
     """The probability that a machine misses the tolerance, with Wilson's interval."""
-    return share_of(values > tolerance)
+    return proportion(values > tolerance)
 
 
-def share_of(which: np.ndarray) -> Interval:
+def proportion(which: np.ndarray) -> Interval:
     """How often it is so, with Wilson's interval."""
     count, total = int(np.sum(which)), len(which)
     ends = stats.binomtest(count, total).proportion_ci(LEVEL, method="wilson")
@@ -86,15 +86,15 @@ def share_of(which: np.ndarray) -> Interval:
 
 def worst(group: Group, count: int, by: str = "peak_m") -> list[int]:
     """Numbers of the machines with the largest errors, the worst first, of those that did not diverge."""
-    return _numbered(group, -group.column(by), ~group.diverged, count)
+    return _machine_numbers(group, -group.column(by), ~group.diverged, count)
 
 
 def first_to_diverge(group: Group, count: int) -> list[int]:
     """Numbers of the machines that diverged, those first that did so earliest."""
-    return _numbered(group, group.column("diverged_at_s"), group.diverged, count)
+    return _machine_numbers(group, group.column("diverged_at_s"), group.diverged, count)
 
 
-def _numbered(group: Group, key: Values, among: np.ndarray, count: int) -> list[int]:
+def _machine_numbers(group: Group, key: Values, among: np.ndarray, count: int) -> list[int]:
     numbers = group.table["machine"].to_numpy(zero_copy_only=False)
     order = np.argsort(key, kind="stable")
     return [int(numbers[k]) for k in order[among[order]][:count]]
@@ -109,9 +109,9 @@ class Comparison(NamedTuple):
     ratio: float  # of the errors, one over other: the median over the machines
 
 
-def compared(one: Group, other: Group, by: str = "peak_m") -> Comparison:
+def compare(one: Group, other: Group, by: str = "peak_m") -> Comparison:
     """Machine by machine. Where both diverged neither is better."""
     mine, theirs = one.error(by), other.error(by)
     both = np.isfinite(mine) & np.isfinite(theirs)
     ratio = float(np.median(mine[both] / theirs[both])) if both.any() else np.nan
-    return Comparison(one.controller, other.controller, share_of(mine < theirs), ratio)
+    return Comparison(one.controller, other.controller, proportion(mine < theirs), ratio)

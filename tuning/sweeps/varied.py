@@ -30,15 +30,15 @@ KINDS = {
 NUMBERS = {
     "uniform": (2,), "loguniform": (2,), "triangular": (3,), "normal": (1, 2), "lognormal": (1, 2), "fixed": (1,),
 }  # fmt: skip
-WIDEST = 1.0  # deviation of a logarithm: already a factor of 55 at four of them, wider is a slip of the pen
-FARTHEST = 4.0  # standard deviations: no sample is decided by a machine that nobody will see
+MAX_LOG_DEVIATION = 1.0  # deviation of a logarithm: already a factor of 55 at four of them, wider is a slip of the pen
+MAX_SIGMAS = 4.0  # standard deviations: no sample is decided by a machine that nobody will see
 
 Values = Float[np.ndarray, " n"]
-How = Literal["is", "plus", "times"]  # how a number meets the drive file's value
+Mode = Literal["is", "plus", "times"]  # how a number meets the drive file's value
 
 
 @dataclass(frozen=True)
-class Varied:
+class VariedQuantity:
     """A quantity and its distribution: `of` gives numbers at shares (0 to 1) of the probability.
 
     `how` they meet the drive file's value: they are the value, are added to it, or are factors on it.
@@ -47,7 +47,7 @@ class Varied:
     name: str
     unit: str
     text: str
-    how: How
+    how: Mode
     of: Callable[[Values], Values]
 
     def met(self, value: Any, drawn: Any) -> Any:
@@ -57,7 +57,7 @@ class Varied:
         return value + drawn if self.how == "plus" else value * drawn
 
 
-def _normal(share: Values, low: float = -FARTHEST, high: float = FARTHEST) -> Values:
+def _normal(share: Values, low: float = -MAX_SIGMAS, high: float = MAX_SIGMAS) -> Values:
     return np.asarray(stats.truncnorm.ppf(share, low, high))
 
 
@@ -73,7 +73,7 @@ def _triangular(low: float, mode: float, high: float) -> Callable[[Values], Valu
     return lambda share: np.asarray(stats.triang.ppf(share, (mode - low) / (high - low), low, high - low))
 
 
-def _shape(kind: str, given: list[float], bounds: tuple[float, float]) -> Callable[[Values], Values]:
+def _quantile_function(kind: str, given: list[float], bounds: tuple[float, float]) -> Callable[[Values], Values]:
     """The distribution of a kind; a normal one ends where the quantity does."""
     if kind == "uniform":
         return _uniform(*given)
@@ -85,7 +85,7 @@ def _shape(kind: str, given: list[float], bounds: tuple[float, float]) -> Callab
         return lambda share: np.full(share.shape, given[0])
     middle, deviation = given
     if kind == "normal":
-        low, high = (float(np.clip((bound - middle) / deviation, -FARTHEST, FARTHEST)) for bound in bounds)
+        low, high = (float(np.clip((bound - middle) / deviation, -MAX_SIGMAS, MAX_SIGMAS)) for bound in bounds)
         return lambda share: middle + deviation * _normal(share, low, high)
     return lambda share: middle * np.exp(deviation * _normal(share))
 
@@ -97,7 +97,7 @@ def with_effects(drive: Drive, names: Iterable[str]) -> Drive:
     return dataclasses.replace(drive, effects=(*drive.effects, *(EFFECTS[name]() for name in wanted)))
 
 
-class Known(NamedTuple):
+class KnownQuantity(NamedTuple):
     """A quantity that may vary."""
 
     unit: str
@@ -109,7 +109,7 @@ class Known(NamedTuple):
         """Whether it has values to be relative to."""
         return bool(self.values) and all(value != 0.0 for value in self.values)
 
-    def room(self, how: How) -> tuple[float, float]:
+    def room(self, how: Mode) -> tuple[float, float]:
         """The bounds of what meets the drive's values: of the value itself, an offset or a factor."""
         ends = np.array([self.bounds] * max(1, len(self.values)))
         if how == "plus":
@@ -119,23 +119,25 @@ class Known(NamedTuple):
         return float(ends[:, 0].max()), float(ends[:, 1].min())
 
 
-def known_quantities(drive: Drive) -> dict[str, Known]:
+def known_quantities(drive: Drive) -> dict[str, KnownQuantity]:
     """Every quantity that may vary.
 
     A quantity per direction stands for both sides together, or for one of them with `.positive` or `.negative`. Effects
     that the drive file has not are there as well.
     """
-    known = {name: Known(unit, (0.0,)) for name, unit in LOAD.items()}
+    known = {name: KnownQuantity(unit, (0.0,)) for name, unit in LOAD.items()}
     for name, declared, value in quantities(with_effects(drive, EFFECTS)):
         sides = ("positive", "negative") if declared.directional else ()
         values = () if value is None else tuple(float(getattr(value, side)) for side in sides) or (float(value),)
-        known[name] = Known(declared.unit, values, declared.range)
+        known[name] = KnownQuantity(declared.unit, values, declared.range)
         for k, side in enumerate(sides):
-            known[f"{name}.{side}"] = Known(declared.unit, values[k : k + 1], declared.range)
+            known[f"{name}.{side}"] = KnownQuantity(declared.unit, values[k : k + 1], declared.range)
     return known
 
 
-def parse_varied(text: str, drive: Drive, settings: Mapping[str, Known] = MappingProxyType({})) -> Varied:
+def parse_varied(
+    text: str, drive: Drive, settings: Mapping[str, KnownQuantity] = MappingProxyType({})
+) -> VariedQuantity:
     """A quantity and its distribution from `NAME=KIND:NUMBERS`; numbers in percent are relative to the drive file's.
 
     `settings` are those of motions and load that may vary, too. Raises `ParameterError` that says what is known.
@@ -162,17 +164,17 @@ def parse_varied(text: str, drive: Drive, settings: Mapping[str, Known] = Mappin
     parts = [part.strip() for part in values.split("..")]
     if len(parts) not in NUMBERS[kind] or not all(parts):
         raise ParameterError(f"{where}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
-    how, given = _given(kind, parts, unit, where)
+    how, given = _mode_and_numbers(kind, parts, unit, where)
     if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].values):
         raise ParameterError(f"{where}: has no value, or zero, to be relative to: give all numbers in {unit}")
     _require_sensible(kind, given, where)
     low, high = known[name].room(how)
-    if kind == "normal" and not low - FARTHEST * given[1] < given[0] < high + FARTHEST * given[1]:
+    if kind == "normal" and not low - MAX_SIGMAS * given[1] < given[0] < high + MAX_SIGMAS * given[1]:
         raise ParameterError(f"{where}: nothing of {values} is from {low:g} to {high:g}, where it must be")
-    return Varied(name, unit, text, how, _shape(kind, given, (low, high)))
+    return VariedQuantity(name, unit, text, how, _quantile_function(kind, given, (low, high)))
 
 
-def _given(kind: str, parts: list[str], unit: str, where: str) -> tuple[How, list[float]]:
+def _mode_and_numbers(kind: str, parts: list[str], unit: str, where: str) -> tuple[Mode, list[float]]:
     """How the numbers of a kind meet the drive file's value, and the numbers, a single deviation with its middle."""
     places, deviation = (parts[:-1], parts[-1]) if kind in ("normal", "lognormal") else (parts, None)
     shares = [part.endswith("%") for part in places]
@@ -185,15 +187,15 @@ def _given(kind: str, parts: list[str], unit: str, where: str) -> tuple[How, lis
                 f"{where}: '{part}' needs a sign: percents are offsets from the drive file's value, as -5%..+5%"
             )
     if relative:
-        given = [1.0 + _share(part, where) for part in places] or [1.0]
-        return "times", given if deviation is None else [*given, _share(deviation, where)]
+        given = [1.0 + _fraction(part, where) for part in places] or [1.0]
+        return "times", given if deviation is None else [*given, _fraction(deviation, where)]
     if kind == "lognormal":
-        return "is", [*numbers(places[0], unit, where), _share(parts[-1], where)]
+        return "is", [*numbers(places[0], unit, where), _fraction(parts[-1], where)]
     given = numbers(";".join(parts), unit, where)
     return ("is", given) if places else ("plus", [0.0, *given])
 
 
-def _share(text: str, where: str) -> float:
+def _fraction(text: str, where: str) -> float:
     """A share, in percent or bare."""
     percent = text.endswith("%")
     return number(text.removesuffix("%"), "1", where) / (100.0 if percent else 1.0)
@@ -209,6 +211,6 @@ def _require_sensible(kind: str, given: list[float], where: str) -> None:
         raise ParameterError(f"{where}: {kind} needs numbers above zero, got {given[0]:g}")
     if kind in ("normal", "lognormal") and not given[-1] > 0.0:
         raise ParameterError(f"{where}: the deviation must be above zero, got {given[-1]:g}")
-    if kind == "lognormal" and given[-1] > WIDEST:
+    if kind == "lognormal" and given[-1] > MAX_LOG_DEVIATION:
         wide = f"a deviation of {100 * given[-1]:g} % of a logarithm is too wide"
         raise ParameterError(f"{where}: {wide}; write 3% or 0.03")

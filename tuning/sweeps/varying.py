@@ -10,14 +10,14 @@ from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import quantities
 from diffdrive.motion.text import number
 from diffdrive.support.text_file import read_toml
-from tuning.sweeps.varied import WIDEST, known_quantities
+from tuning.sweeps.varied import MAX_LOG_DEVIATION, known_quantities
 
 Correlation = Mapping[str, Mapping[str, float]]
 
 DEFAULT_SPREAD = "2%"
 
 
-def varying(
+def varied_texts(
     drive: Path, vary: Sequence[str], spread: str | None, identified: Path | None
 ) -> tuple[tuple[str, ...], Correlation]:
     """The texts of `varied.parse_varied` for a drive file, and the correlations between them.
@@ -29,7 +29,7 @@ def varying(
     if identified is not None:
         known, together = read_uncertainty(identified)
         own = _names(texts)
-        texts += [text for text in known if not any(_same(name, other) for name in _names([text]) for other in own)]
+        texts += [text for text in known if not any(_overlap(name, other) for name in _names([text]) for other in own)]
         left = _names(texts) - own
         correlation = {
             one: {other: value for other, value in others.items() if other in left}
@@ -46,7 +46,7 @@ def _names(texts: Sequence[str]) -> set[str]:
     return {text.partition("=")[0].strip() for text in texts}
 
 
-def _same(one: str, other: str) -> bool:
+def _overlap(one: str, other: str) -> bool:
     """Whether they are the same quantity, or one is a direction of the other."""
     return one == other or one in _sides(other) or other in _sides(one)
 
@@ -63,8 +63,10 @@ def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
         share = float(spread.removesuffix("%")) / (100.0 if spread.endswith("%") else 1.0)
     except ValueError:
         share = np.nan
-    if not 0.0 < share <= WIDEST:
-        raise ParameterError(f"--spread {spread}: give a share above 0 and up to {WIDEST:.0%}, as 3% or 0.03")
+    if not 0.0 < share <= MAX_LOG_DEVIATION:
+        raise ParameterError(
+            f"--spread {spread}: give a share above 0 and up to {MAX_LOG_DEVIATION:.0%}, as 3% or 0.03"
+        )
     percent = f"{100.0 * share:.12g}%"
     taken = _names(there)
     axis = read_axis(drive).drive

@@ -13,13 +13,13 @@ from diffdrive.errors import ParameterError
 from diffdrive.runtime import allow_accelerator, configure, cores, enable_compilation_cache
 from diffdrive.support.processes import processes
 from diffdrive.support.resources import require_memory
-from tuning.sweeps.parts import Computed, Engine, Say
+from tuning.sweeps.parts import ComputedParts, Engine, Notify
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.spec import SweepSpec, from_text, to_text
 
-WORKER = 3e8  # bytes of a process that has done nothing yet, jax and the package in it
-AHEAD = 2  # parts for each worker, one that it runs and the next: what is done waits in memory to be written
-MOST_LOSSES = 3  # of workers in a row without a part done, as many as Dask allows
+WORKER_BYTES = 3e8  # bytes of a process that has done nothing yet, jax and the package in it
+PARTS_PER_WORKER = 2  # parts for each worker, one that it runs and the next: what is done waits in memory to be written
+MAX_LOSSES = 3  # of workers in a row without a part done, as many as Dask allows
 
 
 @functools.lru_cache(maxsize=1)
@@ -49,20 +49,20 @@ def on_workers(asked: SweepSpec, workers: int) -> Engine:
     A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, and where
     workers are killed again and again.
     """
-    require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER * workers, "give fewer")
+    require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER_BYTES * workers, "give fewer")
 
-    def engine(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
+    def engine(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
         run = functools.partial(run_part, to_text(asked), plan.question(), max(1, cores() // workers))
         left, losses = list(wanted), 0
         while left:
             try:
-                for part, table in _computed(run, left, workers):
+                for part, table in _compute(run, left, workers):
                     left.remove(part)
                     losses = 0
                     yield part, table
             except BrokenProcessPool:
                 losses += 1
-                if losses == MOST_LOSSES:
+                if losses == MAX_LOSSES:
                     raise ParameterError(
                         f"--workers {workers}: its processes are killed again and again, for want of memory perhaps: "
                         "give fewer; the parts that were done are kept: the same command goes on there"
@@ -72,14 +72,14 @@ def on_workers(asked: SweepSpec, workers: int) -> Engine:
     return engine
 
 
-def _computed(run: "functools.partial[pa.Table]", wanted: list[int], workers: int) -> Computed:
+def _compute(run: "functools.partial[pa.Table]", wanted: list[int], workers: int) -> ComputedParts:
     """The parts as they are done, in processes that end with this."""
     with processes(min(workers, len(wanted))) as pool:
         left, running = iter(list(wanted)), dict[Future[pa.Table], int]()
         while True:
             for part in left:
                 running[pool.submit(run, part)] = part
-                if len(running) >= AHEAD * workers:
+                if len(running) >= PARTS_PER_WORKER * workers:
                     break
             if not running:
                 return

@@ -15,17 +15,17 @@ from diffdrive.errors import ParameterError
 from diffdrive.motion.motion import Motion
 from diffdrive.results import Result, Status
 from diffdrive.support.atomic_write import remove_temporary
-from tuning.progress import Progress, shown
+from tuning.progress import Progress, reporting
 from tuning.sweeps.engine import Precision, most_in_a_part
-from tuning.sweeps.parts import Engine, here, missing, run
+from tuning.sweeps.parts import Engine, in_process, missing_parts, run_parts
 from tuning.sweeps.plan import SweepPlan
-from tuning.sweeps.room import require_room
+from tuning.sweeps.room import require_resources
 from tuning.sweeps.samples import Method
 from tuning.sweeps.sensitivity import Influence, influences
 from tuning.sweeps.summary import ERRORS, Group, exceedance, groups, quantile
 
 PARTS = "parts"  # of a sweep's folder: the machines that were run
-SHOWN = 3  # quantities that drive the spread, in a summary
+INFLUENCES_SHOWN = 3  # quantities that drive the spread, in a summary
 
 
 class Exceedance(NamedTuple):
@@ -66,7 +66,7 @@ class SweepResult(Result):
                 f"no controller {controller!r} on a motion {motion!r}; there are {', '.join(self.controllers)} on "
                 f"{', '.join(self.plan.motions)}"
             )
-        (found,) = groups(dataset_of(self.frame), [controller], [motion])
+        (found,) = groups(as_dataset(self.frame), [controller], [motion])
         return found
 
     def exceedance(self, controller: str, motion: str | None = None, *, tolerance: float | None = None) -> Exceedance:
@@ -83,7 +83,7 @@ class SweepResult(Result):
 
     def influences(self, controller: str, motion: str | None = None) -> list[Influence]:
         """Which of what varied drives the spread of a controller's error, the strongest first."""
-        return influences_of(self.plan, self.group(controller, motion), self.by)
+        return group_influences(self.plan, self.group(controller, motion), self.by)
 
     def headline(self) -> str:
         machines, first = self.plan.samples, self.controllers[0]
@@ -111,7 +111,10 @@ class SweepResult(Result):
                     share, (low, high) = self.exceedance(controller, motion)
                     row += f"  {100 * share:.3g} % ({100 * low:.3g} to {100 * high:.3g})"
                 rows.append(row)
-                drive = [f"{one.name} {100 * one.share:.0f} %" for one in self.influences(controller, motion)[:SHOWN]]
+                drive = [
+                    f"{one.name} {100 * one.share:.0f} %"
+                    for one in self.influences(controller, motion)[:INFLUENCES_SHOWN]
+                ]
                 rows += [f"  spread of {controller}: {', '.join(drive)}"] if drive else []
         return "\n".join(rows)
 
@@ -185,16 +188,16 @@ def sweep(
         raise ParameterError(f"by: no error {by!r}; known: {', '.join(ERRORS)}")
     if tolerance is not None and not tolerance > 0.0:
         raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
-    plan = plan_of(
+    plan = sweep_plan(
         axis, motion, vary=vary, against=against or {}, machine=machine, samples=samples, load=load, settle=settle,
         seed=seed, method=method, precision=precision,
     )  # fmt: skip
     folder = None if out is None else Path(out)
-    require_room(plan, Path(tempfile.gettempdir()) if folder is None else folder)
+    require_resources(plan, Path(tempfile.gettempdir()) if folder is None else folder)
     if folder is not None:
-        missing(plan, folder / PARTS)  # before anything is written: what is there may be of another sweep
-    with kept_in(folder) as parts, shown(progress) as tell:
-        rows = run(plan, parts, lambda done: tell("machines", done, plan.samples), engine or here)
+        missing_parts(plan, folder / PARTS)  # before anything is written: what is there may be of another sweep
+    with parts_folder(folder) as parts, reporting(progress) as tell:
+        rows = run_parts(plan, parts, lambda done: tell("machines", done, plan.samples), engine or in_process)
         order = [("motion", "ascending"), ("controller", "ascending"), ("machine", "ascending")]
         frame = rows.to_table().sort_by(order)
     diverged = int(np.sum(frame["diverged"].to_numpy(zero_copy_only=False)))
@@ -207,7 +210,7 @@ def sweep(
     return result
 
 
-def plan_of(
+def sweep_plan(
     axis: Axis, motion: Motion | Sequence[Motion], *, vary: Mapping[str, str], against: Mapping[str, Axis],
     machine: Axis | None, samples: int, load: float | str, **more: Any,
 ) -> SweepPlan:  # fmt: skip
@@ -236,7 +239,7 @@ def plan_of(
 
 
 @contextlib.contextmanager
-def kept_in(folder: Path | None) -> Iterator[Path]:
+def parts_folder(folder: Path | None) -> Iterator[Path]:
     """Where the parts go: into the folder, or nowhere for long."""
     if folder is not None:
         remove_temporary(folder / PARTS)
@@ -246,17 +249,17 @@ def kept_in(folder: Path | None) -> Iterator[Path]:
         yield Path(room)
 
 
-def influences_of(plan: SweepPlan, group: Group, by: str) -> list[Influence]:
+def group_influences(plan: SweepPlan, group: Group, by: str) -> list[Influence]:
     """What drives the spread of a controller on a motion."""
-    return influences(list(plan.units), values_of(plan, group), group.error(by), plan.seed)
+    return influences(list(plan.units), varied_values(plan, group), group.error(by), plan.seed)
 
 
-def values_of(plan: SweepPlan, group: Group) -> np.ndarray:
+def varied_values(plan: SweepPlan, group: Group) -> np.ndarray:
     """The values of what varied, [machines, quantities]."""
     return np.stack([group.column(name) for name in plan.units], axis=1)
 
 
-def dataset_of(frame: pa.Table) -> Any:
+def as_dataset(frame: pa.Table) -> Any:
     """The rows as `groups` takes them."""
     import pyarrow.dataset as ds
 

@@ -25,16 +25,16 @@ from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.explain import MOST_EFFECTS
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.workflow import (
-    NOT_YET,
+    NOT_SEARCHED,
     DiagnosisResult,
     augmented_drive,
     diagnose_checked,
+    diagnosis_result,
     is_void,
     next_motion_of,
-    result_of,
 )
 from tuning.gains.plan import TuningPlan
-from tuning.store.folder import KeptParts
+from tuning.store.folder import FolderStore
 
 NEXT = "next_reference.csv"
 PARTS = "diagnosis.parts"  # finished searches, from which the same command continues
@@ -69,7 +69,7 @@ def diagnose_logs(
     description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         checked = read(report, paths, description, loads)
-        parts = KeptParts.within(out, PARTS)
+        parts = FolderStore.within(out, PARTS)
         with report.stages() as progress:
             found = diagnose_checked(
                 description, checked,
@@ -79,10 +79,10 @@ def diagnose_logs(
             report.console.print(f"{parts.found} finished parts of an interrupted diagnosis were used.")
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)
-            _save(report, result_of(description, checked, found, NOT_YET), None)
+            _save(report, diagnosis_result(description, checked, found, NOT_SEARCHED), None)
         with report.working("looking for the motion that would decide"):
             offer = next_motion_of(description, checked, found)
-        result = result_of(description, checked, found, offer)
+        result = diagnosis_result(description, checked, found, offer)
         told = dict(result.details)
         tell(report, told)
         if told["scale_noise"]:

@@ -17,8 +17,8 @@ from diffdrive.model.parameters import as_arrays
 from experiments.reports.report import Report
 from experiments.reports.tuning import tune_drive
 from tuning.gains.handover import worst_margins
-from tuning.gains.plan import Judged, TuningPlan, held_out, judge
-from tuning.gains.requirements import Constraints, Required, points
+from tuning.gains.plan import ScenarioResult, TuningPlan, held_out_scenarios, run_scenario
+from tuning.gains.requirements import Constraints, LoopLimits, operating_points
 
 STANDSTILL = 0.0  # m/s
 NAMES = ("given", "tuned on nominal", "tuned on augmented")
@@ -44,11 +44,11 @@ def payoff(
             raise KeyboardInterrupt  # half a tuning pays nothing
         gains.append(tuned.controller)
         accepted.append(kept)
-    scenarios = held_out(augmented, plan)
+    scenarios = held_out_scenarios(augmented, plan)
     rows, found = [], {}
     for name, controller, kept in zip(NAMES, gains, accepted, strict=True):
         with report.working(f"judging the gains {name}"):
-            judged = [judge(controller, one, augmented.sampling) for one in scenarios]
+            judged = [run_scenario(controller, one, augmented.sampling) for one in scenarios]
         found[name] = _told(judged, _margins(augmented, controller, plan)) | {"requirements_kept_where_tuned": kept}
         rows.append([name, *(found[name].get(key) for key in COLUMNS)])
     report.table("payoff", ("gains", *COLUMNS), rows, CAPTION)
@@ -72,7 +72,7 @@ def _below(report: Report, name: str) -> Path | None:
     return None if report.out is None else report.out / name
 
 
-def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
+def _told(judged: list[ScenarioResult], margins: dict[str, float]) -> dict[str, Any]:
     return {
         "mean_rms_um": float(np.mean([one.rms for one in judged])),
         "worst_peak_um": float(np.max([one.peak for one in judged])),
@@ -84,5 +84,5 @@ def _told(judged: list[Judged], margins: dict[str, float]) -> dict[str, Any]:
 
 def _margins(description: Axis, controller: Controller, plan: TuningPlan) -> dict[str, float]:
     """The worst at standstill and at the speed tuned at, without load and under the highest."""
-    at = points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
-    return worst_margins(Constraints(Required(), at, description.sampling).margins(as_arrays(smooth(controller))))
+    at = operating_points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
+    return worst_margins(Constraints(LoopLimits(), at, description.sampling).margins(as_arrays(smooth(controller))))

@@ -16,14 +16,14 @@ from experiments.reports.identification.forest import forest
 from experiments.reports.identification.modelled_friction import modelled_hysteresis, stretches_of
 from experiments.reports.report import Report, new_figure, plain_logarithmic
 from tuning.identification.curves import hysteresis_curves, stribeck_curves
-from tuning.identification.identify import Identified
+from tuning.identification.identify import Identification
 from tuning.identification.uncertainty import autocorrelation
 
 LAGS = 100
 MOST_POINTS = 20_000  # of a signal in a figure
 
 
-def draw(report: Report, found: Identified, before: Drive, logs: Sequence[Log]) -> None:
+def draw(report: Report, found: Identification, before: Drive, logs: Sequence[Log]) -> None:
     """Save every figure; one whose data the logs do not hold is left out, and said so."""
     stretches = stretches_of(logs)
     for name, make in (("stribeck", _stribeck), ("hysteresis", _hysteresis)):
@@ -45,7 +45,7 @@ def _shades(count: int) -> list[Any]:
     return ["C0"] if count == 1 else [mpl.colormaps["viridis"](k / count) for k in range(count)]
 
 
-def _stribeck(found: Identified, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
+def _stribeck(found: Identification, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
     """Friction over speed, one panel per direction: measured with error bars, drive file's and identified.
 
     Less the constant force, as the motor meets it: what of it is friction each drive says otherwise.
@@ -87,7 +87,7 @@ def _pull(drive: Drive) -> float:
     return float(drive.plant.constant_force)
 
 
-def _hysteresis(found: Identified, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
+def _hysteresis(found: Identification, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
     """Friction over the way since a reversal, as in the paper's Fig. 8: measured and, filtered alike, modelled."""
     measured = hysteresis_curves(stretches, found.drive)
     if not measured.curves:
@@ -124,7 +124,7 @@ def _hysteresis(found: Identified, before: Drive, stretches: Sequence[Log]) -> t
     return figure, measured.notes
 
 
-def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
+def _missing_force(found: Identification, stretches: Sequence[Log]) -> Any:
     """Over time, the stretches one after another, beside the position; and over the position, by direction."""
     figure, axes = new_figure(3, 1, width=10.0, height=2.4, share_x=False)
     axes[1].sharex(axes[0])
@@ -154,7 +154,7 @@ def _missing_force(found: Identified, stretches: Sequence[Log]) -> Any:
     return figure
 
 
-def _innovations(found: Identified, stretches: Sequence[Log]) -> Any:
+def _innovations(found: Identification, stretches: Sequence[Log]) -> Any:
     """Are they white, and how are they spread?"""
     counted = np.concatenate([row[: len(one.time)] for row, one in zip(found.innovation, stretches, strict=True)])
     lags = min(LAGS, found.innovation.shape[1] // 10)

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from experiments.reports.report import new_figure, plain_logarithmic
-from tuning.identification.estimates import Estimate
+from tuning.identification.estimates import ParameterEstimate
 
 WIDEST = 30.0  # ratio at which the axis ends; what lies beyond is drawn as an arrow at its end
 LINEAR = 2.0  # ratio up to which the axis is linear
 COLOURS = {"fitted": "C0", "at its bound": "C3"}  # grey: not fitted
 
 
-def forest(estimates: Sequence[Estimate]) -> Any:
+def forest(estimates: Sequence[ParameterEstimate]) -> Any:
     """One row per parameter: identified over the drive file's value, and the numbers beside it.
 
     Where there is no positive ratio (a value of zero, or of another sign) the row has only its numbers.
@@ -40,7 +40,7 @@ def forest(estimates: Sequence[Estimate]) -> Any:
     return figure
 
 
-def _mark(axis: Any, k: int, one: Estimate) -> float:
+def _mark(axis: Any, k: int, one: ParameterEstimate) -> float:
     """Draw one row; returns the ratio, or its inverse, to which it reaches."""
     if one.believed == 0 or one.value / one.believed <= 0:
         return 1.0
@@ -55,7 +55,7 @@ def _mark(axis: Any, k: int, one: Estimate) -> float:
     return max(right, 1.0 / left)
 
 
-def _numbers(one: Estimate) -> str:
+def _numbers(one: ParameterEstimate) -> str:
     interval = f"[{one.low:.6g}, {one.high:.6g}] {one.unit}" if one.status == "fitted" else f"{one.unit}, {one.status}"
     found = f"{one.value:.6g} {interval}" if one.status in COLOURS else one.status
     return f"{found}  (file: {one.believed:.4g})"

@@ -16,7 +16,7 @@ from diffdrive.model.parameters import Drive, as_arrays
 from experiments.reports.report import Report
 from tuning.identification.prediction import constant_gains, predict
 from tuning.identification.problem import FINE_SUBSTEP, lanes_of, sampling_of
-from tuning.identification.replay import closed_loop, drift_note, open_loop
+from tuning.identification.replay import drift_note, replay_closed_loop, replay_open_loop
 
 BANDWIDTH = 1000.0  # rad/s of the correction, above the fastest growth on a falling Stribeck curve; less where slow
 FORGOTTEN = 0.05  # s, in which the unknown velocity at the beginning is corrected
@@ -55,13 +55,13 @@ def replayed(description: Axis, _: float, log: Log) -> dict[str, float]:
     """The log replayed by the drive: in closed loop through the controller if it has a reference, and in open loop."""
     drive, found = description.drive, {}
     if log.reference is not None and not isinstance(description.controller, UnknownController):
-        loop = closed_loop(drive, description.controller, log)
+        loop = replay_closed_loop(drive, description.controller, log)
         found = {
             "closed loop: command, N": loop.command_rms,
             "closed loop: command, %": loop.force_percent,
             "closed loop: position, um": 1e6 * loop.position_rms,
         }
-    return found | {"open loop: position, mm": open_loop(drive, log).position_rms_mm}
+    return found | {"open loop: position, mm": replay_open_loop(drive, log).position_rms_mm}
 
 
 MEASURES: tuple[Measure, ...] = (one_step, replayed)

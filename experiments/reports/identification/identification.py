@@ -21,14 +21,14 @@ from experiments.reports.identification.figures import draw
 from experiments.reports.identification.gaps import gap_table
 from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.report import Report
-from tuning.experiment_design.next_motion import proposals
+from tuning.experiment_design.next_motion import propose_motions
 from tuning.identification import inverse_dynamics
-from tuning.identification.identify import Identified, identify
-from tuning.identification.inverse_dynamics import SLOWEST
+from tuning.identification.identify import Identification, identify
+from tuning.identification.inverse_dynamics import MIN_SPEED
 from tuning.identification.ranges import BOUNDABLE, NAMES
-from tuning.identification.refinement import interrupted
+from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
-from tuning.store.folder import KeptParts
+from tuning.store.folder import FolderStore
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
 PARTS = "identification.parts"  # finished searches, from which the same command continues
@@ -69,7 +69,7 @@ def identify_drive(
         logs = checked(paths, name="findings")
         others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
         _inverse_dynamics(report, logs, others)
-        parts = KeptParts.within(out, PARTS)
+        parts = FolderStore.within(out, PARTS)
         with (
             report.progress("searching", 1) as advance,
             at_next_step(advance, report.say) as progress,
@@ -85,7 +85,7 @@ def identify_drive(
             _write(report, replace(description, drive=found.drive))
             write_uncertainty(report.out, found)
         say_words(report, found)
-        if interrupted(found.search) and parts is not None and parts.folder.exists():
+        if was_interrupted(found.search) and parts is not None and parts.folder.exists():
             report.say(f"The same command continues the search from {PARTS}.")
         if unstated := unstated_noise(description.drive, found.noise):
             report.say(unstated)
@@ -95,7 +95,7 @@ def identify_drive(
         if report.out is not None:
             with report.working("drawing"):
                 draw(report, found, description.drive, logs)
-        if parts is not None and not interrupted(found.search):  # while no other run may write here
+        if parts is not None and not was_interrupted(found.search):  # while no other run may write here
             parts.remove()
     return found.search.status == "converged"
 
@@ -130,7 +130,7 @@ def _require_known(names: Sequence[str], option: str, known: Iterable[str]) -> N
 def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Log]) -> None:
     """What the reference method says, which knows neither a bristle nor a delay."""
     try:
-        found = inverse_dynamics.identify(logs, min_speed=SLOWEST)
+        found = inverse_dynamics.identify(logs, min_speed=MIN_SPEED)
         others = inverse_dynamics.evaluate(found, held_out).error_percent if held_out else None
     except DiffdriveError as problem:
         report.say(f"No inverse dynamics: {problem}")
@@ -148,7 +148,7 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
         report.say(f"inverse dynamics: {note}")
 
 
-def estimates_table(report: Report, found: Identified) -> None:
+def estimates_table(report: Report, found: Identification) -> None:
     """Every parameter before and after, with its interval and the bounds of the search."""
 
     def row(one: Any) -> list[Any]:
@@ -170,7 +170,7 @@ def _short(bound: float) -> float:
     return float(f"{bound:.3g}")
 
 
-def say_words(report: Report, found: Identified) -> None:
+def say_words(report: Report, found: Identification) -> None:
     """What the numbers mean."""
     report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
     if found.search.status != "converged":
@@ -199,12 +199,12 @@ def say_words(report: Report, found: Identified) -> None:
         report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
 
 
-def _next_motions(report: Report, found: Identified, description: Axis) -> None:
+def _next_motions(report: Report, found: Identification, description: Axis) -> None:
     """Which motion would determine what these logs leave open."""
     if not found.undetermined:
         return
     with report.working("looking for the motions that would determine them"):
-        offers = proposals(found, description.controller, description.sampling, description.limits)
+        offers = propose_motions(found, description.controller, description.sampling, description.limits)
     if isinstance(description.controller, UnknownController):
         report.say("No motion is proposed: without a controller none can be simulated.")
     elif len(offers) < len(found.undetermined):
@@ -234,7 +234,7 @@ def _named(path: str) -> str:
     return f"{SEARCHED[stem]}{dot}{side}"
 
 
-def _delay(found: Identified) -> float:
+def _delay(found: Identification) -> float:
     """The delay found (control periods); below zero where the command was logged late, which no drive file can say."""
     return next(one.value for one in found.estimates if one.name == "delay")
 

@@ -6,15 +6,15 @@ import numpy as np
 import tomli_w
 
 from diffdrive.support.atomic_write import write_text
-from tuning.identification.estimates import LINEAR, Estimate
-from tuning.identification.identify import Identified
-from tuning.sweeps.varied import WIDEST
+from tuning.identification.estimates import LINEAR, ParameterEstimate
+from tuning.identification.identify import Identification
+from tuning.sweeps.varied import MAX_LOG_DEVIATION
 
 FILE = "uncertainty.toml"
 NOT_IN_A_FILE = ("coulomb_at_no_load", "delay")  # the first is told by others, the second is no number of its own
 
 
-def uncertainty(found: Identified) -> dict[str, dict[str, object]]:
+def uncertainty(found: Identification) -> dict[str, dict[str, object]]:
     """Each fitted parameter's distribution by its name in a drive, and the correlations between them."""
     kept = [
         k
@@ -34,19 +34,19 @@ def uncertainty(found: Identified) -> dict[str, dict[str, object]]:
     return {"vary": dict(vary), "correlation": correlation}
 
 
-def name_of(one: Estimate) -> str:
+def name_of(one: ParameterEstimate) -> str:
     """In a drive."""
     return f"plant.{one.name}" if one.name in ("mass", "constant_force") else f"friction.{one.name}"
 
 
-def _distribution(one: Estimate, deviation: float) -> str:
+def _distribution(one: ParameterEstimate, deviation: float) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     if one.name.split(".")[0] in LINEAR or one.value <= 0.0:
         return f"normal:{one.value:.10g}{unit}..{deviation:.6g}{unit}"
     # beyond that nothing was told of it but that it is positive, and a sweep takes no wider one
-    return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, WIDEST):.6g}%"
+    return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, MAX_LOG_DEVIATION):.6g}%"
 
 
-def write_uncertainty(folder: Path, found: Identified) -> None:
+def write_uncertainty(folder: Path, found: Identification) -> None:
     """As a file."""
     write_text(folder / FILE, tomli_w.dumps(uncertainty(found)))

@@ -12,12 +12,12 @@ from diffdrive.model.parameters import Drive, as_arrays
 from experiments.reports.identification.gaps import delay_of
 from tuning.identification.curves import HysteresisCurves, hysteresis_curves
 from tuning.identification.friction_along import friction_along
-from tuning.identification.problem import SHORTEST
+from tuning.identification.problem import MIN_LANE_SAMPLES
 
 
 def stretches_of(logs: Sequence[Log]) -> list[Log]:
     """The gap-free stretches in the order of `tuning.identification.problem.lanes_of`, each as a log of its own."""
-    pieces = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= SHORTEST]
+    pieces = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
     return [
         dataclasses.replace(log, gaps=(), **{name: values[piece] for name, values in log.channels.items()})
         for log, piece in pieces

@@ -17,14 +17,14 @@ from experiments.reports.simulation import run_figure, write_run
 from experiments.reports.sweep import figures
 from experiments.reports.sweep.tables import TOLD, Told, announce, tell
 from tuning.sweeps.engine import Precision
-from tuning.sweeps.parts import Computed, Engine, Say, here, kept, missing, run
+from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, missing_parts, run_parts, stored_errors
 from tuning.sweeps.plan import SweepPlan
-from tuning.sweeps.replay import SIGNALS, chosen, costs_again, errors_of, machine_of, run_of, traces
-from tuning.sweeps.room import require_room
+from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
+from tuning.sweeps.room import require_resources
 from tuning.sweeps.samples import Method
-from tuning.sweeps.spec import FILE, SweepSpec, keep, read_asked
+from tuning.sweeps.spec import FILE, SweepSpec, read_spec, write_spec
 from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, groups, worst
-from tuning.sweeps.workflow import PARTS, influences_of, kept_in
+from tuning.sweeps.workflow import PARTS, group_influences, parts_folder
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
 
@@ -41,26 +41,26 @@ def sweep_drive(
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
     plan = asked.plan()
-    require_room(plan, Path(tempfile.gettempdir()) if out is None else out)
+    require_resources(plan, Path(tempfile.gettempdir()) if out is None else out)
     warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
     title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:
         if (out / RESULT).exists() and not (out / FILE).exists():
             raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
-        missing(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
-    with Report(title, out) as report, kept_in(out) as folder:
+        missing_parts(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
+    with Report(title, out) as report, parts_folder(out) as folder:
         for warning in warned:
             report.say(warning)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted("machines", plan.samples) as done:
-            rows = run(plan, folder, done, _noted(asked, engine or here, report), report.console.print)
+            rows = run_parts(plan, folder, done, _noted(asked, engine or in_process, report), report.console.print)
         _legend(report, asked.origins(plan.axis.sampling.rate))
         report.values(
             "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
             precision=plan.precision,
         )  # fmt: skip
         found = groups(rows, list(plan.controllers), list(plan.motions))
-        told = [(one, influences_of(plan, one, by)) for one in found]
+        told = [(one, group_influences(plan, one, by)) for one in found]
         tell(report, plan, told, tolerance, by)
         for motion in plan.motions if out is not None else ():
             draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
@@ -93,11 +93,11 @@ def _noted(asked: SweepSpec, engine: Engine, report: Report) -> Engine:
     found possible.
     """
 
-    def noted(plan: SweepPlan, wanted: list[int], say: Say) -> Computed:
+    def noted(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
         results = engine(plan, wanted, say)  # which may find that nobody is there
         announce(report, plan)
         if report.out is not None:
-            keep(asked, report.out)
+            write_spec(asked, report.out)
         yield from results
 
     return noted
@@ -164,9 +164,9 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
     """`diffdrive replay`; False if the machine diverged, here or in the sweep, or its run is not to be believed."""
     if out is not None and (out / FILE).exists():
         raise ParameterError(f"--out {out}: holds a sweep, whose results this would overwrite; name another folder")
-    plan = read_asked(folder).plan()
-    controller, motion = chosen(plan, controller, motion)
-    machine = machine_of(plan, number, motion)
+    plan = read_spec(folder).plan()
+    controller, motion = choose_names(plan, controller, motion)
+    machine = sweep_machine(plan, number, motion)
     with Report(f"{folder.name}: machine {number}, {controller}, {motion}", out) as report:
         report.table(
             "machine",
@@ -175,14 +175,14 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             "What differs from the drive file",
         )
         with report.working("simulating"):
-            simulated = run_of(plan, machine, controller, motion)
-            costs, diverged_at = costs_again(plan, number, controller, motion)
-        rms, peak = errors_of(plan, simulated)
+            simulated = machine_run(plan, machine, controller, motion)
+            costs, diverged_at = repeat_costs(plan, number, controller, motion)
+        rms, peak = run_errors(plan, simulated)
         report.values("run", status=simulated.status.message)
         report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
         if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, atol=0.0, equal_nan=True):
             report.say(f"{_why_apart(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
-        told = kept(plan, folder / PARTS, number, controller, motion)
+        told = stored_errors(plan, folder / PARTS, number, controller, motion)
         if told is None:
             report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
         else:

@@ -7,19 +7,19 @@ import numpy as np
 
 from experiments.reports.report import Report
 from tuning.sweeps.plan import SweepPlan
-from tuning.sweeps.sensitivity import FEWEST, Influence, influences_on_event
+from tuning.sweeps.sensitivity import MIN_MACHINES, Influence, influences_on_event
 from tuning.sweeps.summary import (
     ERRORS,
     SHARES,
     Group,
     Interval,
-    compared,
+    compare,
     exceedance,
     first_to_diverge,
     quantile,
     worst,
 )
-from tuning.sweeps.workflow import values_of
+from tuning.sweeps.workflow import varied_values
 
 TOLD = 5  # worst machines that are named
 Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
@@ -125,7 +125,7 @@ def _compare(report: Report, found: Sequence[Group], by: str) -> None:
     rows = []
     for one, first in pairs:
         if one is not first:
-            told = compared(one, first, by)
+            told = compare(one, first, by)
             rows.append([one.motion, told.one, told.other, _range(told.better, 100), told.ratio])
     if rows:
         report.table(
@@ -155,7 +155,8 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[Told], by: str) -> N
         place = f"{one.motion}, {one.controller}"
         if not every:
             report.say(
-                f"{place}: no sensitivities: they take {FEWEST} machines that did not diverge and are not all alike."
+                f"{place}: no sensitivities: they take {MIN_MACHINES} machines that did not diverge and are not all "
+                "alike."
             )
         elif not any(each.clear for each in every):
             report.say(
@@ -169,7 +170,7 @@ def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group
     for one in found:
         if not one.diverged.any():
             continue
-        every = influences_on_event(list(plan.units), values_of(plan, one), one.diverged, plan.seed)
+        every = influences_on_event(list(plan.units), varied_values(plan, one), one.diverged, plan.seed)
         clear = [each for each in every if each.clear or each.chance < RARELY]
         for each in clear:
             uncertain = 100 * each.uncertain if np.isfinite(each.uncertain) else None
@@ -179,7 +180,7 @@ def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group
             why = (
                 "which nothing that varies tells from the others"
                 if every
-                else f"and of why nothing is said: that takes {FEWEST} machines, some that stay, and what varies"
+                else f"and of why nothing is said: that takes {MIN_MACHINES} machines, some that stay, and what varies"
             )
             report.say(
                 f"{one.motion}, {one.controller}: {np.sum(one.diverged)} machines diverged, {why} (the first ones "

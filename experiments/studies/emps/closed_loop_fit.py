@@ -29,15 +29,15 @@ from diffdrive.model.parameters import (
     require_double_precision,
 )
 from tuning.identification import inverse_dynamics
-from tuning.identification.inverse_dynamics import LOAD_SPREAD, SLOWEST
+from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
 from tuning.identification.problem import FINE_SUBSTEP, sampling_of
-from tuning.identification.ranges import NAMES, inside
+from tuning.identification.ranges import NAMES, clipped_start
 from tuning.identification.regressors import DIRECTIONAL
-from tuning.identification.replay import Given, given, replay
-from tuning.identification.seed import seed_drive
-from tuning.identification.unknowns import Unknowns, bounds, paths, placed, unknowns_of, value
-from tuning.optimisation.least_squares import Progress, Search, levenberg_marquardt, silent
-from tuning.optimisation.space import Free, Space, space_of
+from tuning.identification.replay import ReplayInputs, replay, replay_inputs
+from tuning.identification.seed import initial_drive
+from tuning.identification.unknowns import Unknowns, default_bounds, free_paths, unknowns_of, value_at, with_value
+from tuning.optimisation.least_squares import LeastSquaresResult, StepProgress, levenberg_marquardt, no_progress
+from tuning.optimisation.space import FreeParameter, SearchSpace, search_space
 
 MAX_STEPS = 25
 TOLERANCE = 1e-3
@@ -50,7 +50,7 @@ class ReplayProblem(NamedTuple):
     believed: Drive
     controller: Controller
     unknowns: Unknowns  # where the search starts
-    given: Given
+    given: ReplayInputs
     norm: Scalar  # N, of the logged force over all samples
     origin: Float[np.ndarray, " free"]  # of the search space
 
@@ -63,12 +63,12 @@ class CommandResiduals:
     `force_percent` of `tuning.identification.replay`. Then the distance of y from its start, next to nothing.
     """
 
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     sampling: Sampling
 
     def drive(self, y: Float[Array, " k"], problem: ReplayProblem) -> Drive:
         """The drive at y."""
-        unknowns = Space(self.free, problem.origin).insert(problem.unknowns, y)
+        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, y)
         drive = unknowns.drive(problem.believed)
         actuator = dataclasses.replace(drive.actuator, delay_fraction=unknowns.delay - drive.actuator.delay_samples)
         return dataclasses.replace(drive, actuator=actuator)
@@ -88,8 +88,8 @@ def fit_closed_loop(
     *,
     fixed: Sequence[str] = (),
     max_steps: int = MAX_STEPS,
-    progress: Progress = silent,
-) -> tuple[Drive, Search]:
+    progress: StepProgress = no_progress,
+) -> tuple[Drive, LeastSquaresResult]:
     """Fit `drive` to the commands of `logs` (of one machine, at one rate) in closed loop through `controller`.
 
     The search starts from `start`, by default from `drive` with what inverse dynamics finds; it has no other starts, so
@@ -109,9 +109,9 @@ def fit_closed_loop(
         if name not in NAMES:
             raise ParameterError(f"cannot fix '{name}'; known: {', '.join(NAMES)}")
     if start is None:
-        start, _ = seed_drive(drive, inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=SLOWEST))
+        start, _ = initial_drive(drive, inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=MIN_SPEED))
     check_drive(start)
-    pieces = given(list(logs))
+    pieces = replay_inputs(list(logs))
     unknowns, free = _free_parameters(start, drive.actuator.delay_samples, pieces, {NAMES[name] for name in fixed})
     lanes = pieces.lanes
     # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
@@ -122,7 +122,7 @@ def fit_closed_loop(
         unknowns=unknowns,
         given=pieces,
         norm=jnp.linalg.norm(lanes.counts * (lanes.command + lanes.disturbance)),
-        origin=space_of(unknowns, free).origin,
+        origin=search_space(unknowns, free).origin,
     )
     residuals = CommandResiduals(free, sampling_of(float(round(logs[0].rate, 6)), FINE_SUBSTEP))
     at = as_arrays(problem)
@@ -135,7 +135,9 @@ def fit_closed_loop(
     return dataclasses.replace(found, actuator=actuator, sensor=drive.sensor), search
 
 
-def _free_parameters(start: Drive, whole: int, pieces: Given, held: set[str]) -> tuple[Unknowns, tuple[Free, ...]]:
+def _free_parameters(
+    start: Drive, whole: int, pieces: ReplayInputs, held: set[str]
+) -> tuple[Unknowns, tuple[FreeParameter, ...]]:
     """The unknowns at `start`, those that are not held nudged inside their bounds, and these."""
     actuator = start.actuator
     unknowns = unknowns_of(start, actuator.delay_samples + float(actuator.delay_fraction or 0.0))
@@ -145,12 +147,16 @@ def _free_parameters(start: Drive, whole: int, pieces: Given, held: set[str]) ->
     if "breakaway" in held:  # a held gap stays a gap, whatever becomes of the Coulomb friction
         unknowns = dataclasses.replace(unknowns, breakaway=None)
     free = []
-    for path in paths(unknowns):
+    for path in free_paths(unknowns):
         if path.split(".")[0] in held:
             continue
-        start = value(unknowns, path)
-        limits = Free(path, whole, whole + 1.0) if path == "delay" else bounds(path, start, _coulomb(unknowns))
-        unknowns = placed(unknowns, path, inside(start, limits))
+        start = value_at(unknowns, path)
+        limits = (
+            FreeParameter(path, whole, whole + 1.0)
+            if path == "delay"
+            else default_bounds(path, start, _coulomb(unknowns))
+        )
+        unknowns = with_value(unknowns, path, clipped_start(start, limits))
         free.append(limits)
     return unknowns, tuple(free)
 

@@ -18,11 +18,11 @@ from experiments.studies.emps import axis as emps
 from experiments.studies.emps.closed_loop_fit import MAX_STEPS, fit_closed_loop
 from tuning.identification import inverse_dynamics
 from tuning.identification.curves import stribeck_curves
-from tuning.identification.estimates import Estimate
-from tuning.identification.identify import Identified, identify
+from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.identify import Identification, identify
 from tuning.identification.inverse_dynamics import BENCHMARK_BORDERS
-from tuning.identification.refinement import interrupted
-from tuning.identification.replay import ClosedLoop, closed_loop, open_loop
+from tuning.identification.refinement import was_interrupted
+from tuning.identification.replay import ClosedLoopReplay, replay_closed_loop, replay_open_loop
 from tuning.store.store import Store
 
 PUBLISHED, IDENTIFIED, FITTED = "published", "prediction error", "closed-loop fit"
@@ -71,22 +71,24 @@ def emps_study(report: Report, folder: Path | None) -> None:
     _friction_figure(report, drives, log)
 
 
-def identify_axis(report: Report, records: Records, starts: int = 6, store: Store | None = None) -> Identified:
+def identify_axis(report: Report, records: Records, starts: int = 6, store: Store | None = None) -> Identification:
     """Identification by prediction error from the estimation file alone, starting from the published parameters."""
     with report.progress("identifying the real axis (EMPS)", 1) as advance:
         found = identify(
             [records["estimation"].log], emps.reference_drive(), starts=starts, store=store, progress=advance
         )
-    if interrupted(found.search):
+    if was_interrupted(found.search):
         raise KeyboardInterrupt  # what follows would be of half a search
     report.values("emps_search", status=found.status, steps=found.search.steps, simulations=found.simulations)
     return found
 
 
-def force_table(report: Report, drives: Mapping[str, Drive], records: Records) -> dict[str, dict[str, ClosedLoop]]:
+def force_table(
+    report: Report, drives: Mapping[str, Drive], records: Records
+) -> dict[str, dict[str, ClosedLoopReplay]]:
     """Replay each file with each drive in closed loop; print and return what came out."""
     replays = {
-        name: {file: closed_loop(drive, emps.controller(record), record.log) for file, record in records.items()}
+        name: {file: replay_closed_loop(drive, emps.controller(record), record.log) for file, record in records.items()}
         for name, drive in drives.items()
     }
     rows = []
@@ -107,7 +109,7 @@ def force_table(report: Report, drives: Mapping[str, Drive], records: Records) -
     return replays
 
 
-def parameter_table(report: Report, estimates: list[Estimate], others: Mapping[str, Drive]) -> None:
+def parameter_table(report: Report, estimates: list[ParameterEstimate], others: Mapping[str, Drive]) -> None:
     """The identified parameters with their intervals, and those of other drives beside them."""
     rows = []
     for one in estimates:
@@ -133,7 +135,7 @@ def _parameter(drive: Drive, name: str) -> float | None:
     return None
 
 
-def force_figure(report: Report, record: emps.Record, replays: Mapping[str, ClosedLoop]) -> None:
+def force_figure(report: Report, record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> None:
     """Logged and simulated command, and their difference for each drive."""
     figure, axes = new_figure(2, 1, width=9.0, height=2.4)
     log = record.log
@@ -180,14 +182,14 @@ def _inverse_dynamics(report: Report, records: Records) -> None:
     )  # fmt: skip
 
 
-def _reduced_models(report: Report, whole: Mapping[str, ClosedLoop], records: Records) -> None:
+def _reduced_models(report: Report, whole: Mapping[str, ClosedLoopReplay], records: Records) -> None:
     """What each part of the model is good for: the closed-loop fit without it."""
     log, controller = records["estimation"].log, emps.controller(records["estimation"])
     rows = []
     for name, fixed in REDUCED_MODELS.items():
         with report.progress(f"fitting with {name}", MAX_STEPS) as advance:
             drive, _ = fit_closed_loop([log], emps.reference_drive(), controller, fixed=fixed, progress=advance)
-        rows.append([name, *(closed_loop(drive, controller, one.log).force_percent for one in records.values())])
+        rows.append([name, *(replay_closed_loop(drive, controller, one.log).force_percent for one in records.values())])
     rows.append(["all of it", *(one.force_percent for one in whole.values())])
     report.table("emps_parts", ("model", *(f"{file} %" for file in records)), rows, "Force gap of smaller models")
 
@@ -196,7 +198,7 @@ def _open_loop(report: Report, drives: Mapping[str, Drive], records: Records) ->
     """The figure that benchmarks like to ask for, and why it misleads."""
     rows = []
     for name, drive in drives.items():
-        found = [open_loop(drive, record.log) for record in records.values()]
+        found = [replay_open_loop(drive, record.log) for record in records.values()]
         rows.append([name, *(one.position_rms_mm for one in found)])
     report.table(
         "emps_open_loop", ("parameters", *(f"{file}, mm" for file in records)), rows,
@@ -205,7 +207,7 @@ def _open_loop(report: Report, drives: Mapping[str, Drive], records: Records) ->
     report.say(found[0].note)
 
 
-def _unexplained(report: Report, identified: Identified, log: Log) -> None:
+def _unexplained(report: Report, identified: Identification, log: Log) -> None:
     """What the model does not explain."""
     report.say(identified.adequacy.says)
     for one, other, correlation in identified.correlated:

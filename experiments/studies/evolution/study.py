@@ -20,13 +20,21 @@ from diffdrive.motion.builders import staircase
 from experiments.reports.report import Report, new_figure
 from experiments.studies.emps import axis as emps
 from experiments.studies.evolution.two_stage import two_stage
-from tuning.identification.identify import COARSE_EVERY, COARSE_STEPS, scattered
+from tuning.identification.identify import COARSE_EVERY, COARSE_STEPS, start_points
 from tuning.identification.problem import COARSE_SUBSTEP, Innovations, sampling_of
-from tuning.identification.replay import closed_loop
-from tuning.identification.setup import ask
-from tuning.optimisation.evolution import POPULATION, Budget, Evolution, Visit, evolve, norms, origin_share
-from tuning.optimisation.least_squares import levenberg_marquardt, many_starts
-from tuning.optimisation.space import Space
+from tuning.identification.replay import replay_closed_loop
+from tuning.identification.setup import build_problem
+from tuning.optimisation.evolution import (
+    POPULATION,
+    Budget,
+    Evolution,
+    HistoryEntry,
+    evolve,
+    norm_costs,
+    origin_fractions,
+)
+from tuning.optimisation.least_squares import levenberg_marquardt, multistart
+from tuning.optimisation.space import SearchSpace
 
 STARTS = 6  # of the gradient search, as in tuning/identification/identify.py
 MAX_STEPS = 30  # of its last search
@@ -49,7 +57,7 @@ class Descent(NamedTuple):
     """A gradient search: where it ended, the lowest cost along the way, and why it stopped."""
 
     y: Float[np.ndarray, " k"]
-    history: list[Visit]
+    history: list[HistoryEntry]
     status: str
 
     @property
@@ -64,18 +72,18 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
     A step counts as one simulation and one more for each derivative that it carries along.
     """
     each = 1 + len(residuals.free)
-    began, history = time.perf_counter(), list[Visit]()
+    began, history = time.perf_counter(), list[HistoryEntry]()
 
     def visited(simulations: int) -> Callable[[int, int, float], None]:
         def visit(step: int, most: int, cost: float) -> None:
             least = min(cost, history[-1].cost) if history else cost
-            history.append(Visit(simulations * step + before, time.perf_counter() - began, least))
+            history.append(HistoryEntry(simulations * step + before, time.perf_counter() - began, least))
 
         return visit
 
-    points = scattered(residuals.free, starts, seed)
+    points = start_points(residuals.free, starts, seed)
     before = 0
-    found, costs, _ = many_starts(residuals, points, args, steps=steps, progress=visited(starts * each))
+    found, costs, _ = multistart(residuals, points, args, steps=steps, progress=visited(starts * each))
     before = starts * steps * each
     search = levenberg_marquardt(
         residuals, found[int(np.argmin(costs))], args, max_steps=last, tolerance=TOLERANCE, progress=visited(each)
@@ -93,10 +101,10 @@ def evolution_study(
     if not seconds > 0 or runs < 1:
         raise ParameterError(f"seconds and runs must be positive, got {seconds!r} and {runs!r}")
     report.say(f"Log: {case.log.name}.")
-    question = ask([case.log], emps.reference_drive(), (), {})
+    question = build_problem([case.log], emps.reference_drive(), (), {})
     residuals = Innovations(question.free, sampling_of(question.rate, COARSE_SUBSTEP), COARSE_EVERY)
-    space, args = Space(question.free, question.problem.origin), as_arrays(question.problem)
-    costs, begin = norms(residuals, space, args), origin_share(space)
+    space, args = SearchSpace(question.free, question.problem.origin), as_arrays(question.problem)
+    costs, begin = norm_costs(residuals, space, args), origin_fractions(space)
     members = max(5, POPULATION * len(begin))
 
     def gradient(seed: int, steps: int = COARSE_STEPS, last: int = MAX_STEPS) -> Descent:
@@ -140,7 +148,7 @@ def _compare_routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> 
         drives["truth"] = case.truth
     named = [dict(_parameters(drive)) for drive in drives.values()]
     rows = [[name, *(one[name] for one in named)] for name in named[0]]
-    gaps = [closed_loop(drive, case.controller, case.log) for drive in drives.values()]
+    gaps = [replay_closed_loop(drive, case.controller, case.log) for drive in drives.values()]
     rows.append(["force gap in closed loop, %", *(one.force_percent for one in gaps)])
     report.table("routes", ("SI units", *drives), rows, "What the two routes find")
 
@@ -164,7 +172,7 @@ def with_delay(drive: Drive, delay: float) -> Drive:
     return dataclasses.replace(drive, actuator=actuator)
 
 
-def _progress_of(advance: Callable[[int, int, float], None], most: int) -> Callable[[Visit], None]:
+def _progress_of(advance: Callable[[int, int, float], None], most: int) -> Callable[[HistoryEntry], None]:
     return lambda visit: advance(min(visit.simulations, most), most, visit.cost)
 
 
@@ -207,7 +215,7 @@ def synthetic_case(speeds: Sequence[float] = SPEEDS, travel: float = 12e-3) -> E
     return EvolutionCase(run.log("synthetic"), cascade, synthetic_drive())
 
 
-def first_visit_below(history: list[Visit], cost: float) -> Visit | None:
+def first_visit_below(history: list[HistoryEntry], cost: float) -> HistoryEntry | None:
     """The first visit at or below `cost`, or None."""
     return next((visit for visit in history if visit.cost <= cost), None)
 
@@ -251,7 +259,7 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
     report.figure("evolution", figure)
 
 
-def _median_visit(visits: list[Visit | None]) -> tuple[float, float] | None:
+def _median_visit(visits: list[HistoryEntry | None]) -> tuple[float, float] | None:
     """Median simulations and seconds, those that never got there being the latest; None if that is the median."""
     table = [(np.inf, np.inf) if one is None else (one.simulations, one.seconds) for one in visits]
     simulations, spent = np.median(np.array(table, dtype=float), axis=0)

@@ -25,14 +25,14 @@ from diffdrive.model.parameters import Drive, as_arrays, check_drive, require_do
 from tuning.identification import inverse_dynamics
 from tuning.identification.curves import stribeck_curves
 from tuning.identification.friction_along import friction_along
-from tuning.identification.inverse_dynamics import DYNAMICS, SLOWEST
+from tuning.identification.inverse_dynamics import DYNAMICS, MIN_SPEED
 from tuning.identification.measured_friction import MeasuredFriction, measured_friction, passes
 from tuning.identification.regressors import DIRECTIONAL
-from tuning.identification.seed import seed_drive
-from tuning.identification.unknowns import Unknowns, bounds, paths, unknowns_of
-from tuning.optimisation.evolution import BLOCK, Budget, Evolution, Population, evolve, origin_share, point
+from tuning.identification.seed import initial_drive
+from tuning.identification.unknowns import Unknowns, default_bounds, free_paths, unknowns_of
+from tuning.optimisation.evolution import BLOCK, Budget, Evolution, Population, evolve, origin_fractions, theta_at
 from tuning.optimisation.least_squares import levenberg_marquardt
-from tuning.optimisation.space import Free, Space, space_of
+from tuning.optimisation.space import FreeParameter, SearchSpace, search_space
 
 SLIDING_PARAMETERS = ("coulomb", "breakaway", "stribeck_velocity", "viscous")
 MIN_SPEEDS = 4  # each way, for four parameters
@@ -77,10 +77,10 @@ class _ReversalData(NamedTuple):
 class _StribeckResiduals:
     """Residuals (N) of the Stribeck curve as a function of y; hashed by value."""
 
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
 
     def __call__(self, y: Float[Array, " k"], points: _CruiseData) -> Float[Array, " b"]:
-        drive = Space(self.free, points.origin).insert(points.unknowns, y).drive(points.believed)
+        drive = SearchSpace(self.free, points.origin).insert(points.unknowns, y).drive(points.believed)
         steady = steady_friction(drive.friction, points.velocity, points.load)
         return steady + drive.plant.damping.towards(points.velocity) * points.velocity - points.friction
 
@@ -96,8 +96,8 @@ def two_stage(
     """
     require_double_precision()
     check_drive(drive)
-    found = inverse_dynamics.identify(list(logs), DIRECTIONAL, dynamics=dynamics, min_speed=SLOWEST)
-    seeded, notes = seed_drive(drive, found)
+    found = inverse_dynamics.identify(list(logs), DIRECTIONAL, dynamics=dynamics, min_speed=MIN_SPEED)
+    seeded, notes = initial_drive(drive, found)
     sliding, stribeck_rms, said = _fit_sliding(logs, seeded, dynamics)
     whole, evolution = _fit_bristle(logs, sliding, dynamics, budget, seed)
     return TwoStage(
@@ -124,14 +124,14 @@ def _fit_sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Dr
         for name in SLIDING_PARAMETERS:
             path = f"{name}.{side}"
             value = float(getattr(getattr(unknowns, name), side))
-            free.append(bounds(path, value, float(getattr(unknowns.coulomb, side))))
+            free.append(default_bounds(path, value, float(getattr(unknowns.coulomb, side))))
     if not free:
         return drive, float("nan"), notes
-    points = as_arrays(_CruiseData(drive, unknowns, space_of(unknowns, free).origin, velocity, load, friction))
+    points = as_arrays(_CruiseData(drive, unknowns, search_space(unknowns, free).origin, velocity, load, friction))
     search = levenberg_marquardt(
         _StribeckResiduals(tuple(free)), np.zeros(len(free)), points, max_steps=200, tolerance=1e-8
     )
-    fitted = Space(tuple(free), points.origin).insert(unknowns, search.y).drive(drive)
+    fitted = SearchSpace(tuple(free), points.origin).insert(unknowns, search.y).drive(drive)
     return fitted, search.cost / np.sqrt(len(velocity)), notes
 
 
@@ -142,25 +142,25 @@ def _fit_bristle(
     ways = [as_arrays(_reversal_data(along, drive)) for along in measured_friction(list(logs), drive, dynamics)[0]]
     unknowns = unknowns_of(drive, 0.0)
     free = tuple(
-        bounds(path, float(value.positive), 0.0)
-        for path in paths(unknowns)
+        default_bounds(path, float(value.positive), 0.0)
+        for path in free_paths(unknowns)
         if path.startswith("bristle") and (value := getattr(unknowns, path.split(".")[0])) is not None
     )
-    space = space_of(unknowns, free)
+    space = search_space(unknowns, free)
     counted = sum(float(way.counts.sum()) for way in ways)
 
     def costs(shares: Population) -> Float[np.ndarray, " s"]:
-        points = jnp.asarray(point(space, shares))
+        points = jnp.asarray(theta_at(space, shares))
         squares = sum(_misfits(space.free, points, as_arrays(space.origin), drive, unknowns, way) for way in ways)
         return np.sqrt(np.asarray(squares) / max(counted, 1.0))
 
-    evolution = evolve(costs, origin_share(space), budget, population=POPULATION, seed=seed)
-    return space.insert(unknowns, point(space, evolution.share)).drive(drive), evolution
+    evolution = evolve(costs, origin_fractions(space), budget, population=POPULATION, seed=seed)
+    return space.insert(unknowns, theta_at(space, evolution.share)).drive(drive), evolution
 
 
 @eqx.filter_jit
 def _misfits(
-    free: tuple[Free, ...],
+    free: tuple[FreeParameter, ...],
     points: Float[Array, "s k"],
     origin: Float[Array, " k"],
     drive: Drive,
@@ -168,7 +168,7 @@ def _misfits(
     way: _ReversalData,
 ) -> Float[Array, " s"]:
     def one(y: Float[Array, " k"]) -> Float[Array, ""]:
-        there = Space(free, origin).insert(unknowns, y).drive(drive)
+        there = SearchSpace(free, origin).insert(unknowns, y).drive(drive)
         friction = friction_along(there, way.velocity, way.load, way.period).friction
         return jnp.sum(way.counts * (friction - way.friction) ** 2)
 

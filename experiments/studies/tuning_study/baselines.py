@@ -23,8 +23,8 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from tuning.gains.constrained import ConstrainedGains, TuningProblem
-from tuning.gains.sequential import KEPT
-from tuning.optimisation.evolution import WORST, Budget
+from tuning.gains.sequential import FEASIBILITY_TOLERANCE
+from tuning.optimisation.evolution import DIVERGED_COST, Budget
 
 INITIAL_SPREAD = 0.5  # in y: the first spread of CMA-ES, the edges of the first simplex
 MIN_SIMPLEX = 1e-4  # in y: the size of a simplex that has collapsed
@@ -46,14 +46,15 @@ CostFunction = Callable[[Points], PenalisedCosts]
 
 
 class BaselineVisit(NamedTuple):
-    """The lowest cost after so many simulations of the whole ensemble, as in `tuning.optimisation.evolution.Visit`,
-    and one more.
+    """The lowest cost after so many simulations of the whole ensemble, and one more.
+
+    It is as `tuning.optimisation.evolution.HistoryEntry`.
     """
 
     simulations: int
     seconds: float
     cost: float  # penalised
-    feasible: float  # the lowest objective where nothing is missed by more than `KEPT`; infinite where none is yet
+    feasible: float  # the lowest objective of a feasible point; infinite where there is none yet
 
 
 OnVisit = Callable[[BaselineVisit], None]
@@ -104,8 +105,8 @@ class _Recorder:
             raise _BudgetSpentError(self._spent())
         points = points[:left]
         penalised, objective, missed = self.cost(points)
-        penalised = np.where(np.isfinite(penalised), penalised, WORST)
-        kept = np.where(np.isfinite(objective) & (missed <= KEPT), objective, np.inf)
+        penalised = np.where(np.isfinite(penalised), penalised, DIVERGED_COST)
+        kept = np.where(np.isfinite(objective) & (missed <= FEASIBILITY_TOLERANCE), objective, np.inf)
         self._keep(points, penalised, kept)
         self.visited(self.last)
         if self._spent():

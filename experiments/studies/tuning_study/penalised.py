@@ -20,8 +20,8 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from experiments.studies.tuning_study.baselines import BaselineResult, BaselineVisit
-from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, worth
-from tuning.gains.sequential import KEPT
+from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, evaluate
+from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.optimisation.evolution import Budget
 from tuning.optimisation.least_squares import LevenbergMarquardt, with_jacobian
 
@@ -100,10 +100,10 @@ def _run_solver(
     status = ""
     while not status:
         y, state, finished = _step(solver, residuals, y, problem, state)
-        point: DesignPoint = worth(gains, y, problem)
+        point: DesignPoint = evaluate(gains, y, problem)
         penalised, objective = float(point.penalised), float(point.objective)
         best = min(best, (penalised, np.asarray(y)), key=lambda one: one[0])
-        if float(point.missed) <= KEPT and objective < feasible[0]:
+        if float(point.missed) <= FEASIBILITY_TOLERANCE and objective < feasible[0]:
             feasible = (objective, np.asarray(y))
         history.append(BaselineVisit(len(history) + 1, time.perf_counter() - began, best[0], feasible[0]))
         if bool(finished) or not np.isfinite(np.asarray(y)).all():

@@ -22,15 +22,15 @@ from diffdrive.observers.friction_observer import LoadStateObserver
 from experiments.reports.report import Report, new_figure
 from experiments.studies.tuning_study.baselines import BaselineResult, cma_es, costs_of, nelder_mead, random_search
 from experiments.studies.tuning_study.penalised import bfgs, levenberg_marquardt
-from tuning.gains.constrained import ConstrainedGains, TuningProblem, linearised, problem_of, worth
+from tuning.gains.constrained import ConstrainedGains, TuningProblem, evaluate, linearise_at, tuning_problem
 from tuning.gains.objective import Objective
-from tuning.gains.plan import OFF_GRID, SETTLE, machines, reversal
-from tuning.gains.requirements import Constraints, Required, points
+from tuning.gains.plan import OFF_GRID_FACTOR, SETTLE, machines, reversal
+from tuning.gains.requirements import Constraints, LoopLimits, operating_points
 from tuning.gains.scenarios import Ensemble, Scenario, ensemble
-from tuning.gains.sequential import KEPT
-from tuning.gains.tune import Tuned, default_space, tune
+from tuning.gains.sequential import FEASIBILITY_TOLERANCE
+from tuning.gains.tune import GainSearch, default_space, tune
 from tuning.optimisation.evolution import Budget
-from tuning.optimisation.space import Space
+from tuning.optimisation.space import SearchSpace
 
 RATE = 10_000.0
 LOADS = (0.0, 5_000.0, 10_000.0, 12_600.0)
@@ -67,7 +67,7 @@ def scenarios(seed: int, loads: tuple[float, ...] = LOADS, speed: float = 0.010,
     """Reversals under these loads on the nominal machine and on another; `other` draws which."""
     drive = delayed_drive()
     both = [drive, machines(drive, 2, SPREAD, other)[1]]
-    motion = reversal(OFF_GRID * speed, RATE)
+    motion = reversal(OFF_GRID_FACTOR * speed, RATE)
     pairs = [(machine, load) for machine in both for load in loads]
     return [Scenario(f"{load:g} N", machine, motion, load, seed + k) for k, (machine, load) in enumerate(pairs)]
 
@@ -78,8 +78,8 @@ def benchmark(load_error: float | None = None) -> TuningBenchmark:
     observer = LoadStateObserver(drive.plant, drive.friction)
     controller = FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer)
     asked = None if load_error is None else np.r_[np.full(len(LOADS), load_error), np.full(len(LOADS), 1e9)]
-    limits = Required(command_noise=20.0, load_error=asked)
-    at = points([drive], SPEEDS, (LOADS[0], LOADS[-1]))
+    limits = LoopLimits(command_noise=20.0, load_error=asked)
+    at = operating_points([drive], SPEEDS, (LOADS[0], LOADS[-1]))
     return TuningBenchmark(
         controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Constraints(limits, at, SAMPLING)
     )
@@ -98,7 +98,9 @@ def tuning_study(
     _parameters(report, bench, evaluations)
 
 
-def _race(report: Report, bench: TuningBenchmark, space: Space, evaluations: int, runs: int) -> tuple[Tuned, float]:
+def _race(
+    report: Report, bench: TuningBenchmark, space: SearchSpace, evaluations: int, runs: int
+) -> tuple[GainSearch, float]:
     """All searches on one problem; returns the gradient's result and the best objective of any."""
     gains, problem = _compiled(bench, space)
     count = len(space.free)
@@ -136,16 +138,16 @@ SEARCHES = {"CMA-ES": cma_es, "Nelder-Mead": nelder_mead, "random": random_searc
 SOLVERS = {"BFGS, penalties": bfgs, "Levenberg-Marquardt, penalties": levenberg_marquardt}
 
 
-def _compiled(bench: TuningBenchmark, space: Space) -> tuple[ConstrainedGains, TuningProblem]:
+def _compiled(bench: TuningBenchmark, space: SearchSpace) -> tuple[ConstrainedGains, TuningProblem]:
     """The problem, its programs compiled."""
     gains = ConstrainedGains(space.free, Objective())
-    problem = problem_of(as_arrays(smooth(bench.controller)), space, bench.lanes, bench.requirements)
+    problem = tuning_problem(as_arrays(smooth(bench.controller)), space, bench.lanes, bench.requirements)
     begin = jnp.zeros(len(space.free))
-    jax.block_until_ready((worth(gains, begin, problem), linearised(gains, begin, problem)))
+    jax.block_until_ready((evaluate(gains, begin, problem), linearise_at(gains, begin, problem)))
     return gains, problem
 
 
-def _evaluation_history(tuned: Tuned) -> list[tuple[int, int, float, float]]:
+def _evaluation_history(tuned: GainSearch) -> list[tuple[int, int, float, float]]:
     """Evaluations, those among them with derivatives, s, and the objective (infinite where a requirement is missed).
 
     Over the searches from all starts, in order, the look at the starts before them included.
@@ -153,7 +155,7 @@ def _evaluation_history(tuned: Tuned) -> list[tuple[int, int, float, float]]:
     found, before, derived, seconds = [], len(tuned.starts), 0, tuned.screening
     for one in tuned.searches:
         for e, j, s, objective, missed in one.standing.history:
-            value = objective if missed <= KEPT and np.isfinite(objective) else np.inf
+            value = objective if missed <= FEASIBILITY_TOLERANCE and np.isfinite(objective) else np.inf
             # each search begins with a linearisation
             found.append((before + e + j + 1, derived + j + 1, seconds + s, value))
         before, derived, seconds = found[-1][0], found[-1][1], found[-1][2]
@@ -196,7 +198,7 @@ def _signals(controller: Controller, lanes: Ensemble) -> Any:
     return lanes.signals(controller)
 
 
-def _held_out(report: Report, given: Controller, tuned: Tuned) -> None:
+def _held_out(report: Report, given: Controller, tuned: GainSearch) -> None:
     """Other loads, another machine, other noise, other speeds."""
     cases = {
         "loads in between": scenarios(101, (2_500.0, 7_500.0, 11_300.0)),
@@ -222,14 +224,16 @@ def _true_load(report: Report) -> None:
                   worst_nominal_load_error_N=float(np.max(errors[: len(LOADS)])))  # fmt: skip
 
 
-def _starts(report: Report, bench: TuningBenchmark, space: Space, best: float, starts: int) -> None:
+def _starts(report: Report, bench: TuningBenchmark, space: SearchSpace, best: float, starts: int) -> None:
     """Random starts over two decades of each gain, each tuned as `diffdrive tune` does."""
     rng = np.random.default_rng(0)
     rows = []
     with report.progress("random starts", starts) as advance:
         for k in range(starts):
             begin = _random_shift(space, rng)
-            tuned = tune(bench.controller, bench.lanes, bench.requirements, Space(space.free, space.origin + begin))
+            tuned = tune(
+                bench.controller, bench.lanes, bench.requirements, SearchSpace(space.free, space.origin + begin)
+            )
             growth = float(np.max(np.asarray(tuned.point.kept["stability"])))
             was = float(np.max(np.asarray(tuned.began.kept["stability"])))
             objective = float(tuned.point.objective)
@@ -245,7 +249,7 @@ def _starts(report: Report, bench: TuningBenchmark, space: Space, best: float, s
                   **{f"within_5_percent_{name}": count for name, count in near.items()})  # fmt: skip
 
 
-def _random_shift(space: Space, rng: np.random.Generator) -> np.ndarray:
+def _random_shift(space: SearchSpace, rng: np.random.Generator) -> np.ndarray:
     """Shifts of y that move each gain by an even share of two decades about where it is, within its bounds."""
     shifts = []
     for free, origin in zip(space.free, space.origin, strict=True):
@@ -262,7 +266,7 @@ def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> Non
     whole = default_space(bench.controller, friction=True)
     rows = []
     for count in (2, 4, 7, 14, len(whole.free)):
-        space = Space(whole.free[:count], whole.origin[:count])
+        space = SearchSpace(whole.free[:count], whole.origin[:count])
         gains, problem = _compiled(bench, space)
         tuned = tune(bench.controller, bench.lanes, bench.requirements, space)
         cost = costs_of(gains, problem)

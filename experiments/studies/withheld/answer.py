@@ -30,8 +30,8 @@ from diffdrive.support.processes import exit_after, processes
 from tuning.checked_logs import check_logs
 from tuning.diagnosis.diagnose import rounded
 from tuning.diagnosis.next_experiment import Experiment
-from tuning.diagnosis.workflow import diagnose_checked, result_of
-from tuning.store.edition import edition
+from tuning.diagnosis.workflow import diagnose_checked, diagnosis_result
+from tuning.store.edition import code_digest
 
 NO_EXPERIMENT = Experiment("", [], 0.0, "not asked")
 ATTENDED = "attended"
@@ -47,7 +47,7 @@ def diagnose_case(case: Path, without: tuple[str, ...] = ()) -> dict[str, Any]:
     files = sorted(case.glob("log-*.parquet"))
     checked = check_logs(axis, read_logs(files, axis), files=files)
     diagnosis = diagnose_checked(axis, checked, without=without)
-    answer = result_of(axis, checked, diagnosis, NO_EXPERIMENT).details
+    answer = diagnosis_result(axis, checked, diagnosis, NO_EXPERIMENT).details
     return dict(answer) | {"seconds": round(time.perf_counter() - start, 1)}
 
 
@@ -107,7 +107,7 @@ def task_digest(case: Path, without: Sequence[str]) -> str:
 
 def _edition() -> str:
     """A digest of the sources of the diagnosis and of this module."""
-    return edition(diagnose_case.__module__)
+    return code_digest(diagnose_case.__module__)
 
 
 def _is_answered(case: Path, path: Path, without: Sequence[str]) -> bool:

@@ -32,7 +32,7 @@ from diffdrive.model.parameters import Sampling, Sensor, as_arrays
 from diffdrive.model.plant import advance, at_rest
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
-from tuning.identification.setup import ask
+from tuning.identification.setup import build_problem
 
 RATE = 2_000.0
 SAMPLING = Sampling(rate=RATE)
@@ -352,4 +352,4 @@ def test_identification_refuses_a_drive_with_effects():
     time = np.arange(2000) / RATE
     log = Log("log", time, 1e-3 * np.sin(time), np.zeros(2000))
     with pytest.raises(ParameterError, match=r"does not know the drive file's effects \(constant_force\)"):
-        ask([log], with_effects(ConstantForce(3.0)), (), {})
+        build_problem([log], with_effects(ConstantForce(3.0)), (), {})

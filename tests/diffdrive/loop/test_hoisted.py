@@ -123,12 +123,12 @@ def test_the_whole_catalogue_at_once_is_one_kernel():
 
 def swept(drive, name, noisy=False, precision="double", own_courses=False):
     """The blocks of a sweep, compiled; `own_courses`: each machine has a motion and a load over time of its own."""
-    count = 2 * engine.ON_CPU * len(jax.devices())
+    count = 2 * engine.CPU_BLOCK * len(jax.devices())
     machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(drive))
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
     given = inputs()
-    course = engine.LaneCourse(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
+    course = engine.LaneCycle(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
     every = jax.tree.map(lambda signal: jnp.broadcast_to(signal, (count, *signal.shape)), course)
     own, common = (every, None) if own_courses else (None, course)
     lanes = engine.SweepLanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys, own)

@@ -26,7 +26,7 @@ from tests.support.small_disk import imagined
 from tests.support.sound_log import DRIVE, SOUND
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.sequential import SearchState
-from tuning.sweeps.parts import keep
+from tuning.sweeps.parts import write_part
 
 CODE = Path(diffdrive.__file__).parents[1]
 TEXT = "as it was\n"
@@ -119,7 +119,9 @@ WRITERS = {
     "drive.toml": lambda path: write_axis(path, DRIVE),
     "table.csv": table,
     "figure.png": figure,
-    "part-000000.parquet": lambda path: keep(pa.table({"rms_m": np.random.default_rng(0).random(4000)}), path, "?"),
+    "part-000000.parquet": lambda path: write_part(
+        pa.table({"rms_m": np.random.default_rng(0).random(4000)}), path, "?"
+    ),
     "checkpoint.json": checkpoint,
 }
 

@@ -19,7 +19,7 @@ from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from tests.support.small_disk import PAGE, mounted
 from tests.support.sound_log import DRIVE, SOUND
-from tuning.store.folder import KeptParts
+from tuning.store.folder import FolderStore
 
 MOTION = "sine:amplitude=1mm,frequency=10Hz,duration=0.3s"
 SWEEP = ("sweep", PAPER_DRIVE, "--motion", MOTION, "--samples", 8, "--settle", 0.1, "--vary", "plant.mass=normal:3%")
@@ -141,7 +141,7 @@ def on_small_disks(ended, tmp_path, arguments, shares, monkeypatch):
     """What it leaves on disks of these shares of what it writes, room for its finished parts apart."""
     everything = tmp_path / "everything"
     with monkeypatch.context() as patch:
-        patch.setattr(KeptParts, "remove", lambda _: None)
+        patch.setattr(FolderStore, "remove", lambda _: None)
         code, says = ended(*arguments, "--out", everything)
     assert code in (0, 3, None), says
     parts = sum(taken(folder) for folder in everything.glob("*.parts"))

@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 from diffdrive.errors import ParameterError
 from diffdrive.support import resources
 from experiments.cli.main import app
-from tuning.identification.identify import scattered
-from tuning.optimisation.least_squares import many_starts
-from tuning.optimisation.space import Free
+from tuning.identification.identify import start_points
+from tuning.optimisation.least_squares import multistart
+from tuning.optimisation.space import FreeParameter
 
 MOTION = "sine:amplitude=1mm,frequency=5Hz,duration=0.1s"
 SECONDS = 20.0  # with what is imported and compiled once
@@ -100,9 +100,9 @@ def test_a_huge_study_is_refused(arguments, says, tmp_path):
 
 def test_starts_that_do_not_fit_are_refused_before_they_are_drawn():
     with pytest.raises(ParameterError, match=r"1e\+12 starts would take about 8 TB of memory"):
-        scattered([Free("mass", 0.1, 10.0)], 10**12, 0)
+        start_points([FreeParameter("mass", 0.1, 10.0)], 10**12, 0)
     with pytest.raises(ParameterError, match=r"from 1000 starts side by side, each with 1000000 residuals, would take"):
-        many_starts(lambda y, args: np.ones(10**6) * y[0], np.zeros((1000, 1)), None, steps=1)
+        multistart(lambda y, args: np.ones(10**6) * y[0], np.zeros((1000, 1)), None, steps=1)
 
 
 def test_a_container_counts_where_it_has_less_than_the_machine(monkeypatch, tmp_path):

@@ -25,9 +25,9 @@ from experiments.studies.recovery.excitation import concatenate, resting, stroke
 from tests.support.sound_log import RATE, described, logged
 from tuning.identification.identify import COARSE_STEPS
 from tuning.sweeps.machines import machines
-from tuning.sweeps.samples import correlated, root_of, shares
+from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import parse_varied
-from tuning.sweeps.varying import varying
+from tuning.sweeps.varying import varied_texts
 
 TRUE = described()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
@@ -330,13 +330,13 @@ class _interrupting:  # noqa: N801
 def test_what_it_left_open_is_what_a_sweep_varies(identified):
     _, out, written = identified
     axis = read_axis(out / "identified.toml")
-    texts, together = varying(out / "identified.toml", [], None, out / "uncertainty.toml")
+    texts, together = varied_texts(out / "identified.toml", [], None, out / "uncertainty.toml")
     found = estimates(written)
     fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
     names = [text.partition("=")[0] for text in texts]
     assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
     assert sum(map(len, together.values())) == len(names) * (len(names) - 1) / 2  # no pair is left out
-    drawn = correlated(shares("sobol", len(texts), 0, 0, 4096), root_of(together, names))
+    drawn = correlate(unit_samples("sobol", len(texts), 0, 0, 4096), correlation_root(together, names))
     machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
     for name, value in values.items():
         row = found[name.split(".", 1)[1]]

@@ -13,7 +13,7 @@ from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, described, logged
-from tuning.identification.estimates import Estimate
+from tuning.identification.estimates import ParameterEstimate
 from tuning.identification.problem import lanes_of
 
 TRUE = described()
@@ -39,11 +39,11 @@ def test_stretches_are_those_of_the_lanes():
 
 def test_a_forest_plot_draws_every_kind_of_row():
     rows = [
-        Estimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, "fitted"),
-        Estimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, "at its bound"),
-        Estimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, "fitted"),
-        Estimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, "fitted"),
-        Estimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, "not determined"),
+        ParameterEstimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, "fitted"),
+        ParameterEstimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, "at its bound"),
+        ParameterEstimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, "fitted"),
+        ParameterEstimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, "fitted"),
+        ParameterEstimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, "not determined"),
     ]
     figure = forest(rows)
     low, high = figure.axes[0].get_xlim()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.studies.tuning_study.baselines import (
-    KEPT,
+    FEASIBILITY_TOLERANCE,
     PenalisedCosts,
     cma_es,
     costs_of,
@@ -12,8 +12,8 @@ from experiments.studies.tuning_study.baselines import (
     random_search,
 )
 from tests.support.small_tuning import question
-from tuning.gains.constrained import worth
-from tuning.optimisation.evolution import WORST, Budget
+from tuning.gains.constrained import evaluate
+from tuning.optimisation.evolution import DIVERGED_COST, Budget
 
 SEARCHES = [cma_es, nelder_mead, random_search]
 LOCAL = [cma_es, nelder_mead]
@@ -75,7 +75,7 @@ def test_requirements_are_kept_at_their_price(search):
     near = 0.2 if search is random_search else 0.02
     np.testing.assert_allclose(found.y, [0.2, -0.4], atol=near)
     priced = half_plane(found.feasible[None])
-    assert priced.missed[0] <= KEPT
+    assert priced.missed[0] <= FEASIBILITY_TOLERANCE
     assert priced.objective[0] == found.history[-1].feasible == pytest.approx(1.25, abs=near**2 + 0.01)
 
 
@@ -167,7 +167,7 @@ def test_what_diverges_breaks_nothing(search, value):
 @pytest.mark.parametrize("search", SEARCHES)
 def test_where_everything_diverges_the_search_ends_all_the_same(search):
     found = search(free(lambda points: np.full(len(points), np.nan)), 3, Budget(500, 60.0))
-    assert found.cost == WORST
+    assert found.cost == DIVERGED_COST
     assert found.feasible is None
 
 
@@ -185,7 +185,7 @@ def tiny():
     gains, problem, space = question(name="PD")
     drawn = np.random.default_rng(0).normal(size=(7, len(space.free)))
     points = np.vstack([drawn, np.full(len(space.free), 9.0)])  # the last one is unstable
-    return gains, problem, points, [worth(gains, y, problem) for y in points]
+    return gains, problem, points, [evaluate(gains, y, problem) for y in points]
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8])
@@ -204,4 +204,4 @@ def test_gains_are_searched(tiny, search):
     found = search(costs_of(gains, problem, BLOCK), points.shape[1], Budget(12, 60.0))
     assert found.simulations == 12
     assert found.cost < found.history[0].cost < 1e3
-    assert found.cost == pytest.approx(float(worth(gains, found.y, problem).penalised), rel=1e-9)
+    assert found.cost == pytest.approx(float(evaluate(gains, found.y, problem).penalised), rel=1e-9)

@@ -19,8 +19,8 @@ from experiments.studies.evolution.study import (
     with_delay,
 )
 from experiments.studies.evolution.two_stage import two_stage
-from tuning.optimisation.evolution import EDGE, Budget, Visit, evolve, norms, origin_share, point
-from tuning.optimisation.space import Free, space_of
+from tuning.optimisation.evolution import EDGE, Budget, HistoryEntry, evolve, norm_costs, origin_fractions, theta_at
+from tuning.optimisation.space import FreeParameter, search_space
 
 PLENTY = Budget(simulations=20_000, seconds=60.0)
 VALLEY = np.array([0.3, 0.7, 0.55])
@@ -69,13 +69,15 @@ def residuals(y, args):
 
 def test_costs_are_those_of_the_gradient_search():
     drive = emps.reference_drive()
-    space = space_of(drive, [Free("plant.mass", 50.0, 200.0), Free("plant.constant_force", -20.0, 20.0)])
+    space = search_space(
+        drive, [FreeParameter("plant.mass", 50.0, 200.0), FreeParameter("plant.constant_force", -20.0, 20.0)]
+    )
     shares = np.array([[0.2, 0.9], [0.6, 0.4], [0.5, 0.5]])
-    points = point(space, shares)
-    np.testing.assert_allclose(point(space, origin_share(space)), 0.0, atol=1e-12)
+    points = theta_at(space, shares)
+    np.testing.assert_allclose(theta_at(space, origin_fractions(space)), 0.0, atol=1e-12)
     np.testing.assert_allclose(space.values(points[0])[1], -20.0 + 0.9 * 40.0)
     expected = np.sqrt(np.sum((points - 0.3) ** 2, axis=1) + 2.0)
-    np.testing.assert_allclose(norms(residuals, space, jnp.asarray(0.3), 2)(shares), expected)
+    np.testing.assert_allclose(norm_costs(residuals, space, jnp.asarray(0.3), 2)(shares), expected)
 
 
 def test_the_two_stage_route_finds_the_sliding_friction_of_a_drive_that_cruises():
@@ -100,7 +102,7 @@ def test_the_two_stage_route_says_what_it_cannot_tell():
 
 
 def test_levels_and_medians_count_those_that_never_got_there():
-    history = [Visit(10, 1.0, 5.0), Visit(20, 2.0, 3.0), Visit(30, 3.0, 2.0)]
+    history = [HistoryEntry(10, 1.0, 5.0), HistoryEntry(20, 2.0, 3.0), HistoryEntry(30, 3.0, 2.0)]
     assert first_visit_below(history, 3.0).simulations == 20
     assert first_visit_below(history, 1.0) is None
     assert _median_visit([history[0], None, history[2]]) == (30.0, 3.0)

@@ -15,7 +15,7 @@ from experiments.reports.report import Report, new_figure
 from experiments.studies.emps import axis as emps
 from experiments.studies.emps import study as emps_study
 from experiments.studies.paper import scenario as paper
-from tuning.identification.replay import closed_loop
+from tuning.identification.replay import replay_closed_loop
 
 RATE = 10_000.0
 SAMPLING = Sampling(substeps=4)
@@ -162,7 +162,7 @@ def test_the_published_parameters_replay_emps_as_the_reference_does():
     records = emps.read_all(FOLDER)
     for name, expected in zip(emps.FILES, (4.46, 5.04), strict=True):
         record = records[name]
-        found = closed_loop(emps.reference_drive(), emps.controller(record), record.log)
+        found = replay_closed_loop(emps.reference_drive(), emps.controller(record), record.log)
         assert found.status.ok
         assert found.force_percent == pytest.approx(expected, abs=0.02)
         assert found.position_rms < 2e-6

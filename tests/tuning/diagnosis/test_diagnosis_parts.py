@@ -34,7 +34,7 @@ from tuning.diagnosis.search import recalibrated, standing
 from tuning.diagnosis.segments import segments
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.trust import lost_samples
-from tuning.identification.prediction import begin_velocity
+from tuning.identification.prediction import initial_velocity
 from tuning.identification.problem import noise_floor
 
 PUSHES = Cogging(0.0012, 5.0, 3.0)
@@ -87,9 +87,9 @@ def test_segments_hold_every_sample_once_and_a_lead_before(count, rate):
 def test_the_velocity_at_the_first_sample_is_that_of_a_motion_that_accelerates(rate):
     time = np.arange(200) / rate
     position = jnp.asarray(0.3 + 0.02 * time + 0.5 * 15.0 * time**2)
-    assert float(begin_velocity(position, rate)) == pytest.approx(0.02)
+    assert float(initial_velocity(position, rate)) == pytest.approx(0.02)
     noise = 5e-8 * np.random.default_rng(0).standard_normal((300, 200))
-    assert np.std(begin_velocity(position + noise, rate)) < 2e-4  # well within what the filter grants it
+    assert np.std(initial_velocity(position + noise, rate)) < 2e-4  # well within what the filter grants it
 
 
 def test_a_filter_of_a_fast_axis_is_nowhere_lost():

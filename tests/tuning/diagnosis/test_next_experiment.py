@@ -25,7 +25,7 @@ from tuning.diagnosis.screening import joined
 from tuning.diagnosis.search import recalibrated
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.where import Region
-from tuning.experiment_design.next_motion import candidates, room
+from tuning.experiment_design.next_motion import available_limits, candidates
 
 TIME = np.arange(6_000) / RATE
 MIDDLE = 0.03  # m, of where `diagnosed` says that the logs went
@@ -120,12 +120,12 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
 
 def test_an_axis_whose_ends_nobody_gave_goes_no_further_than_in_the_logs():
     lanes = diagnosed("effect").logged.lanes
-    limits, about = room(lanes, Limits())
+    limits, about = available_limits(lanes, Limits())
     motions = candidates(DRIVE.drive, limits, RATE, about)
     assert motions
     for one in motions.values():
         assert 0.01 - 1e-3 <= one.position.min() <= one.position.max() <= 0.05 + 1e-3
-    assert room(lanes, DRIVE.limits) == (DRIVE.limits, pytest.approx(MIDDLE, abs=1e-6))
+    assert available_limits(lanes, DRIVE.limits) == (DRIVE.limits, pytest.approx(MIDDLE, abs=1e-6))
 
 
 def test_where_no_motion_tells_it_is_said_how_many_were_tried(monkeypatch):

@@ -13,12 +13,19 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays
 from experiments.studies.paper import scenario as paper
 from tests.support.small_tuning import LIMITS, controller, drive, lanes, question, requirements
-from tuning.gains.constrained import ConstrainedGains, linearised, problem_of, worth
+from tuning.gains.constrained import ConstrainedGains, evaluate, linearise_at, tuning_problem
 from tuning.gains.objective import Objective
-from tuning.gains.requirements import Required
-from tuning.gains.sequential import CUT, KEPT, SearchState, _bent, _program, search
+from tuning.gains.requirements import LoopLimits
+from tuning.gains.sequential import (
+    CUT_TOLERANCE,
+    FEASIBILITY_TOLERANCE,
+    SearchState,
+    _rms_model,
+    _solve_subproblem,
+    search,
+)
 from tuning.gains.tune import default_space, tune
-from tuning.optimisation.space import space_of
+from tuning.optimisation.space import search_space
 
 CONTROLLERS = ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS"]
 # what the tests tune, asked once
@@ -45,9 +52,9 @@ QUESTIONS = {
 def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
     gains, problem, space = question(objective=QUESTIONS.get(name, Objective()), name=name)
     y = jnp.asarray(0.2 * np.random.default_rng(1).normal(size=len(space.free)))
-    at, h = linearised(gains, y, problem), 1e-4
+    at, h = linearise_at(gains, y, problem), 1e-4
     for k in range(len(y)):
-        ahead, behind = (worth(gains, y + sign * h * jnp.eye(len(y))[k], problem) for sign in (1.0, -1.0))
+        ahead, behind = (evaluate(gains, y + sign * h * jnp.eye(len(y))[k], problem) for sign in (1.0, -1.0))
         slope = float(ahead.objective - behind.objective) / (2 * h)
         assert float(at.slope[k]) == pytest.approx(slope, rel=1e-5, abs=1e-6 * float(jnp.max(jnp.abs(at.slope))))
         for key, values in ahead.kept.items():
@@ -66,21 +73,21 @@ ON_THE_LOAD = LIMITS._replace(load_error=np.array([100.0, 100.0]))
 def friction_of_an_observer():
     """The friction that it believes, as gains, with the problem, and where it believes the true one."""
     every = default_space(controller(), friction=True)
-    space = space_of(controller(), [one for one in every.free if "coulomb_screw" in one.path])
-    problem = problem_of(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
+    space = search_space(controller(), [one for one in every.free if "coulomb_screw" in one.path])
+    problem = tuning_problem(as_arrays(smooth(controller())), space, lanes(), requirements(ON_THE_LOAD))
     gains = ConstrainedGains(space.free, Objective())
-    return gains, problem, linearised(gains, jnp.zeros(2), problem)
+    return gains, problem, linearise_at(gains, jnp.zeros(2), problem)
 
 
 @pytest.mark.slow
 def test_a_limited_rms_is_foretold_as_the_curve_it_is(friction_of_an_observer):
     """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
     (gains, problem, at), d = friction_of_an_observer, np.array([0.3, -0.2])
-    truth = np.asarray(worth(gains, jnp.asarray(d), problem).kept["load error"])
+    truth = np.asarray(evaluate(gains, jnp.asarray(d), problem).kept["load error"])
     straight = np.asarray(at.point.kept["load error"]) + np.asarray(at.kept_slopes["load error"]) @ d
-    curve, slope = _bent(at, "load error", d)
+    curve, slope = _rms_model(at, "load error", d)
     assert np.all(np.abs(curve - truth) < 0.3 * np.abs(straight - truth))
-    ahead, behind = (_bent(at, "load error", d + sign * 1e-6 * np.eye(2)[0])[0] for sign in (1.0, -1.0))
+    ahead, behind = (_rms_model(at, "load error", d + sign * 1e-6 * np.eye(2)[0])[0] for sign in (1.0, -1.0))
     np.testing.assert_allclose(slope[:, 0], (ahead - behind) / 2e-6, rtol=1e-6)
 
 
@@ -104,9 +111,9 @@ def test_a_step_keeps_a_limited_rms_that_its_line_would_break(friction_of_an_obs
         },
         products={**at.products, "command noise": jnp.asarray(one), "load error": level},
     )
-    d, prices = _program(bowl, 1.0)
+    d, prices = _solve_subproblem(bowl, 1.0)
     assert np.linalg.norm(d) > 0.05
-    assert np.max(_bent(bowl, "command noise", d)[0]) <= 2 * CUT
+    assert np.max(_rms_model(bowl, "command noise", d)[0]) <= 2 * CUT_TOLERANCE
     assert np.max(prices["command noise"]) > 0
 
 
@@ -133,7 +140,7 @@ def test_tuning_gains_a_lot_and_keeps_what_is_required(usual):
     assert not usual.missed
     assert float(usual.point.objective) < 0.5 * float(usual.began.objective)
     for values in usual.point.kept.values():
-        assert float(jnp.max(values)) <= KEPT
+        assert float(jnp.max(values)) <= FEASIBILITY_TOLERANCE
     assert all(isinstance(leaf, float) for leaf in jax.tree.leaves(usual.controller))
     assert float(usual.controller.tracking.gains.kp) == pytest.approx(usual.after[usual.names.index("kp")])
     assert np.all(usual.tolerance >= 1.0)
@@ -151,11 +158,11 @@ def test_what_binds_is_named_and_is_worth_what_is_said(usual):
 
 
 def test_what_cannot_be_kept_is_said_with_by_how_much():
-    both = Required(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
+    both = LoopLimits(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
     found = tuned(both, starts=1, max_steps=8)
     assert not found.feasible
     assert found.missed
-    assert all(share > KEPT for share in found.missed.values())
+    assert all(share > FEASIBILITY_TOLERANCE for share in found.missed.values())
     assert "infeasible" in found.status or "stopped" in found.status
 
 
@@ -166,7 +173,7 @@ def test_an_unstable_start_is_led_to_stable_gains(factor, usual):
     far = eqx.tree_at(
         lambda c: (c.tracking.gains.kp, c.tracking.gains.kd), controller(), (20.0 * gains.kp, factor * gains.kd)
     )
-    found = tune(far, lanes(), requirements(), space_of(far, default_space(controller()).free))
+    found = tune(far, lanes(), requirements(), search_space(far, default_space(controller()).free))
     assert float(jnp.max(found.began.kept["stability"])) > 0.0
     assert found.feasible
     assert float(found.point.objective) < 1.05 * float(usual.point.objective)
@@ -220,4 +227,8 @@ def test_a_search_that_runs_out_of_steps_says_so():
 def test_a_start_that_diverges_is_reported_and_not_searched():
     gains, problem, space = question()
     found = search(gains, problem, SearchState(tuple(30.0 for _ in space.free)))
-    assert found.standing.steps == 0 or found.at.point.missed <= KEPT or found.standing.status != "running"
+    assert (
+        found.standing.steps == 0
+        or found.at.point.missed <= FEASIBILITY_TOLERANCE
+        or found.standing.status != "running"
+    )

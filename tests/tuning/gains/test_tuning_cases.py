@@ -18,8 +18,8 @@ from experiments.studies.tuning_study.study import (
     benchmark,
     tuning_study,
 )
-from tuning.gains.plan import OFF_GRID, TuningPlan, held_out, machines, reversal, tuned_on
-from tuning.gains.sequential import KEPT
+from tuning.gains.plan import OFF_GRID_FACTOR, TuningPlan, held_out_scenarios, machines, reversal, training_scenarios
+from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.gains.tune import default_space
 
 
@@ -29,7 +29,7 @@ def description():
 
 
 def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(description):
-    on, off = tuned_on(description, TuningPlan()), held_out(description, TuningPlan())
+    on, off = training_scenarios(description, TuningPlan()), held_out_scenarios(description, TuningPlan())
     assert not {one.seed for one in on} & {one.seed for one in off}
     assert len({one.seed for one in on + off}) == len(on + off)
     assert not {one.name for one in on} & {one.name for one in off}
@@ -41,10 +41,10 @@ def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(desc
 
 
 def test_the_held_out_machine_was_not_tuned_on(description):
-    on = {tuple(jax.tree.leaves(one.drive)) for one in tuned_on(description, TuningPlan(machines=4))}
+    on = {tuple(jax.tree.leaves(one.drive)) for one in training_scenarios(description, TuningPlan(machines=4))}
     strangers = {
         tuple(jax.tree.leaves(one.drive))
-        for one in held_out(description, TuningPlan(machines=4))
+        for one in held_out_scenarios(description, TuningPlan(machines=4))
         if "other" in one.name
     }
     assert len(on) == 4
@@ -60,9 +60,9 @@ def test_machines_lie_within_a_few_spreads_and_begin_with_the_drive_itself(descr
 
 
 def test_a_reversal_turns_once_and_cruises_at_its_speed():
-    motion = reversal(0.010 * OFF_GRID, 10_000.0)
+    motion = reversal(0.010 * OFF_GRID_FACTOR, 10_000.0)
     speed = np.gradient(motion.position, motion.time)
-    assert np.max(np.abs(speed)) == pytest.approx(0.010 * OFF_GRID, rel=1e-3)
+    assert np.max(np.abs(speed)) == pytest.approx(0.010 * OFF_GRID_FACTOR, rel=1e-3)
     moving = np.sign(speed[np.abs(speed) > 1e-3])
     assert np.count_nonzero(np.diff(moving)) == 1
 
@@ -106,5 +106,5 @@ def test_the_study_compares_all_searches_and_writes_what_it_found(tmp_path):
     assert objectives["gradient"] <= 0.018
     assert all(row[2] <= 0.07 for row in written["tables"]["held_out"]["rows"])
     assert written["true_load"]["objective_um"] <= 0.022
-    assert written["true_load"]["worst_nominal_load_error_N"] <= 300.0 * (1 + KEPT)
+    assert written["true_load"]["worst_nominal_load_error_N"] <= 300.0 * (1 + FEASIBILITY_TOLERANCE)
     assert written["random_starts"]["unstable_results"] == 0

@@ -29,12 +29,12 @@ from experiments.studies.recovery.excitation import (
 from experiments.studies.recovery.random_drive import random_drive
 from experiments.studies.recovery.study import BARS, true_values
 from experiments.studies.recovery.truth import truth_log
-from tuning.experiment_design.next_motion import candidates, proposals
-from tuning.identification.estimates import estimates, reported
+from tuning.experiment_design.next_motion import candidates, propose_motions
+from tuning.identification.estimates import estimates, reported_parameters
 from tuning.identification.identify import COARSE_STEPS, INSEPARABLE, identify
 from tuning.identification.problem import Innovations
-from tuning.identification.refinement import MOST_STEPS, ROUGH_STEPS
-from tuning.identification.setup import ask
+from tuning.identification.refinement import MAX_ROUGH_STEPS, MAX_STEPS
+from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import unknowns_of
 
@@ -224,7 +224,7 @@ def test_what_one_direction_shows_is_right(one_way):
 
 @pytest.fixture(scope="module")
 def proposed(one_way):
-    return {one.parameter: one for one in proposals(one_way, PD(Tracking(GAINS)), Sampling(RATE))}
+    return {one.parameter: one for one in propose_motions(one_way, PD(Tracking(GAINS)), Sampling(RATE))}
 
 
 @pytest.mark.slow
@@ -236,7 +236,9 @@ def test_every_open_parameter_gets_a_motion_that_determines_it(one_way, proposed
             continue
         assert one.after < 0.2 * one.before
         believed = next(
-            row for row in reported(BELIEVED, unknowns_of(BELIEVED, 0.0), frozenset({path})) if row.path == path
+            row
+            for row in reported_parameters(BELIEVED, unknowns_of(BELIEVED, 0.0), frozenset({path}))
+            if row.path == path
         )
         assert one.unit == believed.unit
         if path != "delay":  # what was open was known to no better than by a third
@@ -293,7 +295,7 @@ def test_what_is_fixed_stays_and_what_is_bounded_stays_inside(told):
 
 def bounds_of(logs, fixed=(), **bounded):
     """The question's bounds by path, and its notes."""
-    question = ask(logs, BELIEVED, fixed, bounded)
+    question = build_problem(logs, BELIEVED, fixed, bounded)
     return {one.path: (one.low, one.high) for one in question.free}, question.notes
 
 
@@ -318,7 +320,7 @@ def test_bounds_are_given_in_the_names_of_the_drive_file():
 
 def test_narrow_bounds_are_no_prior_and_leave_nothing_undetermined():
     """The prior, and what counts as determined, are those of the usual bounds: a factor of 30 either way."""
-    free = ask([short_log()], BELIEVED, (), {"mass": (94.0, 96.0)})
+    free = build_problem([short_log()], BELIEVED, (), {"mass": (94.0, 96.0)})
     prior = dict(zip((one.path for one in free.free), free.problem.prior, strict=True))
     assert prior["mass"] == pytest.approx(np.log(96 / 94) / np.log(900))
     assert prior["delay"] == prior["viscous.positive"] == 1.0
@@ -327,7 +329,7 @@ def test_narrow_bounds_are_no_prior_and_leave_nothing_undetermined():
 def test_a_drive_file_with_more_damping_than_the_machine_is_told():
     """Friction that grows less with speed than the file's damping leaves no viscous friction to speak of."""
     damped = replace(BELIEVED, plant=replace(BELIEVED.plant, damping=Directional(1e4, 1e4)))
-    question = ask([short_log()], damped, (), {})
+    question = build_problem([short_log()], damped, (), {})
     paths = [one.path for one in question.free]
     y = np.zeros(len(paths))
     y[paths.index("viscous.positive")] = -1.0
@@ -363,7 +365,7 @@ class Stops:
             raise KeyboardInterrupt
 
 
-SEARCHES = {"the starts": COARSE_STEPS, "the first search": ROUGH_STEPS, "a search under the filter": MOST_STEPS}
+SEARCHES = {"the starts": COARSE_STEPS, "the first search": MAX_ROUGH_STEPS, "a search under the filter": MAX_STEPS}
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from experiments.studies.emps.axis import FILES, find_folder
 from tuning.identification.determined import long_run_covariance, solve
 from tuning.identification.inverse_dynamics import BENCHMARK_BORDERS, evaluate, identify
 from tuning.identification.regressors import DIRECTIONAL
-from tuning.identification.seed import seed_drive
+from tuning.identification.seed import initial_drive
 
 MASS, VISCOUS, COULOMB, CONSTANT = 95.0, 210.0, 21.0, 3.0
 TRUTH = {"mass": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "constant_force": CONSTANT}
@@ -221,7 +221,7 @@ def test_one_speed_does_not_tell_viscous_from_coulomb():
     assert np.isnan([found.viscous.positive, found.coulomb.positive, found.constant_force]).all()
     assert any("viscous, coulomb and constant_force cannot be told apart" in note for note in found.notes)
     drive = paper_drive()
-    seeded, notes = seed_drive(drive, found)
+    seeded, notes = initial_drive(drive, found)
     assert seeded.plant.mass == drive.plant.mass
     assert any("plant.mass stays at 100 kg" in note for note in notes)
 
@@ -291,10 +291,10 @@ def test_a_log_without_load_among_loaded_ones_is_noted():
 def test_a_seeded_drive_has_the_identified_friction():
     logs = [axis(viscous=(2_200.0, 1_900.0), coulomb=(70.0, 80.0), load=w, slope=1.5e-3) for w in (0.0, 8_000.0)]
     drive = paper_drive()
-    one, notes = seed_drive(drive, identify(logs))
+    one, notes = initial_drive(drive, identify(logs))
     assert not notes
     assert one.plant.mass == pytest.approx(MASS, rel=0.01)
-    two, _ = seed_drive(drive, identify(logs, DIRECTIONAL))
+    two, _ = initial_drive(drive, identify(logs, DIRECTIONAL))
     assert two.friction.viscous.positive == pytest.approx(2_200.0 - 380.0, rel=0.01)
     assert two.friction.viscous.negative == pytest.approx(1_900.0 - 260.0, rel=0.01)
     assert two.plant.constant_force == drive.plant.constant_force == 0.0
@@ -307,7 +307,7 @@ def test_a_seeded_drive_has_the_identified_friction():
 
 def test_a_seed_keeps_what_is_not_determined_and_says_so():
     drive = paper_drive()
-    seeded, notes = seed_drive(drive, identify(one_way()))
+    seeded, notes = initial_drive(drive, identify(one_way()))
     assert seeded.plant.mass == pytest.approx(MASS, rel=1e-3)
     assert seeded.plant.constant_force == drive.plant.constant_force
     assert seeded.friction.coulomb_screw == drive.friction.coulomb_screw

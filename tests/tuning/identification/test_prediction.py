@@ -22,13 +22,13 @@ from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.motion import load
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.asymmetric_drive import LOPSIDED
-from tuning.identification.filter_gain import PROCESSES, likeliest, track
+from tuning.identification.filter_gain import PROCESS_FORCES, filter_lanes, most_likely
 from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
 from tuning.identification.problem import IdentificationProblem, Innovations, lanes_of, sampling_of
 from tuning.identification.refinement import linearised
-from tuning.identification.unknowns import bounds, paths, unknowns_of
+from tuning.identification.unknowns import default_bounds, free_paths, unknowns_of
 from tuning.optimisation.least_squares import with_jacobian
-from tuning.optimisation.space import space_of
+from tuning.optimisation.space import search_space
 
 RATE = 4_000.0
 SAMPLING = sampling_of(RATE, 50e-6)
@@ -93,7 +93,7 @@ def test_a_simulation_is_foreseen_to_rounding_however_hard_it_is_pulled(bandwidt
 @pytest.mark.parametrize("process", [1e-3, 1.0, 1e3])
 def test_a_simulation_is_foreseen_to_rounding_under_the_filters_gains(process):
     lanes = clean_lane()
-    gains = track(as_arrays(DELAYED), 1.3, process, NOISE, lanes, SAMPLING).gains
+    gains = filter_lanes(as_arrays(DELAYED), 1.3, process, NOISE, lanes, SAMPLING).gains
     assert np.max(np.abs(gains.bristle)) > 1e-3
     assert np.max(np.abs(innovations(DELAYED, lanes, gains))) < 1e-15
 
@@ -196,7 +196,7 @@ def test_padding_changes_neither_innovations_nor_likelihood():
     ours = innovations(drive, alone, pulling(300.0, alone))[0]
     np.testing.assert_allclose(innovations(drive, beside, pulling(300.0, beside))[0, :500], ours, atol=1e-18)
     padded = jax.tree.map(lambda one: one[:1], beside)
-    values = [float(track(drive, 1.3, 0.01, NOISE, each, SAMPLING).deviance) for each in (alone, padded)]
+    values = [float(filter_lanes(drive, 1.3, 0.01, NOISE, each, SAMPLING).deviance) for each in (alone, padded)]
     assert values[0] == pytest.approx(values[1], rel=1e-9)
 
 
@@ -219,10 +219,11 @@ def problem_at(delay):
     lanes = noisy_lane()
     believed = unknowns_of(DELAYED, delay)
     free = tuple(
-        bounds(path, float(eqx_value(believed, path)), float(believed.coulomb.positive)) for path in paths(believed)
+        default_bounds(path, float(eqx_value(believed, path)), float(believed.coulomb.positive))
+        for path in free_paths(believed)
     )
-    origin = space_of(believed, free).origin
-    gains = track(DELAYED, delay, 1.0, NOISE, lanes, SAMPLING).gains
+    origin = search_space(believed, free).origin
+    gains = filter_lanes(DELAYED, delay, 1.0, NOISE, lanes, SAMPLING).gains
     problem = IdentificationProblem(
         DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin, np.ones_like(origin)
     )
@@ -235,7 +236,7 @@ def eqx_value(unknowns, path):
     return unknowns
 
 
-PATHS = paths(unknowns_of(LOPSIDED, 1.3))
+PATHS = free_paths(unknowns_of(LOPSIDED, 1.3))
 
 
 @cache
@@ -322,7 +323,7 @@ def test_the_filter_is_the_textbooks():
     lanes = noisy_lane()._replace(velocity=np.array([1e-6]))  # at exactly zero the directions meet in a kink
     samples = 450  # past the reversal of presliding
     gains, scatter = by_hand(DELAYED, 1.3, 0.5, lanes, samples)
-    found = track(as_arrays(DELAYED), 1.3, 0.5, NOISE, lanes, SAMPLING)
+    found = filter_lanes(as_arrays(DELAYED), 1.3, 0.5, NOISE, lanes, SAMPLING)
     ours = np.stack([np.asarray(one[0, :samples]) for one in found.gains[:3]], axis=1)
     np.testing.assert_allclose(np.asarray(found.gains.scatter[0, :samples]), scatter, rtol=1e-7)
     size = np.abs(gains).max(axis=0)
@@ -331,14 +332,14 @@ def test_the_filter_is_the_textbooks():
 
 def test_the_innovations_of_a_filter_are_those_of_the_prediction_under_its_gains():
     lanes = noisy_lane()
-    found = track(as_arrays(DELAYED), 1.3, 0.5, NOISE, lanes, SAMPLING)
+    found = filter_lanes(as_arrays(DELAYED), 1.3, 0.5, NOISE, lanes, SAMPLING)
     again = innovations(DELAYED, lanes, found.gains)
     np.testing.assert_allclose(again, np.asarray(found.innovation), atol=1e-15)
 
 
 def test_on_an_exact_model_the_normalised_innovations_are_white_noise_of_size_one():
     lanes = noisy_lane()
-    found = track(as_arrays(DELAYED), 1.3, 1e-3, NOISE, lanes, SAMPLING)
+    found = filter_lanes(as_arrays(DELAYED), 1.3, 1e-3, NOISE, lanes, SAMPLING)
     normal = np.asarray(found.innovation / found.gains.scatter)[0, 50:]
     assert np.std(normal) == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(normal)))
     assert abs(np.mean(normal[1:] * normal[:-1])) < 4 / np.sqrt(len(normal))
@@ -349,12 +350,12 @@ def filtered_under(amplitude):
     reference = reversal()
     sine = amplitude * np.sin(2 * np.pi * 3.0 * reference.time)
     lanes = logged(replace(DELAYED, sensor=Sensor(noise=NOISE)), reference, disturbance=sine, seed=0)
-    return likeliest(as_arrays(DELAYED), 1.3, NOISE, lanes, SAMPLING)
+    return most_likely(as_arrays(DELAYED), 1.3, NOISE, lanes, SAMPLING)
 
 
 def test_an_exact_model_needs_no_force():
     found = filtered_under(0.0)
-    assert found.process == PROCESSES[0]
+    assert found.process == PROCESS_FORCES[0]
     assert found.gain == 0.0
 
 
@@ -377,7 +378,7 @@ def test_a_force_that_the_model_lacks_is_found_in_its_size():
 
 def test_without_the_constant_force_the_filter_invents_it():
     drive = eqx.tree_at(lambda d: d.plant.constant_force, DELAYED, 0.0)
-    found = likeliest(as_arrays(drive), 1.3, NOISE, noisy_lane(), SAMPLING)
+    found = most_likely(as_arrays(drive), 1.3, NOISE, noisy_lane(), SAMPLING)
     force = drive.plant.mass * RATE * np.asarray(found.track.gains.velocity * found.track.innovation)[0]
     assert found.gain > 1e3
     assert np.mean(force[200:]) == pytest.approx(12.0, rel=0.3)

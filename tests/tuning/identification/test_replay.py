@@ -15,7 +15,7 @@ from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, as_arrays
 from diffdrive.motion.builders import sine
 from experiments.studies.emps.closed_loop_fit import fit_closed_loop
-from tuning.identification.replay import closed_loop, drift_note, given, open_loop, replay
+from tuning.identification.replay import drift_note, replay, replay_closed_loop, replay_inputs, replay_open_loop
 
 SAMPLING = Sampling(1_000.0, 40)
 MOTION = sine(amplitude=0.02, frequency=1.0, duration=1.5, rate=SAMPLING.rate)
@@ -57,7 +57,7 @@ def part(log, piece, **changed):
 @pytest.mark.parametrize("actuator", [{}, {"delay_samples": 1, "delay_fraction": 0.3}], ids=["prompt", "late"])
 def test_a_simulated_log_is_replayed_to_itself(name, actuator):
     drive = axis(**actuator)
-    found = closed_loop(drive, CONTROLLERS[name], logged(drive, CONTROLLERS[name]), SAMPLING)
+    found = replay_closed_loop(drive, CONTROLLERS[name], logged(drive, CONTROLLERS[name]), SAMPLING)
     assert found.status.ok
     # not exactly: in a log the table has been moving before, in a simulation it begins at rest on a moving reference
     late = found.time > 0.5
@@ -69,7 +69,7 @@ def test_a_simulated_log_is_replayed_to_itself(name, actuator):
 def test_a_log_that_begins_in_motion_begins_without_a_jolt(begin, actuator):
     drive, controller = axis(**actuator), CONTROLLERS["cascade"]
     log = part(logged(drive, controller), slice(begin, None))
-    found = closed_loop(drive, controller, log, SAMPLING)
+    found = replay_closed_loop(drive, controller, log, SAMPLING)
     assert found.force_percent < 0.2
     assert found.position_rms < 1e-7
     assert found.command_rms == pytest.approx(np.sqrt(np.mean(found.missing**2)))
@@ -79,10 +79,10 @@ def test_each_piece_begins_anew_and_short_ones_are_left_out():
     drive, controller = axis(), CONTROLLERS["cascade"]
     log = logged(drive, controller)
     kept = np.r_[100:600, 700:750, 900:1400]
-    found = closed_loop(drive, controller, part(log, kept, gaps=(500, 550)), SAMPLING)
+    found = replay_closed_loop(drive, controller, part(log, kept, gaps=(500, 550)), SAMPLING)
     np.testing.assert_array_equal(found.time, log.time[np.r_[100:600, 900:1400]])
     assert found.force_percent < 0.2
-    whole = closed_loop(drive, controller, part(log, slice(900, 1400)), SAMPLING)
+    whole = replay_closed_loop(drive, controller, part(log, slice(900, 1400)), SAMPLING)
     np.testing.assert_allclose(found.command[500:], whole.command, rtol=1e-9)
 
 
@@ -91,8 +91,8 @@ def test_a_known_disturbance_counts_in_both_forces():
     log = logged(drive, controller)
     wrong = eqx.tree_at(lambda d: d.plant.constant_force, drive, 12.0)
     pulses = np.where(MOTION.time % 0.5 < 0.25, 100.0, 0.0)
-    plain = closed_loop(wrong, controller, log, SAMPLING)
-    pushed = closed_loop(wrong, controller, dataclasses.replace(log, disturbance=pulses), SAMPLING)
+    plain = replay_closed_loop(wrong, controller, log, SAMPLING)
+    pushed = replay_closed_loop(wrong, controller, dataclasses.replace(log, disturbance=pulses), SAMPLING)
     assert np.mean(plain.missing[200:]) == pytest.approx(-10.0, rel=0.01)
     ratio = pushed.force_percent / pushed.command_rms
     assert ratio == pytest.approx(100 / np.sqrt(np.mean((log.command + pulses) ** 2)))
@@ -101,7 +101,7 @@ def test_a_known_disturbance_counts_in_both_forces():
 def test_a_loop_that_runs_away_has_a_status_and_no_nan():
     drive = axis()
     unstable = Cascade(kp=160.0, kv=1e6)
-    found = closed_loop(drive, unstable, logged(drive, PD_CONTROL), SAMPLING)
+    found = replay_closed_loop(drive, unstable, logged(drive, PD_CONTROL), SAMPLING)
     assert not found.status.ok
     assert "diverged: run: the simulated position leaves the reference" in found.status.message
     assert found.force_percent == found.command_rms == found.position_rms == np.inf
@@ -111,8 +111,8 @@ def test_open_loop_follows_an_exact_model_and_drifts_from_a_wrong_one():
     drive, controller = axis(gap=-5.0), CONTROLLERS["cascade"]
     log = logged(drive, controller)
     settled = part(log, slice(250, None))  # at the top of the sine
-    exact = open_loop(drive, settled, SAMPLING)
-    off = open_loop(eqx.tree_at(lambda d: d.plant.constant_force, drive, 3.0), settled, SAMPLING)
+    exact = replay_open_loop(drive, settled, SAMPLING)
+    off = replay_open_loop(eqx.tree_at(lambda d: d.plant.constant_force, drive, 3.0), settled, SAMPLING)
     assert exact.status.ok
     assert exact.position_rms_mm < 0.05
     assert off.position_rms_mm > 1.0
@@ -129,17 +129,17 @@ def test_what_cannot_be_replayed_is_said():
     drive, controller = axis(), CONTROLLERS["cascade"]
     log = logged(drive, controller)
     with pytest.raises(LogError, match="run: has no reference"):
-        closed_loop(drive, controller, dataclasses.replace(log, reference=None))
+        replay_closed_loop(drive, controller, dataclasses.replace(log, reference=None))
     with pytest.raises(ParameterError, match="sampled at 1000 Hz"):
-        closed_loop(drive, controller, log, Sampling(2_000.0))
+        replay_closed_loop(drive, controller, log, Sampling(2_000.0))
     with pytest.raises(LogError, match="no stretch of 200 samples"):
-        closed_loop(drive, controller, part(log, slice(0, 150)))
+        replay_closed_loop(drive, controller, part(log, slice(0, 150)))
 
 
 def test_the_replay_is_differentiable():
     drive, controller = axis(), CONTROLLERS["cascade"]
     log = logged(drive, controller)
-    at = given([log])
+    at = replay_inputs([log])
     models = as_arrays((drive, controller))
 
     def command(mass):
@@ -159,7 +159,7 @@ def test_the_closed_loop_fit_finds_the_drive_behind_a_log():
     believed = eqx.tree_at(lambda d: (d.plant.mass, d.plant.constant_force), believed, (120.0, 0.0))
     found, search = fit_closed_loop([log], believed, controller)
     assert search.cost < 0.05 < 1.0 < search.cost_before
-    assert search.cost == pytest.approx(closed_loop(found, controller, log).force_percent, abs=0.03)
+    assert search.cost == pytest.approx(replay_closed_loop(found, controller, log).force_percent, abs=0.03)
     assert found.plant.mass == pytest.approx(95.0, rel=0.01)
     assert found.friction.viscous.negative == pytest.approx(230.0, rel=0.02)
     assert found.friction.breakaway_gap.negative == pytest.approx(-8.0, rel=0.1)

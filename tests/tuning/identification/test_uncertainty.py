@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tuning.identification.adequacy import adequacy
-from tuning.identification.uncertainty import autocorrelation, memory, sandwich
+from tuning.identification.uncertainty import autocorrelation, correlation_length, sandwich
 
 RATE, SAMPLES, DRAWS = 1_000.0, 6_000, 200
 TRUE = np.array([2.0, -1.0, 0.5])
@@ -147,8 +147,8 @@ def test_the_autocorrelation_of_an_autoregression_is_its_coefficients_powers():
     np.testing.assert_allclose(autocorrelation(series, 10), 0.8 ** np.arange(1, 11), atol=0.02)
     naive = [np.sum(series[:, lag:] * series[:, :-lag]) / np.sum(series**2) for lag in range(1, 4)]
     np.testing.assert_allclose(autocorrelation(series, 3), naive, rtol=1e-9)
-    assert 10 < memory(series) < 40  # 0.8^17 is 0.02
-    assert memory(rng.normal(size=(1, 50_000))) < 5
+    assert 10 < correlation_length(series) < 40  # 0.8^17 is 0.02
+    assert correlation_length(rng.normal(size=(1, 50_000))) < 5
 
 
 NOTHING = np.zeros((1, 20_000))

@@ -10,14 +10,18 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.model.parameters import Plant, as_arrays
 from tuning.optimisation.least_squares import levenberg_marquardt
-from tuning.optimisation.space import Free, around, space_of
+from tuning.optimisation.space import FreeParameter, search_space, space_around
 
 
 @given(st.lists(st.floats(-50, 50), min_size=3, max_size=3))
 def test_no_point_of_a_space_leaves_its_bounds(y):
     plant = Plant(mass=100.0, damping=(380.0, 260.0), constant_force=2.0)
-    bounds = (Free("mass", 50.0, 300.0), Free("constant_force", -5.0, 5.0), Free("damping.negative", 1.0, 1e3))
-    space = space_of(plant, bounds)
+    bounds = (
+        FreeParameter("mass", 50.0, 300.0),
+        FreeParameter("constant_force", -5.0, 5.0),
+        FreeParameter("damping.negative", 1.0, 1e3),
+    )
+    space = search_space(plant, bounds)
     values = np.asarray(space.values(np.array(y)))
     for value, (_, low, high) in zip(values, bounds, strict=True):
         assert low * (1 - 1e-12) <= value <= high * (1 + 1e-12) or low <= value <= high
@@ -25,7 +29,7 @@ def test_no_point_of_a_space_leaves_its_bounds(y):
 
 def test_the_origin_of_a_space_is_the_model_it_was_made_from():
     plant = Plant(mass=100.0, damping=(380.0, 260.0), constant_force=2.0)
-    space = space_of(plant, [Free("mass", 50.0, 300.0), Free("constant_force", -5.0, 5.0)])
+    space = search_space(plant, [FreeParameter("mass", 50.0, 300.0), FreeParameter("constant_force", -5.0, 5.0)])
     again = space.insert(as_arrays(plant), np.zeros(2))
     np.testing.assert_allclose([again.mass, again.constant_force], [100.0, 2.0], rtol=1e-12)
     np.testing.assert_array_equal([again.damping.positive, again.damping.negative], [380.0, 260.0])
@@ -33,34 +37,37 @@ def test_the_origin_of_a_space_is_the_model_it_was_made_from():
 
 def test_a_parameter_per_direction_moves_in_both_or_in_one():
     plant = Plant(mass=100.0, damping=(300.0, 300.0))
-    both = space_of(plant, [Free("damping", 1.0, 1e3)]).insert(as_arrays(plant), np.ones(1))
-    one = space_of(plant, [Free("damping.negative", 1.0, 1e3)]).insert(as_arrays(plant), np.ones(1))
+    both = search_space(plant, [FreeParameter("damping", 1.0, 1e3)]).insert(as_arrays(plant), np.ones(1))
+    one = search_space(plant, [FreeParameter("damping.negative", 1.0, 1e3)]).insert(as_arrays(plant), np.ones(1))
     assert both.damping.positive == both.damping.negative > 300.0
     assert one.damping.positive == 300.0 < one.damping.negative
 
 
 def test_parameters_near_their_bounds_are_named():
-    space = around(PDGains(1e6, 1e3), {"kp": 2.0, "kd": 2.0})
+    space = space_around(PDGains(1e6, 1e3), {"kp": 2.0, "kd": 2.0})
     assert space.at_bound(np.array([0.0, 0.0])) == []
     assert space.at_bound(np.array([9.0, -9.0])) == ["kp", "kd"]
 
 
 def test_directions_that_differ_are_not_moved_as_one():
     with pytest.raises(ParameterError, match=r"free 'damping\.positive' and 'damping\.negative'"):
-        space_of(Plant(mass=100.0, damping=(380.0, 260.0)), [Free("damping", 1.0, 1e3)])
+        search_space(Plant(mass=100.0, damping=(380.0, 260.0)), [FreeParameter("damping", 1.0, 1e3)])
 
 
 @pytest.mark.parametrize(
     ("bounds", "says"),
-    [(Free("kq", 1.0, 2.0), "no parameter 'kq'.*known: .*kp"), (Free("kp", 1.0, 2.0), "not inside its bounds.*widen")],
+    [
+        (FreeParameter("kq", 1.0, 2.0), "no parameter 'kq'.*known: .*kp"),
+        (FreeParameter("kp", 1.0, 2.0), "not inside its bounds.*widen"),
+    ],
 )
 def test_impossible_spaces_are_refused(bounds, says):
     with pytest.raises(ParameterError, match=says):
-        space_of(PDGains(1e6, 1e3), [bounds])
+        search_space(PDGains(1e6, 1e3), [bounds])
 
 
 def test_a_parameter_that_is_zero_stays_zero():
-    assert around(PDGains(1e6, 0.0), {"kp": 2.0, "kd": 2.0}).names == ["kp"]
+    assert space_around(PDGains(1e6, 0.0), {"kp": 2.0, "kd": 2.0}).names == ["kp"]
 
 
 def search_rosenbrock(**settings):

@@ -24,16 +24,16 @@ from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.search import look, recalibrated
 from tuning.diagnosis.setting import setting
-from tuning.store.folder import KeptParts
+from tuning.store.folder import FolderStore
 from tuning.store.store import digest
 
 
 def test_a_part_is_read_as_it_was_written_and_a_damaged_one_is_none(tmp_path):
-    parts = KeptParts(tmp_path / "parts")
+    parts = FolderStore(tmp_path / "parts")
     assert parts.read("one") is None
     part = {"x": np.nextafter(np.array([[0.1, -0.0], [np.inf, np.nan]]), 1.0), "steps": np.array(3), "a b": np.zeros(0)}
     parts.write("one", part)
-    found = KeptParts(tmp_path / "parts").read("one")
+    found = FolderStore(tmp_path / "parts").read("one")
     assert found.keys() == part.keys()
     assert all(found[name].tobytes() == part[name].tobytes() for name in part)
     assert all((found[name].dtype, found[name].shape) == (part[name].dtype, part[name].shape) for name in part)
@@ -64,7 +64,7 @@ def test_a_digest_tells_apart_whatever_differs():
         digest(object())
 
 
-class Interrupted(KeptParts):
+class Interrupted(FolderStore):
     """Parts of a run that is interrupted once it has kept so many."""
 
     def __init__(self, folder, after):
@@ -92,7 +92,7 @@ def test_a_search_that_was_interrupted_ends_as_if_it_had_not_been(tmp_path):
         with pytest.raises(KeyboardInterrupt):
             looked(Interrupted(tmp_path, after))
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    parts = KeptParts(tmp_path)
+    parts = FolderStore(tmp_path)
     found, alone = looked(parts), looked(None)
     assert parts.found >= 3
     assert before.items() <= {path.name: path.read_bytes() for path in tmp_path.iterdir()}.items()

@@ -14,7 +14,7 @@ from diffdrive.errors import ParameterError
 from experiments.cli.main import app
 from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps.cluster import on_cluster
-from tuning.sweeps.parts import run
+from tuning.sweeps.parts import run_parts
 from tuning.sweeps.spec import SweepSpec
 
 distributed = pytest.importorskip("distributed")
@@ -33,7 +33,7 @@ def rows(found):
 def test_a_lost_worker_changes_nothing(tmp_path):
     wanted = asked()
     plan, killed = wanted.plan(), []
-    alone = rows(run(plan, tmp_path / "alone", lambda done: None))
+    alone = rows(run_parts(plan, tmp_path / "alone", lambda done: None))
     here = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**here) as cluster:
 
@@ -42,7 +42,7 @@ def test_a_lost_worker_changes_nothing(tmp_path):
                 killed.append(cluster.workers[0].process.pid)
                 os.kill(killed[0], signal.SIGKILL)
 
-        together = rows(run(plan, tmp_path / "together", kill, on_cluster(wanted, cluster.scheduler_address)))
+        together = rows(run_parts(plan, tmp_path / "together", kill, on_cluster(wanted, cluster.scheduler_address)))
     assert killed
     assert together.equals(alone)
 
@@ -50,7 +50,7 @@ def test_a_lost_worker_changes_nothing(tmp_path):
 def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_comes(tmp_path):
     wanted, said = asked(), []
     plan = wanted.plan()
-    alone = rows(run(plan, tmp_path / "alone", lambda done: None))
+    alone = rows(run_parts(plan, tmp_path / "alone", lambda done: None))
     with distributed.LocalCluster(n_workers=0, threads_per_worker=1, dashboard_address=None) as cluster:
 
         def say(text):
@@ -58,7 +58,7 @@ def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_c
             cluster.scale(1)
 
         engine = on_cluster(wanted, cluster.scheduler_address)
-        together = rows(run(plan, tmp_path / "together", lambda done: None, engine, say))
+        together = rows(run_parts(plan, tmp_path / "together", lambda done: None, engine, say))
         [told] = said
         assert "has none; start some as `dask worker tcp://127.0.0.1:" in told
     assert together.equals(alone)
@@ -83,7 +83,7 @@ def test_a_cluster_that_is_lost_says_that_the_same_command_goes_on(tmp_path):
                 one.kill()
 
         with pytest.raises(ParameterError, match=r"--cluster tcp://.* is lost .* the same command goes on"):
-            run(wanted.plan(), parts, lose, on_cluster(wanted, address))
+            run_parts(wanted.plan(), parts, lose, on_cluster(wanted, address))
     finally:
         for one in both:
             one.kill()
@@ -94,7 +94,7 @@ def test_a_cluster_that_is_lost_says_that_the_same_command_goes_on(tmp_path):
 
 
 def test_nobody_at_the_address_is_said_and_leaves_no_folder(tmp_path, monkeypatch):
-    monkeypatch.setattr("tuning.sweeps.cluster.ANSWERS_WITHIN", 0.5)
+    monkeypatch.setattr("tuning.sweeps.cluster.CONNECTION_TIMEOUT", 0.5)
     arguments = ("sweep", PAPER_DRIVE, "--motion", "sine:amplitude=1mm,frequency=10Hz,duration=0.6s", "--samples", 8,
                  "--cluster", "tcp://127.0.0.1:9", "--out", tmp_path / "out")  # fmt: skip
     result = CliRunner().invoke(app, [str(one) for one in arguments])

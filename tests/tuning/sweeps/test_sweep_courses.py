@@ -21,7 +21,7 @@ from experiments.cli.main import app
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.paper import scenario as paper
 from tuning.sweeps.courses import _rounded_up, at_corners
-from tuning.sweeps.engine import block
+from tuning.sweeps.engine import block_size
 from tuning.sweeps.machines import lane
 from tuning.sweeps.plan import SweepPlan
 
@@ -118,9 +118,9 @@ def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
 
 def test_memory_bounds_how_many_are_held_at_once(monkeypatch):
     planned = plan()
-    assert planned._at_once(SINE) == block(own_courses=True) * len(jax.devices())
-    monkeypatch.setattr("tuning.sweeps.plan.MOST_HELD", 1.0)
-    assert planned._at_once(SINE) == block(own_courses=True)
+    assert planned._at_once(SINE) == block_size(own_courses=True) * len(jax.devices())
+    monkeypatch.setattr("tuning.sweeps.plan.MAX_BYTES", 1.0)
+    assert planned._at_once(SINE) == block_size(own_courses=True)
 
 
 def test_what_no_machine_runs_refuses_none():

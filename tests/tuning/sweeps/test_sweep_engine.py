@@ -20,10 +20,10 @@ from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arr
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
 from experiments.studies.paper import scenario as paper
-from tuning.sweeps.courses import MachineCourse, for_all
-from tuning.sweeps.engine import costs_of
+from tuning.sweeps.courses import DutyCycle, shared_cycle
+from tuning.sweeps.engine import lane_costs
 from tuning.sweeps.machines import lane, machines
-from tuning.sweeps.samples import shares
+from tuning.sweeps.samples import unit_samples
 from tuning.sweeps.varied import parse_varied, with_effects
 
 NOISY = Drive(paper_drive().plant, paper_drive().friction, paper_drive().actuator, Sensor(1e-7, 2e-8))
@@ -38,12 +38,12 @@ THERE = motion.sine(amplitude=1e-3, frequency=5.0, duration=0.1, rate=1e4)
 
 
 def swept(name="PD+FC+LE", count=128, first=0, to=None, precision="double", drive=NOISY):
-    drawn = shares("sobol", len(TEXTS), 3, 0, count)[first:to]
+    drawn = unit_samples("sobol", len(TEXTS), 3, 0, count)[first:to]
     machine, ramp, _ = machines(drive, [parse_varied(text, drive) for text in TEXTS], drawn)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(3), k))(jnp.arange(first, first + len(drawn)))
-    course = for_all(MachineCourse(THERE, np.zeros(len(THERE.time))), 0.0201, Limits())
+    course = shared_cycle(DutyCycle(THERE, np.zeros(len(THERE.time))), 0.0201, Limits())
     controller = paper.controllers(drive)[name]
-    found = costs_of(machine, ramp, keys, controller, course, SAMPLING, precision)
+    found = lane_costs(machine, ramp, keys, controller, course, SAMPLING, precision)
     return found, (machine, ramp, keys, controller)
 
 
@@ -74,10 +74,10 @@ def test_a_machine_diverges_in_a_sweep_where_it_does_alone():
     there = motion.sine(amplitude=1e-3, frequency=4.0, duration=0.3, rate=1e4)
     drawn = np.linspace(0.0, 1.0, 64).reshape(-1, 1)
     machine, ramp, _ = machines(drive, [parse_varied("plant.mass=uniform:4.7..4.9 kg", drive)], drawn)
-    course, reach = for_all(MachineCourse(there, np.zeros(len(there.time))), 0.0, Limits()), 0.1
+    course, reach = shared_cycle(DutyCycle(there, np.zeros(len(there.time))), 0.0, Limits()), 0.1
     control = paper.controllers(drive)["PD"]
     assert divergence_bound(there.position, Limits()) == reach
-    found = costs_of(machine, ramp, None, control, course, SAMPLING)
+    found = lane_costs(machine, ramp, None, control, course, SAMPLING)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         alone = [

@@ -16,7 +16,7 @@ from diffdrive.motion.motion import Limits
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.atomic_write import temporary_beside
 from experiments.studies.paper import scenario as paper
-from tuning.sweeps.parts import here, missing, path_of, run
+from tuning.sweeps.parts import in_process, missing_parts, part_path, run_parts
 from tuning.sweeps.plan import SweepPlan
 
 PAPER = paper_drive()
@@ -37,7 +37,7 @@ def rows(found):
 
 def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(tmp_path):
     done = []
-    found = rows(run(plan(), tmp_path, done.append))
+    found = rows(run_parts(plan(), tmp_path, done.append))
     assert done == [0, 8, 16, 20]
     assert found.num_rows == 40
     table = {name: np.array(found[name].to_pylist(), object) for name in found.column_names}
@@ -54,20 +54,20 @@ def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(
 
 def test_an_interrupted_sweep_goes_on_and_ends_with_the_same_bits(tmp_path):
     def dying(plan, wanted, say):
-        yield from here(plan, wanted[:1], say)
+        yield from in_process(plan, wanted[:1], say)
         raise KeyboardInterrupt
 
-    whole = rows(run(plan(), tmp_path / "whole", lambda done: None))
+    whole = rows(run_parts(plan(), tmp_path / "whole", lambda done: None))
     with pytest.raises(KeyboardInterrupt):
-        run(plan(), tmp_path / "cut", lambda done: None, dying)
-    temporary_beside(path_of(tmp_path / "cut", 1)).write_bytes(b"cut off in the middle of writing")
+        run_parts(plan(), tmp_path / "cut", lambda done: None, dying)
+    temporary_beside(part_path(tmp_path / "cut", 1)).write_bytes(b"cut off in the middle of writing")
     asked = []
 
     def counting(plan, wanted, say):
         asked.extend(wanted)
-        yield from reversed(list(here(plan, wanted, say)))  # in any order
+        yield from reversed(list(in_process(plan, wanted, say)))  # in any order
 
-    assert rows(run(plan(), tmp_path / "cut", lambda done: None, counting)).equals(whole)
+    assert rows(run_parts(plan(), tmp_path / "cut", lambda done: None, counting)).equals(whole)
     assert asked == [1, 2]
 
 
@@ -76,34 +76,34 @@ def test_a_part_that_cannot_be_written_lets_its_workers_go(tmp_path):
 
     def engine(plan, wanted, say):
         try:
-            yield from here(plan, wanted, say)
+            yield from in_process(plan, wanted, say)
         finally:
             left.append(plan)
 
     (tmp_path / "file").write_text("")
     with pytest.raises(NotADirectoryError) as caught:
-        run(plan(), tmp_path / "file" / "parts", lambda done: None, engine)
+        run_parts(plan(), tmp_path / "file" / "parts", lambda done: None, engine)
     assert left  # at once, while what was raised still holds on to the engine
     del caught
 
 
 def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, monkeypatch):
-    run(plan(8), tmp_path, lambda done: None)
-    before = path_of(tmp_path, 0).read_bytes()
+    run_parts(plan(8), tmp_path, lambda done: None)
+    before = part_path(tmp_path, 0).read_bytes()
     others = [plan(8, seed=6), plan(8, vary=VARY[:1]), plan(8, settle=0.01), plan(8, method="random")]
     wider = dataclasses.replace(AXIS, limits=Limits(stroke=(-0.1, 0.1)))  # which says what has diverged
     others.append(dataclasses.replace(plan(8), axis=wider))
     for other in others:
         with pytest.raises(ParameterError, match="is of another sweep"):
-            run(other, tmp_path, lambda done: None)
-    monkeypatch.setattr("tuning.sweeps.plan.edition", lambda *_: "another edition")
+            run_parts(other, tmp_path, lambda done: None)
+    monkeypatch.setattr("tuning.sweeps.plan.code_digest", lambda *_: "another edition")
     with pytest.raises(ParameterError, match="is of another sweep"):
-        run(plan(8), tmp_path, lambda done: None)
-    assert path_of(tmp_path, 0).read_bytes() == before
+        run_parts(plan(8), tmp_path, lambda done: None)
+    assert part_path(tmp_path, 0).read_bytes() == before
 
 
 def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
-    few, many = (rows(run(plan(n, method="sobol"), tmp_path / str(n), lambda done: None)) for n in (8, 16))
+    few, many = (rows(run_parts(plan(n, method="sobol"), tmp_path / str(n), lambda done: None)) for n in (8, 16))
     assert few.num_rows == 16
     assert few.select(["machine", "plant.mass", "rms_m"]).equals(
         many.slice(0, 16).select(["machine", "plant.mass", "rms_m"])
@@ -162,7 +162,7 @@ GAP = ("friction.coulomb_screw=uniform:20..60", "friction.breakaway_gap=uniform:
 def test_a_machine_that_cannot_be_is_named_before_the_first_one_runs(tmp_path, vary, says):
     asked = plan(vary=vary)
     with pytest.raises(ParameterError, match=rf"machine \d+ cannot be: .*{says}") as told:
-        run(asked, tmp_path, lambda done: None)
+        run_parts(asked, tmp_path, lambda done: None)
     assert not list(tmp_path.iterdir())
     number = int(str(told.value).split("machine ")[1].split()[0])
     with pytest.raises(ParameterError, match="cannot be"):
@@ -172,13 +172,13 @@ def test_a_machine_that_cannot_be_is_named_before_the_first_one_runs(tmp_path, v
 
 
 def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(tmp_path):
-    whole = rows(run(plan(), tmp_path, lambda done: None))
-    path_of(tmp_path, 1).write_bytes(b"cut off")
-    assert missing(plan(), tmp_path) == [1]
-    assert rows(run(plan(), tmp_path, lambda done: None)).equals(whole)
-    path_of(tmp_path, 7).write_bytes(path_of(tmp_path, 2).read_bytes())
+    whole = rows(run_parts(plan(), tmp_path, lambda done: None))
+    part_path(tmp_path, 1).write_bytes(b"cut off")
+    assert missing_parts(plan(), tmp_path) == [1]
+    assert rows(run_parts(plan(), tmp_path, lambda done: None)).equals(whole)
+    part_path(tmp_path, 7).write_bytes(part_path(tmp_path, 2).read_bytes())
     with pytest.raises(ParameterError, match=r"part-000007\.parquet: is of another sweep"):
-        missing(plan(), tmp_path)
+        missing_parts(plan(), tmp_path)
 
 
 def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
@@ -187,7 +187,7 @@ def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
     asked = SweepPlan.of(
         axis, CONTROLLERS, MOTIONS, ("load=uniform:0..10 kN", "load.change=fixed:1 kN"), 5, settle=0.01
     )
-    found = rows(run(asked, tmp_path, lambda done: None)).to_pylist()
+    found = rows(run_parts(asked, tmp_path, lambda done: None)).to_pylist()
     there = MOTIONS["sine"]
     for row in found:
         load = row["load"] + 1e3 * np.clip(there.time, 0.0, 1.0)
@@ -198,7 +198,7 @@ def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
 
 def test_spread_scatters_the_results_around_the_nominal_machine(tmp_path):
     vary = ("plant.mass=lognormal:5%", "friction.coulomb_screw=lognormal:5%", "friction.viscous=lognormal:5%")
-    found = rows(run(plan(128, vary=vary), tmp_path, lambda done: None))
+    found = rows(run_parts(plan(128, vary=vary), tmp_path, lambda done: None))
     pd = found.filter(pc.field("controller") == "PD")["rms_m"].to_numpy()
     nominal = simulate(DRIVE, CONTROLLERS["PD"], MOTIONS["sine"], sampling=AXIS.sampling).rms()
     assert np.median(pd) == pytest.approx(nominal, rel=0.03)

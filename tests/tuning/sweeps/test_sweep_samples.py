@@ -8,8 +8,8 @@ from scipy import stats
 
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.model.presets import paper_drive
-from tuning.sweeps.samples import shares
-from tuning.sweeps.varied import FARTHEST, parse_varied
+from tuning.sweeps.samples import unit_samples
+from tuning.sweeps.varied import MAX_SIGMAS, parse_varied
 
 DRIVE = paper_drive()
 SHARE = (np.arange(20_000) + 0.5) / 20_000
@@ -55,7 +55,7 @@ def test_a_distribution_is_the_one_that_was_written(text, how, low, middle, high
 def test_a_normal_quantity_ends_where_it_must():
     values = parse_varied("friction.coulomb_screw=normal:10..10 N", DRIVE).of(SHARE)
     assert np.min(values) >= 0.0
-    assert stats.kstest(values, stats.truncnorm(-1.0, FARTHEST, 10.0, 10.0).cdf).statistic < 1e-3
+    assert stats.kstest(values, stats.truncnorm(-1.0, MAX_SIGMAS, 10.0, 10.0).cdf).statistic < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_normal_offset_or_factor_ends_where_the_quantity_must(text, value, mos
 
 def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
     values = parse_varied("plant.mass=normal:1 kg", DRIVE).of(SHARE)
-    assert np.max(np.abs(values)) < FARTHEST
+    assert np.max(np.abs(values)) < MAX_SIGMAS
     assert stats.kstest(values, "norm").statistic < 1e-3
 
 
@@ -110,21 +110,21 @@ def test_what_cannot_vary_so_is_said(text, says):
 @pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
 @given(seed=st.integers(0, 2**31), part=st.integers(0, 50))
 def test_a_part_is_the_same_wherever_it_is_drawn(method, seed, part):
-    one, again = (shares(method, 3, seed, part, 16) for _ in range(2))
+    one, again = (unit_samples(method, 3, seed, part, 16) for _ in range(2))
     assert np.array_equal(one, again)
     assert np.all((one >= 0.0) & (one <= 1.0))
-    assert not np.array_equal(one, shares(method, 3, seed, part + 1, 16))
-    assert not np.array_equal(one, shares(method, 3, seed + 1, part, 16))
+    assert not np.array_equal(one, unit_samples(method, 3, seed, part + 1, 16))
+    assert not np.array_equal(one, unit_samples(method, 3, seed + 1, part, 16))
 
 
 def test_sobol_points_go_on_from_part_to_part():
-    parts = np.concatenate([shares("sobol", 4, 7, part, 64) for part in range(4)])
-    assert np.array_equal(parts, shares("sobol", 4, 7, 0, 256))
+    parts = np.concatenate([unit_samples("sobol", 4, 7, part, 64) for part in range(4)])
+    assert np.array_equal(parts, unit_samples("sobol", 4, 7, 0, 256))
     assert np.sort(np.floor(256 * parts[:, 2])) == pytest.approx(np.arange(256))  # one point in each slice
 
 
 def test_a_latin_hypercube_has_one_sample_in_each_slice_of_each_quantity():
-    found = shares("latin-hypercube", 3, 1, 5, 32)
+    found = unit_samples("latin-hypercube", 3, 1, 5, 32)
     for k in range(3):
         assert np.sort(np.floor(32 * found[:, k])) == pytest.approx(np.arange(32))
 
@@ -132,16 +132,16 @@ def test_a_latin_hypercube_has_one_sample_in_each_slice_of_each_quantity():
 @pytest.mark.parametrize("bad", [("halton", 16), ("sobol", 12), ("random", 0)])
 def test_other_methods_and_sizes_are_refused(bad):
     with pytest.raises(ParameterError, match="samples"):
-        shares(bad[0], 2, 0, 0, bad[1])
+        unit_samples(bad[0], 2, 0, 0, bad[1])
 
 
 @pytest.mark.parametrize("count", [1, 200, 600, 1000])
 def test_a_hypercube_hits_each_stratum_once_however_many_are_asked_for(count):
-    drawn = shares("latin-hypercube", 3, 5, 1, 1024, count)
+    drawn = unit_samples("latin-hypercube", 3, 5, 1, 1024, count)
     for column in drawn.T:
         assert sorted(np.floor(count * column).astype(int)) == list(range(count))
 
 
 @pytest.mark.parametrize("method", ["sobol", "random"])
 def test_of_other_points_they_are_the_first_ones(method):
-    np.testing.assert_array_equal(shares(method, 3, 5, 1, 1024, 200), shares(method, 3, 5, 1, 1024)[:200])
+    np.testing.assert_array_equal(unit_samples(method, 3, 5, 1, 1024, 200), unit_samples(method, 3, 5, 1, 1024)[:200])

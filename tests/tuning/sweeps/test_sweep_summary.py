@@ -7,9 +7,9 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tuning.sweeps.samples import shares
+from tuning.sweeps.samples import unit_samples
 from tuning.sweeps.sensitivity import influences, influences_on_event
-from tuning.sweeps.summary import Group, compared, exceedance, first_to_diverge, quantile, worst
+from tuning.sweeps.summary import Group, compare, exceedance, first_to_diverge, quantile, worst
 
 
 def group(errors, diverged=(), controller="one"):
@@ -70,13 +70,13 @@ def test_the_interval_of_a_probability_holds_it_as_often_as_it_says():
 def test_two_controllers_are_compared_machine_by_machine():
     one = group([1e-6, 2e-6, 9e-6, 1e-6], diverged={3})
     other = group([2e-6, 4e-6, 3e-6, 1e-6], diverged={3}, controller="other")
-    told = compared(one, other)
+    told = compare(one, other)
     assert told.better.value == 0.5  # of two that diverged neither is better
     assert told.ratio == 0.5
 
 
 def test_all_diverged_have_no_ratio():
-    assert np.isnan(compared(group([1.0], diverged={0}), group([1.0])).ratio)
+    assert np.isnan(compare(group([1.0], diverged={0}), group([1.0])).ratio)
 
 
 def test_the_shares_of_an_additive_error_are_those_of_its_terms():
@@ -96,7 +96,7 @@ def test_what_has_no_influence_is_given_none_however_the_machines_were_drawn(met
     """Fourteen quantities, of which three matter; noise beside them, as a scale makes it."""
     inert, sums = [], []
     for seed in range(12):
-        values = shares(method, 14, seed, 0, machines)
+        values = unit_samples(method, 14, seed, 0, machines)
         noise = 0.05 * np.random.default_rng(seed).standard_normal(machines)
         error = np.exp(2.0 * values[:, 0] - values[:, 1] + 0.7 * np.abs(values[:, 2] - 0.5) + noise)
         names = [str(k) for k in range(14)]
@@ -160,7 +160,7 @@ def test_the_interval_of_a_share_is_that_of_random_machines_and_wide_for_evenly_
     true, names = weight**2 / np.sum(weight**2), [str(k) for k in range(14)]
     off, wide = [], []
     for seed in range(40):
-        drawn = shares(method, 14, seed, 0, 1024)
+        drawn = unit_samples(method, 14, seed, 0, 1024)
         normal = scipy.stats.norm.ppf(np.clip(drawn, 1e-9, 1.0 - 1e-9))
         told = {one.name: one for one in influences(names, drawn, np.exp(0.1 * normal @ weight), seed)}
         off.append([told[name].share - true[k] for k, name in enumerate(names[:3])])

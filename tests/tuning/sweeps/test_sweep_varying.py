@@ -9,12 +9,14 @@ from hypothesis.extra import numpy as hnp
 
 from diffdrive.errors import DiffdriveError, ParameterError
 from experiments.studies.demo import PAPER_DRIVE
-from tuning.sweeps.samples import correlated, root_of, shares
-from tuning.sweeps.varying import tolerance_of, varying
+from tuning.sweeps.samples import correlate, correlation_root, unit_samples
+from tuning.sweeps.varying import tolerance_of, varied_texts
 
 
 def test_a_spread_is_of_all_parameters_that_are_not_varied_already():
-    texts, none = varying(PAPER_DRIVE, ["plant.mass=normal:2 kg", "friction.viscous.positive=lognormal:1%"], "3%", None)
+    texts, none = varied_texts(
+        PAPER_DRIVE, ["plant.mass=normal:2 kg", "friction.viscous.positive=lognormal:1%"], "3%", None
+    )
     names = [text.partition("=")[0] for text in texts]
     assert len(set(names)) == len(names)
     assert "friction.coulomb_screw" in names
@@ -26,10 +28,10 @@ def test_a_spread_is_of_all_parameters_that_are_not_varied_already():
 
 
 def test_without_anything_else_parameters_vary_a_little():
-    texts, _ = varying(PAPER_DRIVE, [], None, None)
+    texts, _ = varied_texts(PAPER_DRIVE, [], None, None)
     assert all(text.endswith("lognormal:2%") for text in texts)
-    assert varying(PAPER_DRIVE, ["load=uniform:0..5 kN"], None, None)[0] == ("load=uniform:0..5 kN",)
-    assert varying(PAPER_DRIVE, [], "0.05", None)[0][0].endswith("lognormal:5%")
+    assert varied_texts(PAPER_DRIVE, ["load=uniform:0..5 kN"], None, None)[0] == ("load=uniform:0..5 kN",)
+    assert varied_texts(PAPER_DRIVE, [], "0.05", None)[0][0].endswith("lognormal:5%")
 
 
 def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
@@ -38,12 +40,12 @@ def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
         '[vary]\n"plant.mass" = "lognormal:101 kg..0.4%"\n"plant.constant_force" = "normal:3 N..0.5 N"\n'
         '[correlation."plant.mass"]\n"plant.constant_force" = -0.9\n'
     )
-    texts, together = varying(PAPER_DRIVE, [], None, path)
+    texts, together = varied_texts(PAPER_DRIVE, [], None, path)
     assert texts == ("plant.mass=lognormal:101 kg..0.4%", "plant.constant_force=normal:3 N..0.5 N")
     assert together == {"plant.mass": {"plant.constant_force": -0.9}}
     # what is given for itself goes before it, and hangs on nothing
     own = "plant.constant_force=normal:1 N"
-    texts, together = varying(PAPER_DRIVE, [own], None, path)
+    texts, together = varied_texts(PAPER_DRIVE, [own], None, path)
     assert texts == (own, "plant.mass=lognormal:101 kg..0.4%")
     assert together == {"plant.mass": {}}
 
@@ -55,9 +57,9 @@ def test_one_direction_given_leaves_the_other_as_it_was_identified(tmp_path):
         '"friction.viscous.negative" = "lognormal:1700..4%"\n'
     )
     own = "friction.viscous.positive=lognormal:9%"
-    assert varying(PAPER_DRIVE, [own], None, path)[0] == (own, "friction.viscous.negative=lognormal:1700..4%")
+    assert varied_texts(PAPER_DRIVE, [own], None, path)[0] == (own, "friction.viscous.negative=lognormal:1700..4%")
     both = "friction.viscous=lognormal:9%"
-    assert varying(PAPER_DRIVE, [both], None, path)[0] == (both,)
+    assert varied_texts(PAPER_DRIVE, [both], None, path)[0] == (both,)
 
 
 @pytest.mark.parametrize(
@@ -70,9 +72,9 @@ def test_another_file_is_no_uncertainty(tmp_path, text):
         text, r"is no uncertainty\.toml"
     )
     with pytest.raises(ParameterError, match=rf"odd\.toml: {says}"):
-        varying(PAPER_DRIVE, [], None, path)
+        varied_texts(PAPER_DRIVE, [], None, path)
     with pytest.raises(ParameterError, match="no such file"):
-        varying(PAPER_DRIVE, [], None, tmp_path / "absent.toml")
+        varied_texts(PAPER_DRIVE, [], None, tmp_path / "absent.toml")
 
 
 def test_tolerances_are_lengths_above_zero():
@@ -88,8 +90,8 @@ TOGETHER = {"a": {"b": 0.8, "c": -0.3}, "b": {"c": 0.1}}
 
 @pytest.mark.parametrize("method", ["sobol", "latin-hypercube", "random"])
 def test_quantities_that_hang_together_do_so_and_each_is_uniform_for_itself(method):
-    root = root_of(TOGETHER, ["a", "b", "c"])
-    drawn = correlated(shares(method, 3, 1, 0, 8192), root)
+    root = correlation_root(TOGETHER, ["a", "b", "c"])
+    drawn = correlate(unit_samples(method, 3, 1, 0, 8192), root)
     normal = scipy.stats.norm.ppf(drawn)
     assert np.corrcoef(normal.T) == pytest.approx(np.array([[1, 0.8, -0.3], [0.8, 1, 0.1], [-0.3, 0.1, 1]]), abs=0.03)
     for column in drawn.T:
@@ -97,16 +99,16 @@ def test_quantities_that_hang_together_do_so_and_each_is_uniform_for_itself(meth
 
 
 def test_quantities_that_are_one_are_one():
-    root = root_of({"a": {"b": 1.0}}, ["a", "b"])
-    drawn = correlated(shares("random", 2, 1, 0, 256), root)
+    root = correlation_root({"a": {"b": 1.0}}, ["a", "b"])
+    drawn = correlate(unit_samples("random", 2, 1, 0, 256), root)
     assert drawn[:, 0] == pytest.approx(drawn[:, 1], abs=1e-9)
-    ends = correlated(np.array([[0.0, 0.0], [1.0, 1.0], [0.5, 0.5]]), root)
+    ends = correlate(np.array([[0.0, 0.0], [1.0, 1.0], [0.5, 0.5]]), root)
     assert np.isfinite(ends).all()
     assert ends[2] == pytest.approx([0.5, 0.5])
 
 
 def test_nothing_hangs_together_by_itself():
-    assert root_of({}, ["a"]) is None
+    assert correlation_root({}, ["a"]) is None
 
 
 @given(hnp.arrays(float, (6, 3), elements=st.floats(-1.0, 1.0)), st.floats(1e-9, 1e-2))
@@ -120,7 +122,7 @@ def test_what_hangs_together_but_for_a_little_is_taken_though_its_numbers_were_r
         one: {other: round(float(matrix[i, j]), 3) for j, other in enumerate(names) if j > i}
         for i, one in enumerate(names)
     }
-    root = root_of(rounded, names)
+    root = correlation_root(rounded, names)
     np.testing.assert_allclose(root @ root.T, matrix, atol=0.01)
 
 
@@ -136,4 +138,4 @@ def test_what_hangs_together_but_for_a_little_is_taken_though_its_numbers_were_r
 )
 def test_impossible_correlations_are_refused(bad, says):
     with pytest.raises(ParameterError, match=says):
-        root_of(bad, ["a", "b", "c"])
+        correlation_root(bad, ["a", "b", "c"])

@@ -12,7 +12,7 @@ import pytest
 from diffdrive.errors import ParameterError
 from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps import workers
-from tuning.sweeps.parts import run
+from tuning.sweeps.parts import run_parts
 from tuning.sweeps.spec import SweepSpec
 from tuning.sweeps.workers import on_workers
 
@@ -43,7 +43,7 @@ def listening():
 
 def test_workers_open_no_port_and_a_lost_one_changes_nothing(wanted, tmp_path):
     plan, before, ports, said, killed = wanted.plan(), listening(), set(), [], []
-    alone = rows(run(plan, tmp_path / "alone", lambda done: None))
+    alone = rows(run_parts(plan, tmp_path / "alone", lambda done: None))
 
     def done(count):
         ports.update(listening())
@@ -51,7 +51,7 @@ def test_workers_open_no_port_and_a_lost_one_changes_nothing(wanted, tmp_path):
             killed.append(multiprocessing.active_children()[0].pid)
             os.kill(killed[0], signal.SIGTERM)
 
-    together = rows(run(plan, tmp_path / "together", done, on_workers(wanted, 2), said.append))
+    together = rows(run_parts(plan, tmp_path / "together", done, on_workers(wanted, 2), said.append))
     assert killed
     assert said == ["a worker was killed; the parts that were under way are run again"]
     assert together.equals(alone)
@@ -67,10 +67,10 @@ def test_workers_that_are_killed_again_and_again_are_given_up(wanted, tmp_path, 
         raise workers.BrokenProcessPool
         yield
 
-    monkeypatch.setattr(workers, "_computed", broken)
+    monkeypatch.setattr(workers, "_compute", broken)
     with pytest.raises(ParameterError, match=r"--workers 2: .* give fewer; the parts that were done are kept"):
-        run(wanted.plan(), tmp_path, lambda done: None, on_workers(wanted, 2))
-    assert len(pools) == workers.MOST_LOSSES
+        run_parts(wanted.plan(), tmp_path, lambda done: None, on_workers(wanted, 2))
+    assert len(pools) == workers.MAX_LOSSES
 
 
 PROGRAM = """
