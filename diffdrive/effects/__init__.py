@@ -1,4 +1,4 @@
-"""The effects that a nominal drive leaves out (docs/reference/effects.md), and how one of your own joins them."""
+"""The effects that a nominal drive leaves out (docs/reference/effects.md), and `register` for further ones."""
 
 import lazy_loader
 

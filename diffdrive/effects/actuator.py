@@ -18,7 +18,7 @@ class ForceGain(ActuatorEffect):
     gain: Scalar = quantity("1", "force over the force believed, minus one", above=-1.0, default=0.0)
 
     def init(self, force: Scalar) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
@@ -34,7 +34,7 @@ class ForceLimit(ActuatorEffect):
     limit: Scalar = quantity("N", "largest force in either direction", above=0.0, default=float("inf"))
 
     def init(self, force: Scalar) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
@@ -54,19 +54,19 @@ class ActuatorLag(ActuatorEffect):
         return force
 
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
-        """The force follows what is asked for."""
+        """The force follows the request."""
         share = self.time_constant / period
-        there = share > 1e-3
-        fade = jnp.where(there, jnp.exp(-1.0 / jnp.where(there, share, 1.0)), 0.0)
-        apart, gone = state - force, 1.0 - fade
-        tilt = -12.0 * apart * share * (1.0 - (share + 0.5) * gone)
-        return force + apart * fade, Push(force + apart * share * gone, tilt)
+        resolved = share > 1e-3
+        decay = jnp.where(resolved, jnp.exp(-1.0 / jnp.where(resolved, share, 1.0)), 0.0)
+        deviation, decayed = state - force, 1.0 - decay
+        slope = -12.0 * deviation * share * (1.0 - (share + 0.5) * decayed)
+        return force + deviation * decay, Push(force + deviation * share * decayed, slope)
 
 
 class LoopDelay(ActuatorEffect):
-    """Dead time anywhere in the loop; a log does not tell where.
+    """Dead time anywhere in the loop; a log does not show where.
 
-    A diagnosis may find less than none: then it is the drive file that claims too much.
+    A diagnosis may find a negative one: then the drive file's delay is too long.
     """
 
     name: ClassVar[str] = "loop_delay"
@@ -74,14 +74,14 @@ class LoopDelay(ActuatorEffect):
     delay: Scalar = quantity("1", "control periods", at_least=0.0, at_most=float(LONGEST_DELAY), default=0.0)
 
     def init(self, force: Scalar) -> Any:
-        """Forces on their way, the latest first."""
+        """Past forces, the latest first."""
         return (force,) * LONGEST_DELAY
 
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
-        """What arrives over the period: one force, and from somewhere within the period the next."""
+        """The delayed force: one value, and from some instant within the period on the next."""
         forces = (force, *state)
-        late = jnp.clip(self.delay, 0.0, LONGEST_DELAY)
-        shares = [jnp.clip(1.0 - jnp.abs(late - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
+        delay = jnp.clip(self.delay, 0.0, LONGEST_DELAY)
+        shares = [jnp.clip(1.0 - jnp.abs(delay - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
         steps = [shares[k] * shares[k + 1] * (forces[k] - forces[k + 1]) for k in range(LONGEST_DELAY)]
-        mean = sum(share * one for share, one in zip(shares, forces, strict=True))
+        mean = sum(share * past_force for share, past_force in zip(shares, forces, strict=True))
         return forces[:-1], Push(mean, 6.0 * sum(steps))

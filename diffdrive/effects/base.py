@@ -1,10 +1,10 @@
 """Where an effect enters the drive: four interfaces, by place.
 
-    command -> ActuatorEffect -> force -> TableEffect (adds forces, bends friction) -> table -> ScaleEffect -> measured
+    command -> ActuatorEffect -> force -> TableEffect (adds force and friction) -> table -> ScaleEffect -> measured
 
 and `MachineEffect`, which is a drive with other parameters. An effect is a pytree of its parameters, differentiable,
-and changes nothing at its neutral value. What it carries from one control period to the next is its state. The
-simulator steps effects in its loop; the diagnosis steps the same code along a measured trajectory.
+and changes nothing at its defaults. It may have a state from one control period to the next. The simulator steps
+effects in its loop; the diagnosis steps the same code along a measured trajectory.
 """
 
 import abc
@@ -26,16 +26,16 @@ class Seen(NamedTuple):
     force: Scalar  # N, that the actuator applies over the coming period
     friction: Scalar  # N, all that resists the table, viscous damping included
     load: Scalar  # N, on the guides
-    push: Scalar = 0.0  # N, of what else acts on the table, but for the plant's constant force
-    ripple: Any = None  # N, by how much the force differs in each equal part of the period; None: not at all
-    disturbance: Scalar = 0.0  # N, that an observer finds to act as well
+    push: Scalar = 0.0  # N, other forces on the table, without the plant's constant force
+    ripple: Any = None  # [parts] N, difference of the force from its mean in equal parts of the period; None: zero
+    disturbance: Scalar = 0.0  # N, disturbance force that a filter estimates
 
     def external_force(self, drive: Drive) -> Scalar:
-        """All that is known to act on the table beside the actuator and friction (N)."""
+        """The known forces on the table beside the actuator's and friction (N)."""
         return self.push + drive.plant.constant_force
 
     def resultant(self, drive: Drive) -> Scalar:
-        """All that accelerates the table at the beginning of the period (N)."""
+        """The force that accelerates the table at the beginning of the period (N)."""
         return self.force + self.external_force(drive) + self.disturbance - self.friction
 
 
@@ -43,7 +43,7 @@ class Push(NamedTuple):
     """A force over the coming period."""
 
     mean: Scalar  # N
-    slope: Scalar = 0.0  # N, by which a force in a straight line with the same first moment rises from end to end
+    slope: Scalar = 0.0  # N, rise over the period of the linear force with the same first moment
 
 
 class Acts(NamedTuple):
@@ -53,15 +53,15 @@ class Acts(NamedTuple):
     coulomb: Scalar = 0.0  # N, to the Coulomb friction
     gap: Scalar = 0.0  # N, to the gap between breakaway and Coulomb friction
     viscous: Scalar = 0.0  # N s/m, to the viscous friction
-    shift: Scalar = 0.0  # m, by which the force's course within the period carries the table further than its mean
+    shift: Scalar = 0.0  # m, of the table beyond that by the mean force, since the force varies within the period
 
     def plus(self, other: "Acts") -> "Acts":
-        """Both."""
+        """The sum of both."""
         return Acts(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 class Envelope(NamedTuple):
-    """Within what a drive is moved, as far as that is known: what is not (None) rules nothing out."""
+    """Bounds of a drive's motion; None where one is unknown, which excludes nothing."""
 
     position: tuple[float, float] | None = None  # m, lowest and highest
     speed: float | None = None  # m/s, highest
@@ -76,16 +76,16 @@ class Envelope(NamedTuple):
 
 
 class Effect(eqx.Module):
-    """One unmodelled effect: `name` is that of the catalogue, `part` the part of the machine that it is told as."""
+    """One unmodelled effect: `name` is that of the catalogue, `part` the part of the machine it belongs to."""
 
     name: ClassVar[str]
     part: ClassVar[str] = "plant"
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
-        """Why no machine can have this effect beside `drive`, or why it cannot be computed; None where it can.
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
+        """Why this effect on `drive` is physically impossible or cannot be computed; None where it is feasible.
 
-        Parameters are each in their range by then; numbers, or arrays over machines. What depends on the motion is
-        judged by the envelope.
+        Called with parameters within their ranges: numbers, or arrays over machines. The motion is known by its
+        `envelope`.
         """
         return None
 
@@ -99,10 +99,10 @@ class MachineEffect(Effect):
 
 
 class Stage(enum.IntEnum):
-    """Where an effect stands between command and force; force passes through them in this order.
+    """Where an effect acts between command and force, in the order of the signal.
 
-    What is limited is the amplifier's command, as `Actuator` has it: behind a lag or a delay only the mean of a period
-    would be.
+    The limit acts on the amplifier's command, as in `Actuator`: after a lag or a delay it could only act on the mean of
+    a period.
     """
 
     SCALED = 0
@@ -112,7 +112,7 @@ class Stage(enum.IntEnum):
 
 
 class ActuatorEffect(Effect):
-    """Between the command and the force, at its `stage` whatever its place in a drive's tuple of effects."""
+    """Between the command and the force, at its `stage`, whatever the order of a drive's effects."""
 
     stage: ClassVar[Stage]
 
@@ -122,19 +122,19 @@ class ActuatorEffect(Effect):
 
     @abc.abstractmethod
     def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
-        """The force over the coming period, of length `period` (s), when `force` (N) is asked for."""
+        """The force over the coming period, of length `period` (s), when `force` (N) is requested."""
 
 
 class StepOrder(enum.IntEnum):
-    """What an effect on the table has to know, in the order in which effects are stepped."""
+    """The order in which effects on the table are stepped, by the inputs that they need."""
 
-    KINEMATIC = 0  # where the table is
-    DYNAMIC = 1  # how it moves within the period, as all forces and the friction of those before drive it
-    TRANSMISSION = 2  # all that pushes the table, which the motor's force reaches only through it
+    KINEMATIC = 0  # position and velocity of the table
+    DYNAMIC = 1  # its motion within the period, under the forces and friction of the effects before
+    TRANSMISSION = 2  # all forces on the table, which the motor's force reaches only through this effect
 
 
 class TableEffect(Effect):
-    """On the table and its friction; it `has_memory` where its state outlasts a tenth of a second."""
+    """On the table and its friction; it `has_memory` if its state lasts longer than a tenth of a second."""
 
     has_memory: ClassVar[bool] = False
     order: ClassVar[StepOrder] = StepOrder.KINEMATIC
@@ -145,21 +145,22 @@ class TableEffect(Effect):
 
     @abc.abstractmethod
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
-        """State after the coming period (s), and what acts over it."""
+        """State after the coming period (s), and the forces over it."""
 
     def substeps(self, period: float) -> int | None:
-        """In how many parts it follows the table through a period, if it does so by an integrator of its own: finer
-        ones of the plant would not make the motion more accurate.
+        """Substeps in a period of its own integrator of the table; None if it has none.
+
+        Finer substeps of the plant would not make the motion more accurate.
         """
         return None
 
     def state_after_travel(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
-        """State after a period over which the table is known to travel so far (m)."""
+        """State after a period over which the table travels a known distance (m)."""
         return self.step(state, seen, drive, period)[0]
 
 
 class TableForce(TableEffect):
-    """A force on the table that depends on nothing but where the table is, how it moves, and when."""
+    """A force on the table without a state: a function of time and of the table's motion."""
 
     @abc.abstractmethod
     def push(self, seen: Seen) -> Scalar:
@@ -177,4 +178,4 @@ class ScaleEffect(Effect):
 
     @abc.abstractmethod
     def error(self, position: Scalar) -> Scalar:
-        """How far the scale is off (m) where the table is at `position` (m)."""
+        """The error of the scale (m) where the table is at `position` (m)."""

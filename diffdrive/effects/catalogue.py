@@ -1,4 +1,4 @@
-"""The effects by name, where in the machine each belongs, and how one of your own joins them."""
+"""The effects by name and by part of the machine, and `register` for further ones."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -31,7 +31,9 @@ EFFECTS_BY_PART: dict[str, tuple[type[Effect], ...]] = {
     "actuator": (Cogging, ForceGain, ActuatorLag, LoopDelay, ForceLimit),
     "sensor": (LeadError, InterpolationError),
 }
-EFFECTS: dict[str, type[Effect]] = {effect.name: effect for place in EFFECTS_BY_PART.values() for effect in place}
+EFFECTS: dict[str, type[Effect]] = {
+    effect.name: effect for part_effects in EFFECTS_BY_PART.values() for effect in part_effects
+}
 """Every known effect by its name in a drive file."""
 
 
@@ -73,11 +75,11 @@ def register(effect: type[EffectType]) -> type[EffectType]:
             raise ParameterError(f"effect {name}: declare {field.name} with its unit and meaning, as by `amplitude`")
         if field.default is dataclasses.MISSING:
             raise ParameterError(f"effect {name}: {field.name} needs a default; with all of them it does nothing")
-    known = EFFECTS.get(name)
-    if known is not None and known.__module__.startswith("diffdrive."):
+    previous = EFFECTS.get(name)
+    if previous is not None and previous.__module__.startswith("diffdrive."):
         raise ParameterError(f"effect {name}: the catalogue has one of this name; choose another")
     for part, effects in EFFECTS_BY_PART.items():
-        EFFECTS_BY_PART[part] = tuple(one for one in effects if one is not known)
+        EFFECTS_BY_PART[part] = tuple(member for member in effects if member is not previous)
     EFFECTS_BY_PART[effect.part] = (*EFFECTS_BY_PART[effect.part], effect)
     EFFECTS.pop(name, None)
     EFFECTS[name] = effect
@@ -87,4 +89,4 @@ def register(effect: type[EffectType]) -> type[EffectType]:
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Effects in the catalogue's order: drive files know no other."""
     names = list(EFFECTS)
-    return tuple(sorted(effects, key=lambda one: names.index(one.name)))
+    return tuple(sorted(effects, key=lambda effect: names.index(effect.name)))

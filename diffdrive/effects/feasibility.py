@@ -1,4 +1,4 @@
-"""Whether a machine with these effects can be, and be computed: found before it runs, and the effect named."""
+"""Whether a machine with these effects is physically possible and can be computed, checked before it runs."""
 
 from typing import Any
 
@@ -13,14 +13,14 @@ from diffdrive.motion.motion import Limits
 
 
 def motion_envelope(position: np.ndarray, velocity: np.ndarray, load: np.ndarray, period: float) -> Envelope:
-    """Within what a motion (m, m/s, [n] each) under a load (N) moves a drive, sampled each `period` (s)."""
-    ends = float(np.min(position)), float(np.max(position))
+    """The envelope of a motion (m, m/s, [n] each) under a load (N, [n]), sampled each `period` (s)."""
+    position_range = float(np.min(position)), float(np.max(position))
     speed, lowest = float(np.max(np.abs(velocity))), float(np.min(load))
-    return Envelope(ends, speed, lowest, period * (len(position) - 1), period)
+    return Envelope(position_range, speed, lowest, period * (len(position) - 1), period)
 
 
 def limits_envelope(limits: Limits, sampling: Sampling) -> Envelope:
-    """Within what any motion that keeps the limits of an axis moves it."""
+    """The envelope of all motions within the limits of an axis."""
     return Envelope(
         position=limits.stroke if np.all(np.isfinite(limits.stroke)) else None,
         speed=limits.speed if np.isfinite(limits.speed) else None,
@@ -28,10 +28,10 @@ def limits_envelope(limits: Limits, sampling: Sampling) -> Envelope:
     )
 
 
-def require_feasible(drive: Drive, within: Envelope) -> None:
-    """Raise `ParameterError` that names the effect which no machine can have, or with which none can be computed.
+def require_feasible(drive: Drive, envelope: Envelope) -> None:
+    """Raise `ParameterError` naming the effect that is physically impossible or cannot be computed.
 
-    Each parameter is in its range by then (`check_drive`). Traced values cannot be looked at and are passed over.
+    Call `check_drive` first. Traced values are skipped.
     """
     if not drive.effects or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(drive)):
         return
@@ -41,36 +41,36 @@ def require_feasible(drive: Drive, within: Envelope) -> None:
             if not isinstance(effect, MachineEffect):
                 continue
             machine = effect.alter(machine)
-            if problem := _broken(machine, within.load):
+            if problem := _infeasibility(machine, envelope.load):
                 raise ParameterError(f"effects.{effect.name}: with it {problem}")
         machine = stages.with_machine_effects(drive, drive.effects)
         for effect in drive.effects:
-            if problem := effect.problem(machine, within):
+            if problem := effect.problem(machine, envelope):
                 raise ParameterError(f"effects.{effect.name}: {problem}")
 
 
-def _broken(drive: Drive, load: float) -> str | None:
-    """What a machine cannot be, in words; friction under `load` (N) on the guides."""
+def _infeasibility(drive: Drive, load: float) -> str | None:
+    """Why no machine has these parameters under `load` (N) on the guides; None where one may."""
     plant, friction = drive.plant, drive.friction
     if not np.all(np.asarray(plant.mass) > 0.0):
-        return f"the moving mass is {_worst(plant.mass):g} kg: it must stay above 0"
+        return f"the moving mass is {_lowest(plant.mass):g} kg: it must stay above 0"
     for side in ("positive", "negative"):
         guide = getattr(friction.load_coefficient, side) * (friction.initial_load + load)
         level = getattr(friction.coulomb_screw, side) + guide
         if not np.all(np.asarray(level) > 0.0):
-            return f"the Coulomb friction in the {side} direction is {_worst(level):g} N: it must stay above 0"
+            return f"the Coulomb friction in the {side} direction is {_lowest(level):g} N: it must stay above 0"
         breakaway = level + getattr(friction.breakaway_gap, side)
         if not np.all(np.asarray(breakaway) > 0.0):
-            return f"the breakaway friction in the {side} direction is {_worst(breakaway):g} N: it must stay above 0"
+            return f"the breakaway friction in the {side} direction is {_lowest(breakaway):g} N: it must stay above 0"
         drag = getattr(friction.viscous, side) + getattr(plant.damping, side)
         if not np.all(np.asarray(drag) >= 0.0):
             return (
-                f"viscous friction and damping in the {side} direction are {_worst(drag):g} N s/m: they must not drive "
-                "the table"
+                f"viscous friction and damping in the {side} direction are {_lowest(drag):g} N s/m: they must not "
+                "drive the table"
             )
     finite = jax.tree.map(lambda leaf: bool(np.all(np.isfinite(leaf))), (plant, friction))
     return None if all(jax.tree.leaves(finite)) else "plant or friction are beyond all numbers"
 
 
-def _worst(values: Any) -> float:
+def _lowest(values: Any) -> float:
     return float(np.min(values))

@@ -11,7 +11,7 @@ from diffdrive.model.friction import friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.numerics.trigonometry import MAX_TURNS, cosine_sine, double_angle, triple_angle
 
-EDGE_TIME = 5e-3  # s, over which a process force sets in and ends
+EDGE_TIME = 5e-3  # s, rise and fall time of a process force
 
 
 def midpoint_position(seen: Seen, period: float) -> Scalar:
@@ -20,7 +20,7 @@ def midpoint_position(seen: Seen, period: float) -> Scalar:
 
 
 def end_velocity(seen: Seen, drive: Drive, period: float) -> Scalar:
-    """The table's velocity at the end of the coming period (m/s), were its friction constant."""
+    """The table's velocity at the end of the coming period (m/s) if its friction were constant."""
     return seen.velocity + period * seen.resultant(drive) / drive.plant.mass
 
 
@@ -29,29 +29,29 @@ def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE_TIME) -
     return 0.25 * (1.0 + jnp.tanh(2.0 * (time - start) / edge)) * (1.0 - jnp.tanh(2.0 * (time - end) / edge))
 
 
-def too_stiff(stiffness: Any, drive: Drive, within: Envelope) -> str | None:
-    """Why a force with this gradient (N/m, of either sign) cannot be computed: each period has one force.
+def too_stiff(stiffness: Any, drive: Drive, envelope: Envelope) -> str | None:
+    """Why a force with this gradient (N/m, of either sign) cannot be computed; None where it can.
 
-    With k T^2 / M above 1 it turns the table round within a period T, or doubles its way.
+    Each period T has one force: with k T^2 / M above 1 it reverses the table within a period, or doubles its travel.
     """
-    if within.period is None:
+    if envelope.period is None:
         return None
-    most = np.min(drive.plant.mass) / within.period**2
+    max_stiffness = np.min(drive.plant.mass) / envelope.period**2
     largest = float(np.max(np.abs(stiffness)))
-    if largest <= most:
+    if largest <= max_stiffness:
         return None
     return (
-        f"its force changes by {largest:.3g} N/m along the stroke, more than the {most:.3g} N/m that moving mass and "
-        "control period resolve: check its units"
+        f"its force changes by {largest:.3g} N/m along the stroke, more than the {max_stiffness:.3g} N/m that moving "
+        "mass and control period resolve: check its units"
     )
 
 
-def too_many_turns(turns: Any, what: str) -> str | None:
-    """Why a wave of so many turns cannot be computed: its phase is lost in rounding."""
+def too_many_turns(turns: Any, noun: str) -> str | None:
+    """Why a wave of so many turns cannot be computed, its phase being lost in rounding; None where it can."""
     largest = float(np.max(np.abs(turns)))
     if largest <= MAX_TURNS:
         return None
-    return f"{what} is {largest:.3g} of its waves, of which {MAX_TURNS:g} can be told apart: check its units"
+    return f"{noun} is {largest:.3g} of its waves, of which {MAX_TURNS:g} can be told apart: check its units"
 
 
 class ConstantForce(TableEffect):
@@ -61,7 +61,7 @@ class ConstantForce(TableEffect):
     force: Scalar = quantity("N", "constant force on the table", default=0.0)
 
     def init(self) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
@@ -76,12 +76,12 @@ class PositionSpring(TableEffect):
     stiffness: Scalar = quantity("N/m", "force per displacement, against it", default=0.0)
     neutral: Scalar = quantity("m", "position without force", default=0.0)
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """A spring that swings faster than the control samples."""
-        return too_stiff(self.stiffness, drive, within)
+        return too_stiff(self.stiffness, drive, envelope)
 
     def init(self) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
@@ -101,7 +101,7 @@ class Cogging(TableEffect):
     cosine6: Scalar = quantity("N", "amplitude of the cosine of the sixth harmonic", default=0.0)
     sine6: Scalar = quantity("N", "amplitude of the sine of the sixth harmonic", default=0.0)
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """A ripple so short that its phase is rounding, or so steep that a period of control steps over it."""
         first, second, sixth = (
             np.hypot(self.cosine, self.sine),
@@ -111,13 +111,13 @@ class Cogging(TableEffect):
         height = first + 2.0 * second + 6.0 * sixth
         if not np.any(height > 0.0):
             return None
-        turns = within.farthest / np.asarray(self.period)
+        turns = envelope.farthest / np.asarray(self.period)
         return too_many_turns(turns, "the way from 0 to the end of the stroke") or too_stiff(
-            2.0 * np.pi * height / np.asarray(self.period), drive, within
+            2.0 * np.pi * height / np.asarray(self.period), drive, envelope
         )
 
     def init(self) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
@@ -142,18 +142,21 @@ class ProcessForce(TableEffect):
     start: Scalar = quantity("s", "when it sets in", default=0.0)
     end: Scalar = quantity("s", "when it ends", default=1e9)
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """A vibration that one force in each control period cannot show."""
-        if not any(np.any(np.asarray(one) != 0.0) for one in (self.cosine, self.sine, self.cosine2, self.sine2)):
+        if not any(
+            np.any(np.asarray(amplitude) != 0.0) for amplitude in (self.cosine, self.sine, self.cosine2, self.sine2)
+        ):
             return None
-        if within.period is not None and np.any(np.asarray(self.frequency) * within.period >= 0.5):
-            most = 0.5 / within.period
-            return f"its {np.max(self.frequency):g} Hz are beyond half of the control rate, {most:g} Hz: lower them"
-        turns = np.asarray(self.frequency) * (within.duration or 0.0)
+        if envelope.period is not None and np.any(np.asarray(self.frequency) * envelope.period >= 0.5):
+            max_frequency = 0.5 / envelope.period
+            frequency = np.max(self.frequency)
+            return f"its {frequency:g} Hz are beyond half of the control rate, {max_frequency:g} Hz: lower them"
+        turns = np.asarray(self.frequency) * (envelope.duration or 0.0)
         return too_many_turns(turns, "the motion's duration")
 
     def init(self) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
@@ -187,10 +190,10 @@ class FrameVibration(TableEffect):
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
         """The force of inertia seen from the base."""
         # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
-        rising = seen.resultant(drive) + self.ratio * (seen.force - seen.friction)
-        halfway = seen.velocity + 0.5 * period * rising / drive.plant.mass
+        net_force = seen.resultant(drive) + self.ratio * (seen.force - seen.friction)
+        midpoint_velocity = seen.velocity + 0.5 * period * net_force / drive.plant.mass
         friction = friction_under_load(drive.friction, seen.load)
-        resisting = midpoint_friction(friction, drive.plant.damping, halfway, seen.bristle, period)[0]
-        push = -self.ratio * (seen.force - resisting) / drive.plant.mass
-        ahead = discretise(2.0 * jnp.pi * self.frequency, self.damping, period).step(state, push)
-        return ahead, Acts(force=-drive.plant.mass * (ahead.rate - state.rate) / period)
+        resistance = midpoint_friction(friction, drive.plant.damping, midpoint_velocity, seen.bristle, period)[0]
+        push = -self.ratio * (seen.force - resistance) / drive.plant.mass
+        next_state = discretise(2.0 * jnp.pi * self.frequency, self.damping, period).step(state, push)
+        return next_state, Acts(force=-drive.plant.mass * (next_state.rate - state.rate) / period)

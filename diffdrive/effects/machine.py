@@ -1,4 +1,4 @@
-"""Effects that leave the equations as they are: other masses, other friction, other directions."""
+"""Effects that change parameters, not equations: mass, friction, asymmetry of friction."""
 
 import dataclasses
 from typing import Any, ClassVar
@@ -15,8 +15,8 @@ def _scaled(pair: Directional, logarithm: Scalar) -> Directional:
     return Directional(pair.positive * factor, pair.negative * factor)
 
 
-def _raised(pair: Directional, by: Scalar) -> Directional:
-    return Directional(pair.positive + by, pair.negative + by)
+def _shifted(pair: Directional, offset: Scalar) -> Directional:
+    return Directional(pair.positive + offset, pair.negative + offset)
 
 
 class PayloadMass(MachineEffect):
@@ -48,9 +48,9 @@ class FrictionShape(MachineEffect, TableEffect):
     viscous: Scalar = quantity("N*s/m", "more viscous friction, in both directions", default=0.0)
     curvature: Scalar = quantity("N*s^2/m^2", "growth of the viscous coefficient with speed", default=0.0)
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """Viscous friction that drives the table at the highest speed."""
-        fastest = within.speed or 0.0
+        fastest = envelope.speed or 0.0
         for side in ("positive", "negative"):
             drag = getattr(drive.friction.viscous, side) + getattr(drive.plant.damping, side) + self.curvature * fastest
             if not np.all(np.asarray(drag) >= 0.0):
@@ -61,7 +61,7 @@ class FrictionShape(MachineEffect, TableEffect):
         return None
 
     def alter(self, drive: Drive) -> Drive:
-        """The drive with its curve bent."""
+        """The drive with the other Stribeck curve."""
         friction = drive.friction
         exponent = friction.stribeck_exponent
         if self.stribeck_exponent is not None:
@@ -71,15 +71,15 @@ class FrictionShape(MachineEffect, TableEffect):
             friction=dataclasses.replace(
                 friction,
                 stribeck_exponent=exponent,
-                coulomb_screw=_raised(friction.coulomb_screw, self.coulomb),
+                coulomb_screw=_shifted(friction.coulomb_screw, self.coulomb),
                 stribeck_velocity=_scaled(friction.stribeck_velocity, self.stribeck_velocity),
                 breakaway_gap=_scaled(friction.breakaway_gap, self.breakaway_gap),
-                viscous=_raised(friction.viscous, self.viscous),
+                viscous=_shifted(friction.viscous, self.viscous),
             ),
         )
 
     def init(self) -> Any:
-        """Nothing is carried."""
+        """No state."""
         return ()
 
     def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:

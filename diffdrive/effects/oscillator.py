@@ -25,28 +25,28 @@ class Oscillator(NamedTuple):
 
 
 class DiscreteOscillator(NamedTuple):
-    """What a step of one oscillator needs, computed once for many steps."""
+    """The exact discretisation of an oscillator, computed once for many steps."""
 
-    cosine: Scalar  # both faded
+    cosine: Scalar  # both times the decay over the step
     sine: Scalar  # over its angular frequency, s
     decay_rate: Scalar  # 1/s
-    square: Scalar  # of the undamped angular frequency, 1/s^2
-    softness: Scalar  # its inverse
+    frequency_squared: Scalar  # of the undamped angular frequency, 1/s^2
+    compliance: Scalar  # its inverse
 
     def step(self, state: Oscillator, push: Scalar) -> Oscillator:
         """The state one step later under a constant `push` (m/s^2)."""
-        rest = push * self.softness
-        from_rest = state.deflection - rest
+        equilibrium = push * self.compliance
+        deviation = state.deflection - equilibrium
         return Oscillator(
-            rest + self.cosine * from_rest + self.sine * (state.rate + self.decay_rate * from_rest),
-            self.cosine * state.rate - self.sine * (self.decay_rate * state.rate + self.square * from_rest),
+            equilibrium + self.cosine * deviation + self.sine * (state.rate + self.decay_rate * deviation),
+            self.cosine * state.rate - self.sine * (self.decay_rate * state.rate + self.frequency_squared * deviation),
         )
 
 
 def discretise(angular: Scalar, damping: Scalar, time: Scalar) -> DiscreteOscillator:
-    """Steps of `time` (s); `angular` in rad/s, damping ratio below 1."""
+    """The discretisation with steps of `time` (s); `angular` frequency in rad/s, `damping` ratio below 1."""
     ratio = jnp.minimum(damping, 0.999)
-    turning, rate = angular * jnp.sqrt(1.0 - ratio**2), ratio * angular
-    cosine, sine = cosine_sine(turning * time)
-    fade = exp_neg(rate * time)
-    return DiscreteOscillator(fade * cosine, fade * sine / turning, rate, angular**2, 1.0 / angular**2)
+    damped, decay_rate = angular * jnp.sqrt(1.0 - ratio**2), ratio * angular
+    cosine, sine = cosine_sine(damped * time)
+    decay = exp_neg(decay_rate * time)
+    return DiscreteOscillator(decay * cosine, decay * sine / damped, decay_rate, angular**2, 1.0 / angular**2)

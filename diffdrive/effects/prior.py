@@ -1,4 +1,4 @@
-"""Parameters of an effect with what an engineer would expect them to be: what the diagnosis needs besides the range."""
+"""Parameters of an effect with their prior distribution, which the diagnosis needs."""
 
 from typing import Any, NamedTuple
 
@@ -8,11 +8,11 @@ from diffdrive.model.parameters import quantity
 
 
 class Prior(NamedTuple):
-    """What is expected of a parameter before any log is seen.
+    """The prior distribution of a parameter.
 
-    An `amplitude` is normal about zero, with `usual` for its standard deviation, and the effect is gone at zero. Any
-    other is positive, and normal in its logarithm about that of `usual`, with `spread` for the standard deviation:
-    0.7 is a factor of two. One of the `session` differs from log to log, as phases and times do.
+    An `amplitude` is normal about zero with standard deviation `usual`, and the effect vanishes at zero. Any other is
+    positive and log-normal about `usual`, with standard deviation `spread` of the logarithm: 0.7 is a factor of two.
+    A parameter of the `session` differs from log to log, as phases and times do.
     """
 
     usual: float
@@ -31,7 +31,7 @@ def amplitude(unit: str, meaning: str, *, usual: float, session: bool = False) -
         session: Whether it differs from log to log.
 
     """
-    return _with(quantity(unit, meaning, default=0.0), Prior(usual, amplitude=True, session=session))
+    return _with_prior(quantity(unit, meaning, default=0.0), Prior(usual, amplitude=True, session=session))
 
 
 def positive(unit: str, meaning: str, *, usual: float, spread: float = 0.7, session: bool = False) -> Any:
@@ -45,8 +45,8 @@ def positive(unit: str, meaning: str, *, usual: float, spread: float = 0.7, sess
         session: Whether it differs from log to log.
 
     """
-    return _with(quantity(unit, meaning, above=0.0, default=usual), Prior(usual, spread, session=session))
+    return _with_prior(quantity(unit, meaning, above=0.0, default=usual), Prior(usual, spread, session=session))
 
 
-def _with(field: Any, prior: Prior) -> Any:
+def _with_prior(field: Any, prior: Prior) -> Any:
     return eqx.field(default=field.default, metadata=dict(field.metadata) | {"prior": prior})

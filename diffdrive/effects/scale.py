@@ -11,11 +11,11 @@ from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.numerics.trigonometry import cosine_sine, double_angle
 
 
-def _backwards(linear: Any, height: Any, period: Any, within: Envelope) -> str | None:
-    """Why a scale with a wave of this height (m) cannot be: what it shows must rise where the table moves on."""
+def _counts_backwards(linear: Any, height: Any, period: Any, envelope: Envelope) -> str | None:
+    """Why a scale with a wave of this height (m) is impossible: its reading must increase with the position."""
     if not np.any(height > 0.0) and np.all(1.0 + np.asarray(linear) > 0.0):
         return None
-    if problem := too_many_turns(within.farthest / np.asarray(period), "the way from 0 to the end of the stroke"):
+    if problem := too_many_turns(envelope.farthest / np.asarray(period), "the way from 0 to the end of the stroke"):
         return problem
     slope = 1.0 + np.asarray(linear) - 2.0 * np.pi * height / np.asarray(period)
     if np.all(slope > 0.0):
@@ -35,9 +35,9 @@ class LeadError(ScaleEffect):
     sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)
     linear: Scalar = quantity("1", "error per travel", default=0.0)
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """A scale that counts backwards."""
-        return _backwards(self.linear, np.hypot(self.cosine, self.sine), self.lead, within)
+        return _counts_backwards(self.linear, np.hypot(self.cosine, self.sine), self.lead, envelope)
 
     def error(self, position: Scalar) -> Scalar:
         """The pitch error."""
@@ -55,10 +55,10 @@ class InterpolationError(ScaleEffect):
     cosine2: Scalar = quantity("m", "amplitude of the cosine of the second harmonic", default=0.0)
     sine2: Scalar = quantity("m", "amplitude of the sine of the second harmonic", default=0.0)
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """A scale that counts backwards."""
         height = np.hypot(self.cosine, self.sine) + 2.0 * np.hypot(self.cosine2, self.sine2)
-        return _backwards(0.0, height, self.period, within)
+        return _counts_backwards(0.0, height, self.period, envelope)
 
     def error(self, position: Scalar) -> Scalar:
         """The error within a signal period."""

@@ -1,4 +1,4 @@
-"""A drive's effects at work: each stage of the control step, with whatever of them belongs there."""
+"""The stages of the control step at which a drive's effects act."""
 
 import dataclasses
 import functools
@@ -25,7 +25,7 @@ Effects = tuple[Effect, ...]
 
 
 def with_machine_effects(drive: Drive, effects: Effects) -> Drive:
-    """The drive with the effects that are other parameters."""
+    """The drive with its machine effects applied to its parameters."""
     for effect in effects:
         if isinstance(effect, MachineEffect):
             drive = effect.alter(drive)
@@ -33,11 +33,11 @@ def with_machine_effects(drive: Drive, effects: Effects) -> Drive:
 
 
 def initial_states(effects: Effects, force: Scalar) -> tuple[Any, ...]:
-    """The state of every effect at rest, the actuator's after a long time at `force` (N)."""
-    return tuple(_begin(effect, force) for effect in effects)
+    """The state of every effect at rest, those of the actuator after a long time at `force` (N)."""
+    return tuple(_initial_state(effect, force) for effect in effects)
 
 
-def _begin(effect: Effect, force: Scalar) -> Any:
+def _initial_state(effect: Effect, force: Scalar) -> Any:
     if isinstance(effect, ActuatorEffect):
         return effect.init(force)
     return effect.init() if isinstance(effect, TableEffect) else ()
@@ -46,19 +46,19 @@ def _begin(effect: Effect, force: Scalar) -> Any:
 def actuator_output(
     effects: Effects, states: tuple[Any, ...], force: Scalar, period: float
 ) -> tuple[tuple[Any, ...], Push]:
-    """What comes out of the actuator when `force` (N) is asked of it."""
-    ahead, push = list(states), Push(force)
+    """The states and the force of the actuator over a `period` (s) in which `force` (N) is requested."""
+    next_states, push = list(states), Push(force)
     chain = [(effect.stage, k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
-    for _, k, effect in sorted(chain, key=lambda one: one[:2]):
-        ahead[k], own = effect.step(states[k], push.mean, period)
-        push = Push(own.mean, push.slope + own.slope)
-    return tuple(ahead), push
+    for _, k, effect in sorted(chain, key=lambda entry: entry[:2]):
+        next_states[k], output = effect.step(states[k], push.mean, period)
+        push = Push(output.mean, push.slope + output.slope)
+    return tuple(next_states), push
 
 
 def force_limit(drive: Drive) -> Scalar | None:
-    """The largest command that is not cut off (N): the drive's own limit, or an effect's where that is less.
+    """The largest command that is not limited (N): the smaller of the drive's and the effects' limits; None without.
 
-    An effect limits the force that a `ForceGain` has scaled, the drive its command.
+    An effect limits the force after a `ForceGain`, the drive its command.
     """
     gain = functools.reduce(
         lambda gain, effect: gain * jnp.abs(1.0 + effect.gain),
@@ -72,73 +72,70 @@ def force_limit(drive: Drive) -> Scalar | None:
 
 
 def plant_substeps(effects: Effects, sampling: Sampling) -> int:
-    """Substeps of the plant: as many as were asked for; by default no more than an effect takes that integrates the
-    table itself.
-    """
-    own = [effect.substeps(sampling.period) for effect in effects if isinstance(effect, TableEffect)]
-    least = min((count for count in own if count is not None), default=sampling.plant_steps)
-    return sampling.plant_steps if sampling.substeps else min(least, sampling.plant_steps)
+    """Substeps of the plant in a period: those of `sampling`, by default no more than an effect's integrator has."""
+    required = [effect.substeps(sampling.period) for effect in effects if isinstance(effect, TableEffect)]
+    fewest = min((count for count in required if count is not None), default=sampling.plant_steps)
+    return sampling.plant_steps if sampling.substeps else min(fewest, sampling.plant_steps)
 
 
-def slope_displacement(drive: Drive, tilt: Scalar, period: float) -> Scalar:
-    """How much further (m) a force of this tilt carries the table in a period than its mean."""
-    return -tilt * period**2 / (12.0 * drive.plant.mass)
+def slope_displacement(drive: Drive, slope: Scalar, period: float) -> Scalar:
+    """The displacement (m) in a period under a force of this slope beyond that under its mean."""
+    return -slope * period**2 / (12.0 * drive.plant.mass)
 
 
 def table_action(
     effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
 ) -> tuple[tuple[Any, ...], Acts]:
-    """What acts on the table and its friction over the coming period."""
+    """The states after the coming period, and what the effects add to force and friction over it."""
     return table_action_in_order(effects, states, seen, drive, period)[:2]
 
 
 def table_action_in_order(
     effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
 ) -> tuple[tuple[Any, ...], Acts, tuple[Seen, Drive]]:
-    """`table_action`, and the table and the drive as an effect that comes after all of these sees them.
+    """`table_action`, and the inputs (table, drive) of an effect that is stepped after all of these.
 
-    What an effect is to know of the others, those of an earlier `StepOrder` tell it: what they push, and how they bend
-    the friction.
+    An effect's inputs contain the forces and the friction of those with an earlier `StepOrder`.
     """
-    ahead, total, before = list(states), Acts(), (seen, drive)
-    for place in StepOrder:
-        mine = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.order == place]
-        for k in mine:
-            ahead[k], acts = effects[k].step(states[k], *before, period)
+    next_states, total, inputs = list(states), Acts(), (seen, drive)
+    for order in StepOrder:
+        members = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.order == order]
+        for k in members:
+            next_states[k], acts = effects[k].step(states[k], *inputs, period)
             total = total.plus(acts)
-        if mine:
+        if members:
             machine = with_friction_offset(drive, total)
             friction = resistance(machine, seen.velocity, seen.bristle, seen.load)
-            before = (seen._replace(push=seen.push + total.force, friction=friction), machine)
-    return tuple(ahead), total, before
+            inputs = (seen._replace(push=seen.push + total.force, friction=friction), machine)
+    return tuple(next_states), total, inputs
 
 
 def scale_error(effects: Effects, position: Scalar) -> Scalar:
-    """How far the scale is off (m)."""
+    """The error of the scale (m) where the table is at `position` (m)."""
     errors = [effect.error(position) for effect in effects if isinstance(effect, ScaleEffect)]
     return sum(errors[1:], errors[0]) if errors else 0.0 * position
 
 
 def with_friction_offset(drive: Drive, acts: Any) -> Drive:
-    """The drive with its friction as `acts` bends it."""
+    """The drive with the friction that the effects add."""
 
-    def more(pair: Directional, by: Scalar) -> Directional:
-        return Directional(pair.positive + by, pair.negative + by)
+    def shifted(pair: Directional, offset: Scalar) -> Directional:
+        return Directional(pair.positive + offset, pair.negative + offset)
 
     friction = drive.friction
     return dataclasses.replace(
         drive,
         friction=dataclasses.replace(
             friction,
-            coulomb_screw=more(friction.coulomb_screw, acts.coulomb),
-            breakaway_gap=more(friction.breakaway_gap, acts.gap),
-            viscous=more(friction.viscous, acts.viscous),
+            coulomb_screw=shifted(friction.coulomb_screw, acts.coulomb),
+            breakaway_gap=shifted(friction.breakaway_gap, acts.gap),
+            viscous=shifted(friction.viscous, acts.viscous),
         ),
     )
 
 
 def resistance(drive: Drive, velocity: Scalar, bristle: Scalar, load: Scalar) -> Scalar:
-    """All that resists the table (N): friction and damping."""
+    """Friction and damping of the table (N)."""
     sliding = friction_force(lugre_coefficients(drive.friction, velocity, bristle, load), velocity, bristle)
     return sliding + drive.plant.damping.towards(velocity) * velocity
 

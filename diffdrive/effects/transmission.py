@@ -1,7 +1,7 @@
 """The motor behind an elastic screw, seen from the table.
 
 With a share s of the moving mass M on the motor's side, and a share r of the friction F on the table's, the screw's
-force S and what else pushes the table (p) move it by
+force S and the other forces on the table (p) move it by
 
     (1 - s) M a = S - r F + p ,   so that the rigid drive M a = u + p - F + f needs
 
@@ -12,7 +12,7 @@ beside the motor's force u. S follows from the motor's deflection q against the 
     q'' = (u - (1 - r) F_m) / (s M) + (r F - p) / ((1 - s) M) - S / (s (1 - s) M) ,
 
 where the motor's friction F_m is LuGre friction of its own, at the motor's velocity. Over a control period both masses
-are followed in short steps, the table from where the drive has it.
+are integrated in short steps, the table from the drive's state.
 """
 
 import abc
@@ -45,7 +45,7 @@ class Screw(NamedTuple):
     table_friction: Scalar
 
     def lost_motion(self, drive: Drive, force: Scalar) -> Scalar:
-        """How far (m) the motor may be off under a force (N) of its own, or held by friction."""
+        """Largest deflection (m) of the motor under its force (N) or under friction."""
         reduced = self.motor_share * (1.0 - self.motor_share) * drive.plant.mass
         stiffness = reduced * (2.0 * jnp.pi * self.frequency) ** 2
         gap = 0.0 if self.gap is None else self.gap
@@ -55,7 +55,7 @@ class Screw(NamedTuple):
 class MotorState(NamedTuple):
     """The motor's deflection against the table, its friction's bristle (m), and both masses' last accelerations.
 
-    The table's is not that of a rigid drive: the screw carries what friction holds.
+    The table's is not that of a rigid drive: friction acts through the screw.
     """
 
     relative: Oscillator
@@ -70,7 +70,7 @@ class MotorState(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """How motor and table answer, over a period, a change of one number at its beginning, per unit of it."""
+    """Derivatives of the result of a period by one number at its beginning."""
 
     deflection: Scalar  # m, of the motor against the table, at the period's end
     rate: Scalar  # m/s, of that
@@ -78,133 +78,145 @@ class Sensitivity(NamedTuple):
     shift: Scalar  # m, as in `Acts`
 
 
-class _Pair(NamedTuple):
-    """Motor and table on their way through a period."""
+class _TwoMass(NamedTuple):
+    """Motor and table between two substeps."""
 
     motor: MotorState
     velocity: Scalar  # m/s, of the table
     bristle: Scalar  # m, of its friction
-    impulse: Scalar  # N s, that the rigid drive needs beside the motor's force
-    travel: Scalar  # N s^2, what that carries the table
+    impulse: Scalar  # N s, of the force that the rigid drive needs beside the motor's
+    impulse_integral: Scalar  # N s^2, integral of the impulse
 
     def acts(self, mass: Scalar, period: float) -> tuple[Scalar, Scalar]:
         """Mean force (N) and shift (m) over the period."""
-        return self.impulse / period, (self.travel - 0.5 * period * self.impulse) / mass
+        return self.impulse / period, (self.impulse_integral - 0.5 * period * self.impulse) / mass
 
 
-class _Period(NamedTuple):
+class _Substeps(NamedTuple):
     """One control period in substeps."""
 
-    begin: _Pair
-    substep: Callable[[_Pair, Any], _Pair]
+    initial: _TwoMass
+    substep: Callable[[_TwoMass, Any], _TwoMass]
     count: int
     ripple: Any
-    constant: Scalar  # N, that pushes the table throughout
+    constant: Scalar  # N, on the table throughout
 
-    def end(self, pair: _Pair, drive: Drive, period: float) -> tuple[MotorState, Acts]:
-        """The motor, and what the rigid drive needs."""
-        force, shift = pair.acts(drive.plant.mass, period)
-        return pair.motor, Acts(force=force + self.constant, shift=shift)
+    def end(self, masses: _TwoMass, drive: Drive, period: float) -> tuple[MotorState, Acts]:
+        """The motor, and the force that the rigid drive needs."""
+        force, shift = masses.acts(drive.plant.mass, period)
+        return masses.motor, Acts(force=force + self.constant, shift=shift)
 
 
 def _substeps(period: float) -> int:
     return math.ceil(round(period / LONGEST_SUBSTEP, 6))
 
 
-def _period(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> _Period:
+def _discretised(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> _Substeps:
     mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
     angular, reduced = 2.0 * jnp.pi * screw.frequency, s * (1.0 - s) * mass
-    parts = 1 if seen.ripple is None else len(seen.ripple)
-    count = parts * _substeps(period / parts)
+    ripple_parts = 1 if seen.ripple is None else len(seen.ripple)
+    count = ripple_parts * _substeps(period / ripple_parts)
     h = period / count
-    pushed, friction, damping = (
+    external, friction, damping = (
         seen.external_force(drive),
         friction_under_load(drive.friction, seen.load),
         drive.plant.damping,
     )
     # by products: divisions cost as much as the rest of the balance
-    per_motor, per_share = 1.0 / (s * mass), 1.0 / (1.0 - s)
-    per_table = per_share / mass
+    per_motor, per_table_share = 1.0 / (s * mass), 1.0 / (1.0 - s)
+    per_table = per_table_share / mass
     contact = discretise(angular, screw.damping, h)
 
-    def substep(pair: _Pair, ripple: Any) -> _Pair:
-        (q, bristle, swing, rising), velocity, deflection, impulse, travel = pair
-        middle = velocity + 0.5 * h * rising
-        table, deflection = midpoint_friction(friction, damping, middle, deflection, h)
-        own, bristle = midpoint_friction(friction, damping, middle + q.rate + 0.5 * h * swing, bristle, h)
+    def substep(masses: _TwoMass, ripple: Any) -> _TwoMass:
+        (q, bristle, relative_acceleration, table_acceleration), velocity, deflection, impulse, impulse_integral = (
+            masses
+        )
+        midpoint_velocity = velocity + 0.5 * h * table_acceleration
+        table_friction, deflection = midpoint_friction(friction, damping, midpoint_velocity, deflection, h)
+        motor_friction, bristle = midpoint_friction(
+            friction, damping, midpoint_velocity + q.rate + 0.5 * h * relative_acceleration, bristle, h
+        )
         force = seen.force if ripple is None else seen.force + ripple
-        push = (force - (1.0 - r) * own) * per_motor + (r * table - pushed) * per_table
-        ahead = contact.step(q, push) if screw.gap is None else _loose(contact, 0.5 * screw.gap, q, push, h)
-        push, ahead = once((push, ahead))
-        swing = (ahead.rate - q.rate) * (1.0 / h)
-        pull = reduced * (push - swing)
-        rising = (pull - r * table + pushed) * per_table
-        rising = once(rising)
-        velocity = velocity + h * rising
-        more = (pull - r * table) * per_share + table
-        impulse, travel = impulse + h * more, travel + h * (impulse + 0.5 * h * more)
-        return _Pair(MotorState(ahead, bristle, swing, rising), velocity, deflection, impulse, travel)
+        push = (force - (1.0 - r) * motor_friction) * per_motor + (r * table_friction - external) * per_table
+        next_relative = (
+            contact.step(q, push) if screw.gap is None else _step_with_gap(contact, 0.5 * screw.gap, q, push, h)
+        )
+        push, next_relative = once((push, next_relative))
+        relative_acceleration = (next_relative.rate - q.rate) * (1.0 / h)
+        screw_force = reduced * (push - relative_acceleration)
+        table_acceleration = (screw_force - r * table_friction + external) * per_table
+        table_acceleration = once(table_acceleration)
+        velocity = velocity + h * table_acceleration
+        extra_force = (screw_force - r * table_friction) * per_table_share + table_friction
+        impulse, impulse_integral = impulse + h * extra_force, impulse_integral + h * (impulse + 0.5 * h * extra_force)
+        return _TwoMass(
+            MotorState(next_relative, bristle, relative_acceleration, table_acceleration),
+            velocity,
+            deflection,
+            impulse,
+            impulse_integral,
+        )
 
     zero = jnp.zeros_like(seen.velocity)
-    begin = _Pair(motor, seen.velocity, seen.bristle, zero, zero)
-    ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // parts)
-    return _Period(begin, substep, count, ripple, pushed * per_share - seen.force - pushed)
+    initial = _TwoMass(motor, seen.velocity, seen.bristle, zero, zero)
+    ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // ripple_parts)
+    return _Substeps(initial, substep, count, ripple, external * per_table_share - seen.force - external)
 
 
-def _loose(contact: DiscreteOscillator, half: Scalar, q: Oscillator, push: Scalar, h: float) -> Oscillator:
-    """A motor with a dead zone of `half` to either side, a substep later."""
-    midway = q.deflection + 0.5 * h * q.rate
-    inside = jnp.clip(midway, -half, half)
-    # exact where it touches: the dead zone's wall moves the point of rest
-    there = contact.step(Oscillator(q.deflection - inside, q.rate), push)
-    pressed = push - (there.rate - q.rate) * (1.0 / h)
-    # the sides of a gap push, they do not hold on
-    touching = (half <= 0.0) | ((midway - inside) * pressed > 0.0)
+def _step_with_gap(contact: DiscreteOscillator, half: Scalar, q: Oscillator, push: Scalar, h: float) -> Oscillator:
+    """The motor a substep later, with a dead zone of `half` (m) to either side."""
+    midpoint = q.deflection + 0.5 * h * q.rate
+    inside = jnp.clip(midpoint, -half, half)
+    # exact in contact: the dead zone's edge shifts the equilibrium
+    contact_state = contact.step(Oscillator(q.deflection - inside, q.rate), push)
+    contact_force = push - (contact_state.rate - q.rate) * (1.0 / h)
+    # the sides of a gap push, they do not pull
+    touching = (half <= 0.0) | ((midpoint - inside) * contact_force > 0.0)
     free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
-    deflected = jnp.where(touching, there.deflection + inside, free.deflection)
-    return Oscillator(deflected, jnp.where(touching, there.rate, free.rate))
+    deflected = jnp.where(touching, contact_state.deflection + inside, free.deflection)
+    return Oscillator(deflected, jnp.where(touching, contact_state.rate, free.rate))
 
 
 def step_screw(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> tuple[MotorState, Acts]:
     """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
-    way = _period(screw, motor, seen, drive, period)
+    substeps = _discretised(screw, motor, seen, drive, period)
 
-    def body(pair: _Pair, ripple: Any) -> tuple[_Pair, None]:
-        return once(way.substep(pair, ripple)), None
+    def body(masses: _TwoMass, ripple: Any) -> tuple[_TwoMass, None]:
+        return once(substeps.substep(masses, ripple)), None
 
-    return way.end(lax.scan(body, way.begin, way.ripple, length=way.count)[0], drive, period)
+    return substeps.end(lax.scan(body, substeps.initial, substeps.ripple, length=substeps.count)[0], drive, period)
 
 
 def step_screw_with_sensitivities(
     screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float
 ) -> tuple[MotorState, Acts, tuple[Sensitivity, ...]]:
-    """`step_screw`, and its answers to the table's velocity and bristle and to the motor's deflection and its rate.
+    """`step_screw`, and its sensitivities to the table's velocity and bristle, the motor's deflection and its rate.
 
-    All are carried through one loop; the derivative of the loop would run it anew for each.
+    One loop carries all of them; the derivative of the loop would run it anew for each.
     """
-    way = _period(screw, motor, seen, drive, period)
+    substeps = _discretised(screw, motor, seen, drive, period)
 
     def body(carry: Any, ripple: Any) -> tuple[Any, None]:
-        pair, tangents = carry
-        pair, slope = jax.linearize(lambda one: way.substep(one, ripple), pair)
-        return once((pair, tuple(slope(one) for one in tangents))), None
+        masses, tangents = carry
+        masses, slope = jax.linearize(lambda one: substeps.substep(one, ripple), masses)
+        return once((masses, tuple(slope(one) for one in tangents))), None
 
-    nothing = jax.tree.map(jnp.zeros_like, way.begin)
+    zeros = jax.tree.map(jnp.zeros_like, substeps.initial)
     one = jnp.ones_like(seen.velocity)
-    still, rest = nothing.motor, nothing.motor.relative
+    motor_zeros, relative_zeros = zeros.motor, zeros.motor.relative
     tangents = (
-        nothing._replace(velocity=one),
-        nothing._replace(bristle=one),
-        nothing._replace(motor=still._replace(relative=rest._replace(deflection=one))),
-        nothing._replace(motor=still._replace(relative=rest._replace(rate=one))),
+        zeros._replace(velocity=one),
+        zeros._replace(bristle=one),
+        zeros._replace(motor=motor_zeros._replace(relative=relative_zeros._replace(deflection=one))),
+        zeros._replace(motor=motor_zeros._replace(relative=relative_zeros._replace(rate=one))),
     )
-    (pair, tangents), _ = lax.scan(body, (way.begin, tangents), way.ripple, length=way.count)
-    answers = tuple(Sensitivity(*one.motor.relative, *one.acts(drive.plant.mass, period)) for one in tangents)
-    return (*way.end(pair, drive, period), answers)
+    (masses, tangents), _ = lax.scan(body, (substeps.initial, tangents), substeps.ripple, length=substeps.count)
+    sensitivities = tuple(Sensitivity(*one.motor.relative, *one.acts(drive.plant.mass, period)) for one in tangents)
+    return (*substeps.end(masses, drive, period), sensitivities)
 
 
 class Transmission(TableEffect):
-    """Between motor and table: the motor's force reaches the table through it."""
+    """Between motor and table, where it transmits the motor's force."""
 
     order: ClassVar[StepOrder] = StepOrder.TRANSMISSION
 
@@ -213,15 +225,15 @@ class Transmission(TableEffect):
     def screw(self) -> Screw:
         """What connects them."""
 
-    def problem(self, drive: Drive, within: Envelope) -> str | None:
-        """A screw that swings so often in a substep that its phase is rounding."""
-        if within.period is None:
+    def problem(self, drive: Drive, envelope: Envelope) -> str | None:
+        """A resonance of so many turns in a substep that its phase is lost in rounding."""
+        if envelope.period is None:
             return None
-        substep = within.period / _substeps(within.period)
+        substep = envelope.period / _substeps(envelope.period)
         return too_many_turns(np.asarray(self.screw.frequency) * substep, "a substep")
 
     def substeps(self, period: float) -> int:
-        """Those of motor and table."""
+        """Substeps of motor and table."""
         return _substeps(period)
 
     def init(self) -> Any:
@@ -235,12 +247,12 @@ class Transmission(TableEffect):
     def step_with_sensitivities(
         self, state: Any, seen: Seen, drive: Drive, period: float
     ) -> tuple[Any, Acts, tuple[Sensitivity, ...]]:
-        """`step`, and its answers to the table's velocity and bristle, and to the motor's deflection and its rate."""
+        """`step`, and its sensitivities to the table's velocity and bristle, the motor's deflection and its rate."""
         return step_screw_with_sensitivities(self.screw, state, seen, drive, period)
 
 
 class Compliance(Transmission):
-    """An elastic screw: motor and table swing against one another. Neutral: an infinite frequency."""
+    """An elastic screw: motor and table oscillate against each other. Neutral: an infinite frequency."""
 
     name: ClassVar[str] = "compliance"
     frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
@@ -270,5 +282,5 @@ class Backlash(Transmission):
 
     @property
     def screw(self) -> Screw:
-        """With one."""
+        """With its dead zone."""
         return Screw(self.gap, self.frequency, self.damping, self.motor_share, self.table_friction)
