@@ -1,7 +1,8 @@
 import os
-import shutil
-import tempfile
+from pathlib import Path
 
+import jax
+import platformdirs
 import pytest
 from hypothesis import settings
 
@@ -9,23 +10,22 @@ from diffdrive.runtime import configure
 
 configure()
 
-COMPILED = "JAX_COMPILATION_CACHE_DIR"
+KEPT = {
+    "jax_compilation_cache_dir": str(Path(platformdirs.user_cache_dir("diffdrive", appauthor=False)) / "tests"),
+    "jax_compilation_cache_max_size": 2**29,  # bytes; what was used longest ago gives way
+    "jax_persistent_cache_min_compile_time_secs": 0.1,
+}
 
 
-def pytest_configure(config):
-    """What one process of the tests has compiled, the others need not: most of the tests' time is compilation."""
-    import jax
+def pytest_configure():
+    """What one process or one run of the tests has compiled, the others need not: it is half of the tests' time.
 
-    if COMPILED not in os.environ:
-        os.environ[COMPILED] = config.compiled = tempfile.mkdtemp(prefix="diffdrive-tests-")
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
-    jax.config.update("jax_compilation_cache_dir", os.environ[COMPILED])
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-
-
-def pytest_unconfigure(config):
-    if hasattr(config, "compiled"):
-        shutil.rmtree(config.compiled, ignore_errors=True)
+    jax recognises programs by content, version, flags and processor. `JAX_ENABLE_COMPILATION_CACHE=0` keeps nothing.
+    """
+    for option, value in KEPT.items():
+        if option.upper() not in os.environ:
+            os.environ[option.upper()] = str(value)  # for the other processes
+            jax.config.update(option, value)
 
 
 # the first example of a test pays for compilation: no deadline
