@@ -39,8 +39,8 @@ def _cells(line: str, dialect: Dialect) -> list[str] | None:
     """The cells of a header line; a row of units may begin with a word more, which says that it is one."""
     cells = header_cells(line, dialect)
     if cells is None:
-        label, _, rest = line.partition(None if dialect.delimiter == " " else dialect.delimiter)
-        cells = header_cells(rest, dialect) if label.strip('[](): "').casefold() in _LABELS else None
+        label, *rest = line.split(None if dialect.delimiter == " " else dialect.delimiter, 1) or [""]
+        cells = header_cells(rest[0] if rest else "", dialect) if label.strip('[](): "').casefold() in _LABELS else None
     return cells
 
 

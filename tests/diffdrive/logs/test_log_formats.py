@@ -60,6 +60,8 @@ DIALECTS = {
     "decimal comma, quoted": NAMES + "\n" + '"' + rows('","', ",", end='"\n"').removesuffix('"'),
     "white space": NAMES.replace(",", "   ") + "\n" + rows("   "),
     "white space, units": "time [s]  reference [m] position [m] command [N]\n" + rows(" "),
+    "white space, preamble": "A log of axis X\n\n" + NAMES.replace(",", " ") + "\n" + rows(" "),
+    "white space, unit row": NAMES.replace(",", " ") + "\nunits ms mm um kN\n" + rows(" ", columns=in_units()),
     "indented": "  " + NAMES.replace(",", " ") + "\n" + "  " + rows("  ", end="\n  "),
     "quoted header": '"time","reference","position","command"\n' + rows(),
     "comments": "# a log\n# of 4 columns\n" + NAMES + "\n" + rows().replace("\n", "\n# noise\n", 3),
