@@ -140,7 +140,7 @@ def test_an_elastic_screw_is_fitted_from_where_a_loose_one_ended_and_not_the_oth
     truth = {"frequency": 313.0, "damping": 0.03, "motor_share": 0.36, "table_friction": 0.61}
     fitter = fitter_of(
         Compliance(**truth), seed=3
-    )  # some other noise ends in another minimum (docs/reference/limits.md)
+    )  # some other noise ends in another minimum (docs/history/diagnosis.md)
     base = recalibrated(fitter, TOLERANCE)
     known = {one.name: one for one in catalogue(fitter, base)}
     astray = {"gap": 8e-7, "frequency": 330.0, "damping": 0.05, "motor_share": 0.3, "table_friction": 0.7}
@@ -278,7 +278,7 @@ def test_a_backlash_is_found_where_no_gradient_leads():
     first = found.fits[0]
     assert [member.candidate.name for member in first.model.members] == ["backlash"]
     values = first.model.values(first.u)[0]
-    # to a tenth, as docs/reference/limits.md says: the truth is likelier by hundreds yet, in a funnel that the search
+    # to a tenth, as docs/history/diagnosis.md says: the truth is likelier by hundreds yet, in a funnel that the search
     # missed
     assert values["gap"][0] == pytest.approx(PLAY["gap"], rel=0.1)
     assert values["motor_share"][0] == pytest.approx(PLAY["motor_share"], rel=0.1)
