@@ -26,30 +26,28 @@ from tuning.gains.plan import reversal
 from tuning.gains.tune import STARTS
 
 
-def sensitivities(description: Axis) -> list[tuple[str, float]]:
+def sensitivities(axis: Axis) -> list[tuple[str, float]]:
     """d(RMS tracking error) / d(log parameter), um per doubling / ln 2, for every parameter of drive and controller."""
-    motion = reversal(0.010, description.sampling.rate, 0.6)
+    motion = reversal(0.010, axis.sampling.rate, 0.6)
     inputs = loop_inputs(motion, np.linspace(0.0, 5_000.0, len(motion.time)))
-    models = as_arrays(smooth((description.drive, description.controller)))
+    models = as_arrays(smooth((axis.drive, axis.controller)))
 
     @eqx.filter_jit
     def gradient(models: Any) -> Any:
         def rms(models: Any) -> Any:
             drive, controller = models
-            return metrics.rms(
-                inputs.reference.position - rollout(drive, controller, inputs, description.sampling).position
-            )
+            return metrics.rms(inputs.reference.position - rollout(drive, controller, inputs, axis.sampling).position)
 
         return jax.grad(rms)(models)
 
     slopes = gradient(models)
-    found = []
+    results = []
     for part, name in ((0, "machine"), (1, "controller")):
         for (path, _, value), (_, _, slope) in zip(quantities(models[part]), quantities(slopes[part]), strict=True):
-            for side, number, s in _directions(value, slope):
+            for side, number, slope_value in _directions(value, slope):
                 if number is not None and float(number) != 0:
-                    found.append((f"{name}: {path}{side}", 1e6 * float(number) * float(s)))
-    return sorted(found, key=lambda item: -abs(item[1]))
+                    results.append((f"{name}: {path}{side}", 1e6 * float(number) * float(slope_value)))
+    return sorted(results, key=lambda item: -abs(item[1]))
 
 
 def _directions(value: Any, slope: Any) -> list[tuple[str, Any, Any]]:
@@ -63,11 +61,11 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
     if emps_folder is not None and not (emps_folder / emps.FILES["estimation"]).is_file():
         raise ParameterError(f"--emps {emps_folder}: no {emps.FILES['estimation']} in it")
     with Report("diffdrive: the paper's drive, and a real axis", out) as report:
-        description = read_axis(PAPER_DRIVE)
-        _simulate(report, description)
-        _differentiate(report, description)
+        axis = read_axis(PAPER_DRIVE)
+        _simulate(report, axis)
+        _differentiate(report, axis)
         report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN, within stability margins.")
-        tune_drive(description, report, starts=1 if quick else STARTS)
+        tune_drive(axis, report, starts=1 if quick else STARTS)
         folder = emps_folder or emps.find_folder()
         if folder is None:
             report.say(
@@ -79,13 +77,13 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
     return report
 
 
-def _simulate(report: Report, description: Axis) -> None:
+def _simulate(report: Report, axis: Axis) -> None:
     with report.working("simulating six controllers on the paper's drive"):
-        runs = table_1(description.drive, paper.canonical())
+        runs = table_1(axis.drive, paper.canonical())
     rows = []
     for name, run in runs.items():
-        theirs = paper.TABLE_1.get(name, (None, None))
-        rows.append([name, *theirs, 1e6 * run.peak(*paper.AFTER_LOAD), 1e6 * run.rms(*paper.AFTER_LOAD)])
+        published = paper.TABLE_1.get(name, (None, None))
+        rows.append([name, *published, 1e6 * run.peak(*paper.AFTER_LOAD), 1e6 * run.rms(*paper.AFTER_LOAD)])
     report.table(
         "table_1",
         ("controller", "paper peak", "paper RMS", "peak", "RMS"),
@@ -94,10 +92,10 @@ def _simulate(report: Report, description: Axis) -> None:
     )
 
 
-def _differentiate(report: Report, description: Axis) -> None:
-    assert isinstance(description.controller, FrictionCompensation)
+def _differentiate(report: Report, axis: Axis) -> None:
+    assert isinstance(axis.controller, FrictionCompensation)
     with report.working("differentiating the closed loop with respect to every parameter"):
-        slopes = sensitivities(description)
+        slopes = sensitivities(axis)
     report.table(
         "sensitivities",
         ("parameter", "um per 100 %"),

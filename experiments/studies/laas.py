@@ -1,7 +1,7 @@
 """A motor with strong cogging (LAAS, anti-cogging on and off) as if it drove a screw, so that it reads as an axis.
 
-A proportional velocity loop runs it at one turn a second; half of each log has the compensation. The command is what
-that loop asks for. The compensation adds to it, and so is part of the machine: with it the machine hardly cogs.
+A proportional velocity loop runs it at one turn a second; half of each log has the compensation. The command is
+the output of that loop. The compensation adds to it, and so is part of the machine, which hardly cogs with it.
 """
 
 from pathlib import Path
@@ -35,18 +35,18 @@ def find_folder() -> Path | None:
 
 def read(path: Path) -> dict[str, Log]:
     """The parts of one log without and with compensation ("off", "on"), on a uniform clock."""
-    time, angle, velocity, wanted, _, active = np.loadtxt(path, delimiter=",", skiprows=1).T
-    asked = GAIN * (wanted - velocity)
+    time, angle, velocity, velocity_reference, _, active = np.loadtxt(path, delimiter=",", skiprows=1).T
+    command = GAIN * (velocity_reference - velocity)
     switched = int(np.flatnonzero(np.diff(active))[0]) + 1
-    found = {}
+    logs = {}
     for part in (slice(0, switched), slice(switched, len(time))):
         clock = np.arange(time[part][0] + SETTLING_TIME, time[part][-1], 1.0 / RATE)
         # over a period, the mean of a current that runs from sample to sample
-        current = np.interp(clock + 0.5 / RATE - CURRENT_DELAY, time[part], asked[part])
+        current = np.interp(clock + 0.5 / RATE - CURRENT_DELAY, time[part], command[part])
         position = METRES_PER_RAD * np.interp(clock, time[part], angle[part])
         name = "on" if active[part.start] == ACTIVE_FLAGS[path.name] else "off"
-        found[name] = Log(f"{path.stem}, {name}", clock - clock[0], position, NEWTONS_PER_AMPERE * current)
-    return found
+        logs[name] = Log(f"{path.stem}, {name}", clock - clock[0], position, NEWTONS_PER_AMPERE * current)
+    return logs
 
 
 def nominal_drive(folder: Path) -> Drive:
@@ -70,7 +70,7 @@ def nominal_drive(folder: Path) -> Drive:
 
 def _least_squares(logs: list[Log]) -> Any:
     """Mass (kg), Coulomb friction (N) and viscous friction (N s/m) beside a cogging of each log."""
-    passes = signal.butter(4, BANDWIDTH, fs=RATE, output="sos")
+    lowpass = signal.butter(4, BANDWIDTH, fs=RATE, output="sos")
     columns, forces = [], []
     for number, log in enumerate(logs):
         velocity = np.gradient(log.position, 1.0 / RATE)
@@ -79,8 +79,8 @@ def _least_squares(logs: list[Log]) -> Any:
         waves[:, 2 * number * len(COGGING_ORDERS) : 2 * (number + 1) * len(COGGING_ORDERS)] = np.c_[
             np.cos(turns), np.sin(turns)
         ]
-        smooth = signal.sosfiltfilt(passes, velocity)
+        smooth = signal.sosfiltfilt(lowpass, velocity)
         basis = np.c_[np.gradient(smooth, 1.0 / RATE), np.sign(smooth), velocity, waves]
-        columns.append(signal.sosfiltfilt(passes, basis, axis=0))
-        forces.append(signal.sosfiltfilt(passes, log.command))
+        columns.append(signal.sosfiltfilt(lowpass, basis, axis=0))
+        forces.append(signal.sosfiltfilt(lowpass, log.command))
     return np.linalg.lstsq(np.concatenate(columns), np.concatenate(forces), rcond=None)[0][:3]

@@ -2,10 +2,10 @@
 
 EMPS: the drive is identified from the estimation file, one of its terms is then left out, and the diagnosis is given
 the rest as the nominal drive. What it finds is judged on the pulse file, session parameters registered on that file's
-first seconds. Then the identified drive as it is: what does it lack?
+first seconds. Then the identified drive unchanged: which effects does it lack?
 
 LAAS: a motor with strong cogging, the compensation of which is off for half of each log and on for the other half: is
-the same cogging found in both from the current that the velocity loop asks for?
+the same cogging found in both from the current command of the velocity loop?
 """
 
 import dataclasses
@@ -33,8 +33,8 @@ from tuning.store.folder import FolderStore
 PARTS = "real-axes.parts"  # finished searches, from which the same command continues
 PUBLISHED_TOLERANCE = 0.02  # tolerance of a published model's parameters
 IDENTIFIED_TOLERANCE = 0.005  # of a drive that was identified from the same log
-GUESSED_TOLERANCE = 0.2  # of one whose friction below sliding nobody knows
-GAIN_FACTOR = 1.2  # of the force that the command is said to be
+GUESSED_TOLERANCE = 0.2  # of one whose presliding friction is unknown
+GAIN_FACTOR = 1.2  # of the logged command over the true one
 ZERO = Directional(0.0, 0.0)
 UNCHANGED = "none"  # the term that is withheld from the identified drive as it is
 PUBLISHED_ERROR = 5.982  # %, of the benchmark's own model on the pulse file
@@ -52,71 +52,79 @@ class WithheldTerm(NamedTuple):
 
 
 def _mean(pair: Directional) -> Directional:
-    middle = 0.5 * (pair.positive + pair.negative)
-    return Directional(middle, middle)
+    mean = 0.5 * (pair.positive + pair.negative)
+    return Directional(mean, mean)
 
 
 def _symmetric(drive: Drive) -> Drive:
-    """Both directions alike; what the Coulomb friction differs by is a constant force, the rest is left out."""
+    """The drive with equal directions; the difference of the Coulomb friction becomes a constant force."""
     plant, friction = drive.plant, drive.friction
-    tilt = 0.5 * (friction.coulomb_screw.negative - friction.coulomb_screw.positive)
+    offset = 0.5 * (friction.coulomb_screw.negative - friction.coulomb_screw.positive)
     pairs = {name: _mean(getattr(friction, name)) for name in ("coulomb_screw", "breakaway_gap", "viscous")}
     return dataclasses.replace(
         drive,
-        plant=dataclasses.replace(plant, constant_force=plant.constant_force + tilt, damping=_mean(plant.damping)),
+        plant=dataclasses.replace(plant, constant_force=plant.constant_force + offset, damping=_mean(plant.damping)),
         friction=dataclasses.replace(friction, **pairs),
     )
 
 
 def withheld_terms(drive: Drive) -> dict[str, WithheldTerm]:
     """What is withheld, one at a time: from the benchmark's own model its terms, from the identified drive the rest."""
-    published, actuator, even = emps.reference_drive(), drive.actuator, _symmetric(drive)
-    slippery = dataclasses.replace(published.friction, coulomb_screw=ZERO)
-    inviscid = dataclasses.replace(published.friction, viscous=ZERO)
-    level = dataclasses.replace(published.plant, constant_force=0.0)
-    tilted = dataclasses.replace(even.plant, constant_force=drive.plant.constant_force)
-    late = Actuator(actuator.force_limit, actuator.limit_rounding, actuator.delay_samples + 1, actuator.delay_fraction)
-    shape, tilt = ("friction_shape",), ("constant_force", "friction_asymmetry")
+    published, actuator, symmetric = emps.reference_drive(), drive.actuator, _symmetric(drive)
+    without_coulomb = dataclasses.replace(published.friction, coulomb_screw=ZERO)
+    without_viscous = dataclasses.replace(published.friction, viscous=ZERO)
+    without_offset = dataclasses.replace(published.plant, constant_force=0.0)
+    offset_plant = dataclasses.replace(symmetric.plant, constant_force=drive.plant.constant_force)
+    delayed = Actuator(
+        actuator.force_limit, actuator.limit_rounding, actuator.delay_samples + 1, actuator.delay_fraction
+    )
+    shape, offset = ("friction_shape",), ("constant_force", "friction_asymmetry")
     return {
         "nothing": WithheldTerm(
             published, published, ("cogging",), PUBLISHED_TOLERANCE
         ),  # what the others are to be held against
         "coulomb": WithheldTerm(
-            published, dataclasses.replace(published, friction=slippery), shape, PUBLISHED_TOLERANCE
+            published, dataclasses.replace(published, friction=without_coulomb), shape, PUBLISHED_TOLERANCE
         ),
         "viscous": WithheldTerm(
-            published, dataclasses.replace(published, friction=inviscid), shape, PUBLISHED_TOLERANCE
+            published, dataclasses.replace(published, friction=without_viscous), shape, PUBLISHED_TOLERANCE
         ),
-        "offset": WithheldTerm(published, dataclasses.replace(published, plant=level), tilt, PUBLISHED_TOLERANCE),
-        "delay": WithheldTerm(drive, dataclasses.replace(drive, actuator=late), ("loop_delay",), IDENTIFIED_TOLERANCE),
+        "offset": WithheldTerm(
+            published, dataclasses.replace(published, plant=without_offset), offset, PUBLISHED_TOLERANCE
+        ),
+        "delay": WithheldTerm(
+            drive, dataclasses.replace(drive, actuator=delayed), ("loop_delay",), IDENTIFIED_TOLERANCE
+        ),
         "gain": WithheldTerm(drive, drive, ("force_gain",), IDENTIFIED_TOLERANCE, GAIN_FACTOR),
-        "asymmetry": WithheldTerm(drive, dataclasses.replace(even, plant=tilted), tilt[::-1], IDENTIFIED_TOLERANCE),
+        "asymmetry": WithheldTerm(
+            drive, dataclasses.replace(symmetric, plant=offset_plant), offset[::-1], IDENTIFIED_TOLERANCE
+        ),
     }
 
 
-def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = ()) -> None:
+def real_axes(report: Report, which: str = "all", terms: Sequence[str] = ()) -> None:
     """Every part for which the data are there; `which` is "emps", "laas" or "all".
 
-    `wanted_terms` are those of `withheld_terms` that are withheld from EMPS, or `UNCHANGED`; all by default. Raises
+    `terms` are those of `withheld_terms` that are withheld from EMPS, or `UNCHANGED`; all by default. Raises
     `ParameterError` where there are no data, and for an axis or a term that is not known.
     """
     parts: dict[str, tuple[Path | None, Callable[[Report, Path], None]]] = {
-        "emps": (emps.find_folder(), lambda report, folder: _emps(report, folder, wanted_terms)),
+        "emps": (emps.find_folder(), lambda report, folder: _emps(report, folder, terms)),
         "laas": (laas.find_folder(), _laas),
     }
     if which != "all" and which not in parts:
         raise ParameterError(f"--axis {which}: no such axis; known: all, {', '.join(parts)}")
-    if wanted_terms and which != "emps":
+    if terms and which != "emps":
         raise ParameterError("--term is of the EMPS axis: give --axis emps beside it")
     known = [*withheld_terms(emps.reference_drive()), UNCHANGED]
-    for term in wanted_terms:
+    for term in terms:
         if term not in known:
             raise ParameterError(f"--term {term}: no such term; known: {', '.join(known)}")
-    wanted = {name: part for name, part in parts.items() if which in ("all", name)}
-    there = {name: part for name, part in wanted.items() if part[0] is not None}
-    if not there:
-        raise ParameterError(f"no data of {', '.join(wanted)} in shared/data beside this folder or the checkout")
-    for name, (folder, study) in wanted.items():
+    selected = {name: part for name, part in parts.items() if which in ("all", name)}
+    available = {name: part for name, part in selected.items() if part[0] is not None}
+    if not available:
+        raise ParameterError(f"no data of {', '.join(selected)} in shared/data beside this folder or the checkout")
+    for name, (folder, study) in selected.items():
         if folder is None:
             report.say(f"{name}: left out, its data are not there")
         else:
@@ -125,22 +133,24 @@ def real_axes(report: Report, which: str = "all", wanted_terms: Sequence[str] = 
         parts.remove()
 
 
-def _diagnose(report: Report, drive: Drive, controller: Controller, log: Log, most: int, tolerance: float) -> Diagnosis:
+def _diagnose(
+    report: Report, drive: Drive, controller: Controller, log: Log, max_effects: int, tolerance: float
+) -> Diagnosis:
     parts = FolderStore.within(report.out, PARTS)
     with report.stages() as progress:
         return diagnose(
-            drive, controller, [log], tolerance=tolerance, most_effects=most, store=parts, progress=progress
+            drive, controller, [log], tolerance=tolerance, most_effects=max_effects, store=parts, progress=progress
         )
 
 
-def _emps(report: Report, folder: Path, wanted_terms: Sequence[str]) -> None:
+def _emps(report: Report, folder: Path, terms: Sequence[str]) -> None:
     records = emps.read_all(folder)
     drive = identify_axis(report, records, store=FolderStore.within(report.out, PARTS)).drive
     controller = emps.controller(records["estimation"])
-    cases = {term: case for term, case in withheld_terms(drive).items() if term in wanted_terms or not wanted_terms}
+    cases = {term: case for term, case in withheld_terms(drive).items() if term in terms or not terms}
     if cases:
         _emps_withheld(report, records, cases, controller)
-    if UNCHANGED in wanted_terms or not wanted_terms:
+    if UNCHANGED in terms or not terms:
         _emps_unchanged(report, records, drive, controller)
 
 
@@ -150,7 +160,7 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTe
     try:
         for term, case in cases.items():
             rows.append(_withheld_row(report, records, term, case, controller))
-    finally:  # each row takes minutes: what is there is kept
+    finally:  # each row takes minutes: the finished ones are reported
         report.table(
             "emps_withheld",
             ("withheld", "verdict", "found", "rivals of first", "named", "full model %", "without %", "with it %"),
@@ -162,25 +172,29 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTe
 def _withheld_row(report: Report, records: Records, term: str, case: WithheldTerm, controller: Controller) -> list[Any]:
     estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
     report.say(f"EMPS without its {term}:")
-    found = _diagnose(report, case.nominal, controller, estimation, 2, case.tolerance)
+    diagnosis = _diagnose(report, case.nominal, controller, estimation, 2, case.tolerance)
     real = records["pulses"].log
     full = force_error(registered(case.full, real), real)
     without, added = (
-        force_error(registered(one, pulses), pulses, DYNAMICS, real) for one in (case.nominal, augmented_drive(found))
+        force_error(registered(drive, pulses), pulses, DYNAMICS, real)
+        for drive in (case.nominal, augmented_drive(diagnosis))
     )
-    causes = [one for one in found.verdict.beliefs if one.found]
-    effects, rivals = [one.effect for one in causes], [name for one in causes[:1] for name in one.alternatives]
+    causes = [belief for belief in diagnosis.verdict.beliefs if belief.found]
+    effects, rivals = (
+        [belief.effect for belief in causes],
+        [name for belief in causes[:1] for name in belief.alternatives],
+    )
     named = _how_named(case.names, effects, rivals)
-    return [term, found.verdict.verdict, " + ".join(effects), " ".join(rivals), named, full, without, added]
+    return [term, diagnosis.verdict.verdict, " + ".join(effects), " ".join(rivals), named, full, without, added]
 
 
-def _how_named(right: Sequence[str], effects: Sequence[str], rivals: Sequence[str]) -> str:
-    """How what was withheld is named: the axis lacks other things beside it, and one of them may come first."""
-    if set(effects[:1]) & set(right):
+def _how_named(names: Sequence[str], effects: Sequence[str], rivals: Sequence[str]) -> str:
+    """How the withheld term is named: the axis lacks other effects, too, and one of them may come first."""
+    if set(effects[:1]) & set(names):
         return "first"
-    if set(rivals) & set(right):
+    if set(rivals) & set(names):
         return "as a rival"
-    return "beside another" if set(effects) & set(right) else "not"
+    return "beside another" if set(effects) & set(names) else "not"
 
 
 def _scaled(log: Log, factor: float) -> Log:
@@ -189,15 +203,15 @@ def _scaled(log: Log, factor: float) -> Log:
 
 def _emps_unchanged(report: Report, records: Records, drive: Drive, controller: Controller) -> None:
     """What the identified drive lacks, found in one file and checked on the other."""
-    found = _diagnose(report, drive, controller, records["estimation"].log, 2, IDENTIFIED_TOLERANCE)
-    report.say(f"EMPS as it is: {found.verdict.verdict}: {found.verdict.says}")
+    diagnosis = _diagnose(report, drive, controller, records["estimation"].log, 2, IDENTIFIED_TOLERANCE)
+    report.say(f"EMPS as it is: {diagnosis.verdict.verdict}: {diagnosis.verdict.says}")
     report.table(
-        "emps_causes", ("effect", "confidence", "evidence", "parameters"), _causes(found), "EMPS: what it lacks"
+        "emps_causes", ("effect", "confidence", "evidence", "parameters"), _causes(diagnosis), "EMPS: what it lacks"
     )
     log = records["pulses"].log
     rows = [
-        [name, force_error(one, log), force_error(registered(one, log), log)]
-        for name, one in (("identified", drive), ("with what was found", augmented_drive(found)))
+        [name, force_error(candidate, log), force_error(registered(candidate, log), log)]
+        for name, candidate in (("identified", drive), ("with what was found", augmented_drive(diagnosis)))
     ]
     report.table(
         "emps_pulses", ("drive", "as it is %", "registered %"), rows,
@@ -213,10 +227,12 @@ def _laas(report: Report, folder: Path) -> None:
         for file in laas.ACTIVE_FLAGS:
             for part, log in laas.read(folder / file).items():
                 report.say(f"{log.name}:")
-                found = _diagnose(report, nominal, UnknownController(), log, 2, GUESSED_TOLERANCE)
-                report.say(found.verdict.says)
-                shut = None if found.closed is None else 100 * found.closed.share
-                rows.append([file, part, found.verdict.verdict, *_cogging(found), shut, _others(found)])
+                diagnosis = _diagnose(report, nominal, UnknownController(), log, 2, GUESSED_TOLERANCE)
+                report.say(diagnosis.verdict.says)
+                closed_percent = None if diagnosis.closed is None else 100 * diagnosis.closed.share
+                rows.append(
+                    [file, part, diagnosis.verdict.verdict, *_cogging(diagnosis), closed_percent, _others(diagnosis)]
+                )
     finally:
         report.table(
             "laas_cogging",
@@ -226,9 +242,9 @@ def _laas(report: Report, folder: Path) -> None:
         )
 
 
-def _cogging(found: Diagnosis) -> tuple[float | None, float | None]:
+def _cogging(diagnosis: Diagnosis) -> tuple[float | None, float | None]:
     """Amplitude (mA) and number of waves a turn of the strongest harmonic, None where no cogging was found."""
-    for effect in augmented_drive(found).effects:
+    for effect in augmented_drive(diagnosis).effects:
         if effect.name == "cogging":
             waves = {
                 1: (effect.cosine, effect.sine),
@@ -241,14 +257,16 @@ def _cogging(found: Diagnosis) -> tuple[float | None, float | None]:
     return None, None
 
 
-def _others(found: Diagnosis) -> str:
-    return " + ".join(one.effect for one in found.verdict.beliefs if one.found and one.effect != "cogging")
+def _others(diagnosis: Diagnosis) -> str:
+    return " + ".join(
+        belief.effect for belief in diagnosis.verdict.beliefs if belief.found and belief.effect != "cogging"
+    )
 
 
-def _causes(found: Diagnosis) -> list[list[Any]]:
+def _causes(diagnosis: Diagnosis) -> list[list[Any]]:
     rows = []
-    for one in found.verdict.beliefs:
-        told = cause(found, one)
-        shown = "; ".join(numbers(told)) if one.found else ""
-        rows.append([one.effect, round(one.confidence, 3), round(one.gain), shown])
+    for belief in diagnosis.verdict.beliefs:
+        details = cause(diagnosis, belief)
+        text = "; ".join(numbers(details)) if belief.found else ""
+        rows.append([belief.effect, round(belief.confidence, 3), round(belief.gain), text])
     return rows

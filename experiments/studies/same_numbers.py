@@ -71,12 +71,12 @@ def run_commands(checkout: Path, out: Path, drive: str) -> dict[str, int]:
 def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
     """Every number below a value of JSON or TOML, by its place."""
     if isinstance(value, dict):
-        for key, one in value.items():
+        for key, item in value.items():
             if key not in NOT_COMPARED:
-                yield from numbers(one, f"{place}/{key}")
+                yield from numbers(item, f"{place}/{key}")
     elif isinstance(value, list):
-        for k, one in enumerate(value):
-            yield from numbers(one, f"{place}/{k}")
+        for k, item in enumerate(value):
+            yield from numbers(item, f"{place}/{k}")
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield place, float(value)
 
@@ -88,26 +88,26 @@ def read_numbers(path: Path) -> dict[str, float]:
         return dict(numbers(json.loads(text)))
     if path.suffix == ".toml":
         return dict(numbers(tomllib.loads(text)))
-    found = {}
+    values = {}
     for row, cells in enumerate(csv.reader(text.splitlines())):
         for column, cell in enumerate(cells):
             try:
-                found[f"{row}/{column}"] = float(cell)
+                values[f"{row}/{column}"] = float(cell)
             except ValueError:
                 continue
-    return found
+    return values
 
 
-def relative_difference(one: float, other: float) -> float:
+def relative_difference(a: float, b: float) -> float:
     """How far two numbers are apart, over the larger."""
-    if one == other or (math.isnan(one) and math.isnan(other)):
+    if a == b or (math.isnan(a) and math.isnan(b)):
         return 0.0
-    return abs(one - other) / max(abs(one), abs(other))
+    return abs(a - b) / max(abs(a), abs(b))
 
 
 def compare_files(old: Path, new: Path) -> Iterator[list[str]]:
     """A row for each file: numbers in both, how many differ, the largest difference."""
-    for path in sorted(one for one in old.rglob("*") if one.suffix in (".csv", ".toml", ".json")):
+    for path in sorted(path for path in old.rglob("*") if path.suffix in (".csv", ".toml", ".json")):
         name = path.relative_to(old)
         if "parts" in name.parts:
             continue
@@ -115,12 +115,12 @@ def compare_files(old: Path, new: Path) -> Iterator[list[str]]:
             yield [str(name), "-", "-", "not written any more"]
             continue
         before, after = read_numbers(path), read_numbers(new / name)
-        both = before.keys() & after.keys()
-        differences = [relative_difference(before[key], after[key]) for key in both]
-        moved = sum(one > 0.0 for one in differences)
+        common = before.keys() & after.keys()
+        differences = [relative_difference(before[key], after[key]) for key in common]
+        changed = sum(path > 0.0 for path in differences)
         lost = len(before.keys() - after.keys())
-        largest = f"{max(differences, default=0.0):.1e}" if moved else "none"
-        yield [str(name), str(len(both)), str(moved), largest + (f"; {lost} gone" if lost else "")]
+        largest = f"{max(differences, default=0.0):.1e}" if changed else "none"
+        yield [str(name), str(len(common)), str(changed), largest + (f"; {lost} gone" if lost else "")]
 
 
 def main(old: Path, new: Path, out: Path) -> None:

@@ -38,7 +38,7 @@ def read(path: Path, *, newtons: bool = True) -> Record:
     """Read one file; its `vir` and `pulses_N` are volts, whatever their names say.
 
     The command of the log is the controller's own, without the pulses that were added to it. Without `newtons` the file
-    is taken at its word instead: volts as newtons, and the command with the pulses.
+    is taken literally instead: volts as newtons, and the command with the pulses.
     """
     data = scipy.io.loadmat(path, variable_names=["kp", "kv", "gtau", "pulses_N"])
     force_per_volt = float(data["gtau"].item())
@@ -79,7 +79,7 @@ def controller(record: Record) -> Cascade:
 
 
 def nominal_axis(record: Record, *, delay_samples: int = 0) -> Axis:
-    """What a drive file of this axis would say; `delay_samples` of the actuator are free to be claimed."""
+    """The axis as a drive file would state it, with `delay_samples` of the actuator."""
     drive = dataclasses.replace(
         reference_drive(), actuator=Actuator(delay_samples=delay_samples), sensor=Sensor(resolution=COUNT)
     )

@@ -1,7 +1,7 @@
 """Fit by the simulation error in closed loop: the commands of a replay against the commands of the logs.
 
-Nothing corrects the simulation but its own controller, so this fit weighs what the force lacks over whole strokes,
-where the prediction error of `tuning.identification.identify` weighs what comes from one sample to the next. With an
+Only its controller corrects the simulation, so this fit weighs the errors of the force over whole strokes, where the
+prediction error of `tuning.identification.identify` weighs those from one sample to the next. With an
 exact model both find the same drive, the latter more sharply; with a real one this says how close the model's force can
 come.
 """
@@ -41,13 +41,13 @@ from tuning.optimisation.space import FreeParameter, SearchSpace, search_space
 
 MAX_STEPS = 25
 TOLERANCE = 1e-3
-PRIOR_WEIGHT = 1e-2  # percent per unit of y: keeps at its start what the force does not tell
+PRIOR_WEIGHT = 1e-2  # percent per unit of theta: parameters that the force does not determine stay at their start
 
 
 class ReplayProblem(NamedTuple):
-    """What is fitted to what."""
+    """The model, its start, and the logs that it is fitted to."""
 
-    believed: Drive
+    nominal: Drive
     controller: Controller
     unknowns: Unknowns  # where the search starts
     given: ReplayInputs
@@ -57,27 +57,27 @@ class ReplayProblem(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class CommandResiduals:
-    """Residuals of a `ReplayProblem` as a function of y; hashed by value, so that the same question is compiled once.
+    """Residuals of a `ReplayProblem` as a function of theta; hashed by value, so that each problem is compiled once.
 
     Simulated minus logged command in percent of the norm of the logged force: the root of their sum of squares is the
-    `force_percent` of `tuning.identification.replay`. Then the distance of y from its start, next to nothing.
+    `force_percent` of `tuning.identification.replay`. Then the weakly weighted distance of theta from its start.
     """
 
     free: tuple[FreeParameter, ...]
     sampling: Sampling
 
-    def drive(self, y: Float[Array, " k"], problem: ReplayProblem) -> Drive:
+    def drive(self, theta: Float[Array, " k"], problem: ReplayProblem) -> Drive:
         """The drive at y."""
-        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, y)
-        drive = unknowns.drive(problem.believed)
+        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, theta)
+        drive = unknowns.drive(problem.nominal)
         actuator = dataclasses.replace(drive.actuator, delay_fraction=unknowns.delay - drive.actuator.delay_samples)
         return dataclasses.replace(drive, actuator=actuator)
 
-    def __call__(self, y: Float[Array, " k"], problem: ReplayProblem) -> Float[Array, " m"]:
+    def __call__(self, theta: Float[Array, " k"], problem: ReplayProblem) -> Float[Array, " m"]:
         lanes = problem.given.lanes
-        command = replay(self.drive(y, problem), problem.controller, problem.given, self.sampling).command
-        missing = jnp.where(lanes.counts > 0, command - lanes.command, 0.0)
-        return jnp.concatenate([(100.0 / problem.norm * missing).ravel(), PRIOR_WEIGHT * y])
+        command = replay(self.drive(theta, problem), problem.controller, problem.given, self.sampling).command
+        difference = jnp.where(lanes.counts > 0, command - lanes.command, 0.0)
+        return jnp.concatenate([(100.0 / problem.norm * difference).ravel(), PRIOR_WEIGHT * theta])
 
 
 def fit_closed_loop(
@@ -117,7 +117,7 @@ def fit_closed_loop(
     # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
     believed, smoothed = smooth((dataclasses.replace(start, actuator=drive.actuator, sensor=drive.sensor), controller))
     problem = ReplayProblem(
-        believed=believed,
+        nominal=believed,
         controller=smoothed,
         unknowns=unknowns,
         given=pieces,
@@ -125,34 +125,34 @@ def fit_closed_loop(
         origin=search_space(unknowns, free).origin,
     )
     residuals = CommandResiduals(free, sampling_of(float(round(logs[0].rate, 6)), FINE_SUBSTEP))
-    at = as_arrays(problem)
+    arrays = as_arrays(problem)
     search = levenberg_marquardt(
-        residuals, np.zeros(len(free)), at, max_steps=max_steps, tolerance=TOLERANCE, progress=progress
+        residuals, np.zeros(len(free)), arrays, max_steps=max_steps, tolerance=TOLERANCE, progress=progress
     )
-    found = jax.tree.map(float, residuals.drive(jnp.asarray(search.y), at))
+    fitted = jax.tree.map(float, residuals.drive(jnp.asarray(search.y), arrays))
     # the limits and the scale as they are, not their smooth neighbours
-    actuator = dataclasses.replace(drive.actuator, delay_fraction=found.actuator.delay_fraction)
-    return dataclasses.replace(found, actuator=actuator, sensor=drive.sensor), search
+    actuator = dataclasses.replace(drive.actuator, delay_fraction=fitted.actuator.delay_fraction)
+    return dataclasses.replace(fitted, actuator=actuator, sensor=drive.sensor), search
 
 
 def _free_parameters(
-    start: Drive, whole: int, pieces: ReplayInputs, held: set[str]
+    start: Drive, delay_samples: int, pieces: ReplayInputs, fixed: set[str]
 ) -> tuple[Unknowns, tuple[FreeParameter, ...]]:
     """The unknowns at `start`, those that are not held nudged inside their bounds, and these."""
     actuator = start.actuator
     unknowns = unknowns_of(start, actuator.delay_samples + float(actuator.delay_fraction or 0.0))
     load = np.asarray(pieces.lanes.load)[np.asarray(pieces.lanes.counts) > 0]
     if np.ptp(load) <= LOAD_SPREAD * np.max(np.abs(load)):
-        held = held | {"load_coefficient"}
-    if "breakaway" in held:  # a held gap stays a gap, whatever becomes of the Coulomb friction
+        fixed = fixed | {"load_coefficient"}
+    if "breakaway" in fixed:  # a held gap stays a gap, whatever becomes of the Coulomb friction
         unknowns = dataclasses.replace(unknowns, breakaway=None)
     free = []
     for path in free_paths(unknowns):
-        if path.split(".")[0] in held:
+        if path.split(".")[0] in fixed:
             continue
         start = value_at(unknowns, path)
         limits = (
-            FreeParameter(path, whole, whole + 1.0)
+            FreeParameter(path, delay_samples, delay_samples + 1.0)
             if path == "delay"
             else default_bounds(path, start, _coulomb(unknowns))
         )

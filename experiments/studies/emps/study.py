@@ -1,4 +1,4 @@
-"""What can be learnt from the EMPS axis: `diffdrive emps`, and the part of it that the main job shows."""
+"""The study of the EMPS axis: `diffdrive emps`, and the part of it that the demo shows."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -49,12 +49,12 @@ def emps_study(report: Report, folder: Path | None) -> None:
 
     Raises `ParameterError` where the folder (by default the one beside this checkout) does not hold the files.
     """
-    found = folder or emps.find_folder()
-    if found is None or not (found / emps.FILES["estimation"]).is_file():
+    data_folder = folder or emps.find_folder()
+    if data_folder is None or not (data_folder / emps.FILES["estimation"]).is_file():
         where = "shared/data/emps beside this folder" if folder is None else f"--data {folder}"
         raise ParameterError(f"{where}: no {emps.FILES['estimation']} in it; name the benchmark's folder with --data")
-    records = emps.read_all(found)
-    _checks(report, found, records)
+    records = emps.read_all(data_folder)
+    _checks(report, data_folder, records)
     _inverse_dynamics(report, records)
     identified = identify_axis(report, records)
     log, controller = records["estimation"].log, emps.controller(records["estimation"])
@@ -74,13 +74,15 @@ def emps_study(report: Report, folder: Path | None) -> None:
 def identify_axis(report: Report, records: Records, starts: int = 6, store: Store | None = None) -> Identification:
     """Identification by prediction error from the estimation file alone, starting from the published parameters."""
     with report.progress("identifying the real axis (EMPS)", 1) as advance:
-        found = identify(
+        identified = identify(
             [records["estimation"].log], emps.reference_drive(), starts=starts, store=store, progress=advance
         )
-    if was_interrupted(found.search):
+    if was_interrupted(identified.search):
         raise KeyboardInterrupt  # what follows would be of half a search
-    report.values("emps_search", status=found.status, steps=found.search.steps, simulations=found.simulations)
-    return found
+    report.values(
+        "emps_search", status=identified.status, steps=identified.search.steps, simulations=identified.simulations
+    )
+    return identified
 
 
 def force_table(
@@ -92,31 +94,40 @@ def force_table(
         for name, drive in drives.items()
     }
     rows = []
-    for name, found in replays.items():
-        for file, one in found.items():
-            rows.append([name, file, one.force_percent, one.command_rms, 1e6 * one.position_rms])
-            if not one.status.ok:
-                report.say(f"{name}: {one.status.message}")
+    for name, by_file in replays.items():
+        for file, replay in by_file.items():
+            rows.append([name, file, replay.force_percent, replay.command_rms, 1e6 * replay.position_rms])
+            if not replay.status.ok:
+                report.say(f"{name}: {replay.status.message}")
     report.table(
         "emps",
         ("parameters", "file", "force gap %", "missing N", "position gap um"),
         rows,
         "EMPS in closed loop (RMS; the gap is of the force's); fitted to the estimation file only",
     )
-    best = replays[IDENTIFIED]
-    met = all(one.force_percent <= BARS[file] for file, one in best.items())
-    report.values("emps_bars", **{f"{file}_percent": BARS[file] for file in best}, met=met)
+    identified = replays[IDENTIFIED]
+    met = all(replay.force_percent <= BARS[file] for file, replay in identified.items())
+    report.values("emps_bars", **{f"{file}_percent": BARS[file] for file in identified}, met=met)
     return replays
 
 
 def parameter_table(report: Report, estimates: list[ParameterEstimate], others: Mapping[str, Drive]) -> None:
     """The identified parameters with their intervals, and those of other drives beside them."""
     rows = []
-    for one in estimates:
-        # the benchmark knows no load: its slope stays, and Coulomb friction at no load is that of the screw
-        if one.status != "fixed" and not one.name.startswith(("load_coefficient", "coulomb_at_no_load")):
-            beside = [_parameter(drive, one.name) for drive in others.values()]
-            rows.append([f"{one.name}, {one.unit}", one.believed, one.value, one.low, one.high, *beside])
+    for estimate in estimates:
+        # the benchmark has no load: its slope stays, and Coulomb friction at no load is that of the screw
+        if estimate.status != "fixed" and not estimate.name.startswith(("load_coefficient", "coulomb_at_no_load")):
+            other_values = [_parameter(drive, estimate.name) for drive in others.values()]
+            rows.append(
+                [
+                    f"{estimate.name}, {estimate.unit}",
+                    estimate.believed,
+                    estimate.value,
+                    estimate.low,
+                    estimate.high,
+                    *other_values,
+                ]
+            )
     report.table(
         "emps_parameters", ("parameter", PUBLISHED, IDENTIFIED, "low", "high", *others), rows,
         "EMPS parameters with their 95 % intervals, which know the model's own errors only as far as they are noise",
@@ -140,9 +151,9 @@ def force_figure(report: Report, record: emps.Record, replays: Mapping[str, Clos
     figure, axes = new_figure(2, 1, width=9.0, height=2.4)
     log = record.log
     axes[0].plot(log.time, log.command, "k", lw=0.6, label="logged")
-    for name, one in replays.items():
-        axes[1].plot(one.time, one.missing, lw=0.6, label=name)
-    axes[0].plot(one.time, one.command, "C3", lw=0.6, label="simulated")
+    for name, replay in replays.items():
+        axes[1].plot(replay.time, replay.missing, lw=0.6, label=name)
+    axes[0].plot(replay.time, replay.command, "C3", lw=0.6, label="simulated")
     axes[0].set(ylabel="force, N", title="EMPS, estimation file: force command in closed loop")
     axes[1].set(ylabel="difference, N", xlabel="time, s")
     for axis in axes:
@@ -151,13 +162,13 @@ def force_figure(report: Report, record: emps.Record, replays: Mapping[str, Clos
 
 
 def _checks(report: Report, folder: Path, records: Records) -> None:
-    """What the plausibility checks say of the files, of the files taken at their word, and of a wrong drive file."""
+    """The findings of the log checks: in the files, in the files taken literally, and with a wrong drive file."""
     rows = []
     for reading, (newtons, delay) in READINGS.items():
         for file in records:
             record = emps.read(folder / emps.FILES[file], newtons=newtons)
             findings = examine(record.log, emps.nominal_axis(record, delay_samples=delay))
-            rows += [[reading, file, one.severity, one.channel, one.message] for one in findings]
+            rows += [[reading, file, finding.severity, finding.channel, finding.message] for finding in findings]
     report.table(
         "emps_checks", ("reading", "file", "severity", "channel", "found"), rows, "What the checks of logs find"
     )
@@ -168,12 +179,12 @@ def _checks(report: Report, folder: Path, records: Records) -> None:
 
 def _inverse_dynamics(report: Report, records: Records) -> None:
     """The benchmark's own method beside its published figures."""
-    found = inverse_dynamics.identify(records["estimation"].log, borders=BENCHMARK_BORDERS)
-    ours = {"offset": -found.values["constant_force"]} | found.values  # in the benchmark's sign
+    fitted = inverse_dynamics.identify(records["estimation"].log, borders=BENCHMARK_BORDERS)
+    ours = {"offset": -fitted.values["constant_force"]} | fitted.values  # in the benchmark's sign
     rows = [[name, value, ours[name], 100 * (ours[name] / value - 1)] for name, value in BENCHMARK.items()]
     for file, record in records.items():
         # the benchmark judges the total force, with the pulses
-        error = inverse_dynamics.evaluate(found, record.log).error_percent
+        error = inverse_dynamics.evaluate(fitted, record.log).error_percent
         expected = BENCHMARK_ERRORS[file]
         rows.append([f"force error %, {file}", expected, error, 100 * (error / expected - 1)])
     report.table(
@@ -182,36 +193,37 @@ def _inverse_dynamics(report: Report, records: Records) -> None:
     )  # fmt: skip
 
 
-def _reduced_models(report: Report, whole: Mapping[str, ClosedLoopReplay], records: Records) -> None:
-    """What each part of the model is good for: the closed-loop fit without it."""
+def _reduced_models(report: Report, full: Mapping[str, ClosedLoopReplay], records: Records) -> None:
+    """The closed-loop fit without each part of the model."""
     log, controller = records["estimation"].log, emps.controller(records["estimation"])
     rows = []
     for name, fixed in REDUCED_MODELS.items():
         with report.progress(f"fitting with {name}", MAX_STEPS) as advance:
             drive, _ = fit_closed_loop([log], emps.reference_drive(), controller, fixed=fixed, progress=advance)
-        rows.append([name, *(replay_closed_loop(drive, controller, one.log).force_percent for one in records.values())])
-    rows.append(["all of it", *(one.force_percent for one in whole.values())])
+        replays = [replay_closed_loop(drive, controller, record.log) for record in records.values()]
+        rows.append([name, *(replay.force_percent for replay in replays)])
+    rows.append(["all of it", *(replay.force_percent for replay in full.values())])
     report.table("emps_parts", ("model", *(f"{file} %" for file in records)), rows, "Force gap of smaller models")
 
 
 def _open_loop(report: Report, drives: Mapping[str, Drive], records: Records) -> None:
-    """The figure that benchmarks like to ask for, and why it misleads."""
+    """The figure that benchmarks usually state, and why it misleads."""
     rows = []
     for name, drive in drives.items():
-        found = [replay_open_loop(drive, record.log) for record in records.values()]
-        rows.append([name, *(one.position_rms_mm for one in found)])
+        replays = [replay_open_loop(drive, record.log) for record in records.values()]
+        rows.append([name, *(replay.position_rms_mm for replay in replays)])
     report.table(
         "emps_open_loop", ("parameters", *(f"{file}, mm" for file in records)), rows,
         "RMS position error of an open-loop simulation under the logged command",
     )  # fmt: skip
-    report.say(found[0].note)
+    report.say(replays[0].note)
 
 
 def _unexplained(report: Report, identified: Identification, log: Log) -> None:
     """What the model does not explain."""
     report.say(identified.adequacy.says)
-    for one, other, correlation in identified.correlated:
-        report.say(f"hardly told apart: {one} and {other} (correlation {correlation:.3f})")
+    for first, second, correlation in identified.correlated:
+        report.say(f"hardly told apart: {first} and {second} (correlation {correlation:.3f})")
     ripples = ripple(log.position, identified.velocity[0], identified.missing[0])
     names = ("forwards_N", "backwards_N")
     report.values(
@@ -225,11 +237,11 @@ def ripple(
     position: Float[np.ndarray, " n"], velocity: Float[np.ndarray, " n"], missing: Float[np.ndarray, " n"]
 ) -> tuple[float, float]:
     """Amplitude (N) of the missing force that repeats with each turn of the screw, forwards and backwards."""
-    turn = 2 * np.pi * position / emps.LEAD
-    columns = np.stack([np.sin(turn), np.cos(turn), np.ones_like(turn)], axis=1)
+    angle = 2 * np.pi * position / emps.LEAD
+    columns = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)
 
-    def amplitude(there: np.ndarray) -> float:
-        return float(np.hypot(*np.linalg.lstsq(columns[there], missing[there], rcond=None)[0][:2]))
+    def amplitude(selected: np.ndarray) -> float:
+        return float(np.hypot(*np.linalg.lstsq(columns[selected], missing[selected], rcond=None)[0][:2]))
 
     known = np.isfinite(missing)
     return amplitude(known & (velocity > RIPPLE_SPEED)), amplitude(known & (velocity < -RIPPLE_SPEED))
@@ -238,10 +250,10 @@ def ripple(
 def _friction_figure(report: Report, drives: Mapping[str, Drive], log: Log) -> None:
     """The force that a constant velocity takes: friction less the constant force, which can hardly be told apart."""
     measured = stribeck_curves(log, drives[IDENTIFIED])
-    helped = float(drives[IDENTIFIED].plant.constant_force)
+    constant_force = float(drives[IDENTIFIED].plant.constant_force)
     figure, axis = new_figure()
     for curve in measured.curves:
-        force = curve.friction - helped
+        force = curve.friction - constant_force
         axis.errorbar(1e3 * curve.velocity, force, curve.standard_error, fmt="k.", label="measured, cruises")
     speed = np.geomspace(1e-4, 0.14, 200)
     velocity = jnp.asarray(np.concatenate([-speed[::-1], speed]))

@@ -39,9 +39,9 @@ from tuning.optimisation.space import SearchSpace
 STARTS = 6  # of the gradient search, as in tuning/identification/identify.py
 MAX_STEPS = 30  # of its last search
 TOLERANCE = 1e-6
-MAX_RATIO = 20  # as many simulations as the gradient search, that evolution may take at most
+MAX_RATIO = 20  # most simulations of evolution over those of the gradient search
 SPEEDS = (2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)  # m/s, of the synthetic log
-MIN_EXCESS = 1e-6  # so that the best itself has a place on a logarithmic axis
+MIN_EXCESS = 1e-6  # so that the best can be drawn on a logarithmic axis
 LEVELS = (0.1, 0.01, 0.001)  # of the gradient search's cost, above it
 
 
@@ -56,7 +56,7 @@ class EvolutionCase(NamedTuple):
 class Descent(NamedTuple):
     """A gradient search: where it ended, the lowest cost along the way, and why it stopped."""
 
-    y: Float[np.ndarray, " k"]
+    theta: Float[np.ndarray, " k"]
     history: list[HistoryEntry]
     status: str
 
@@ -71,32 +71,37 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
 
     A step counts as one simulation and one more for each derivative that it carries along.
     """
-    each = 1 + len(residuals.free)
-    began, history = time.perf_counter(), list[HistoryEntry]()
+    simulations_per_step = 1 + len(residuals.free)
+    start, history = time.perf_counter(), list[HistoryEntry]()
 
-    def visited(simulations: int) -> Callable[[int, int, float], None]:
+    def record(simulations: int) -> Callable[[int, int, float], None]:
         def visit(step: int, most: int, cost: float) -> None:
             least = min(cost, history[-1].cost) if history else cost
-            history.append(HistoryEntry(simulations * step + before, time.perf_counter() - began, least))
+            history.append(HistoryEntry(simulations * step + simulations_before, time.perf_counter() - start, least))
 
         return visit
 
     points = start_points(residuals.free, starts, seed)
-    before = 0
-    found, costs, _ = multistart(residuals, points, args, steps=steps, progress=visited(starts * each))
-    before = starts * steps * each
+    simulations_before = 0
+    ends, costs, _ = multistart(residuals, points, args, steps=steps, progress=record(starts * simulations_per_step))
+    simulations_before = starts * steps * simulations_per_step
     search = levenberg_marquardt(
-        residuals, found[int(np.argmin(costs))], args, max_steps=last, tolerance=TOLERANCE, progress=visited(each)
+        residuals,
+        ends[int(np.argmin(costs))],
+        args,
+        max_steps=last,
+        tolerance=TOLERANCE,
+        progress=record(simulations_per_step),
     )
     return Descent(search.y, history, search.status)
 
 
 def evolution_study(
-    report: Report, case: EvolutionCase, *, seconds: float = 300.0, runs: int = 3, most_times: float = MAX_RATIO
+    report: Report, case: EvolutionCase, *, seconds: float = 300.0, runs: int = 3, max_ratio: float = MAX_RATIO
 ) -> None:
-    """Both searches by turns on one log, what is compiled being compiled before; then the paper's two-stage route.
+    """Both searches in turn on one log, compiled beforehand; then the paper's two-stage route.
 
-    One evolution may take `seconds`, and `most_times` as many simulations as the gradient search.
+    One evolution may take `seconds`, and `max_ratio` times as many simulations as the gradient search.
     """
     if not seconds > 0 or runs < 1:
         raise ParameterError(f"seconds and runs must be positive, got {seconds!r} and {runs!r}")
@@ -104,30 +109,30 @@ def evolution_study(
     question = build_problem([case.log], emps.reference_drive(), (), {})
     residuals = Innovations(question.free, sampling_of(question.rate, COARSE_SUBSTEP), COARSE_EVERY)
     space, args = SearchSpace(question.free, question.problem.origin), as_arrays(question.problem)
-    costs, begin = norm_costs(residuals, space, args), origin_fractions(space)
-    members = max(5, POPULATION * len(begin))
+    costs, start = norm_costs(residuals, space, args), origin_fractions(space)
+    population = max(5, POPULATION * len(start))
 
     def gradient(seed: int, steps: int = COARSE_STEPS, last: int = MAX_STEPS) -> Descent:
         return descend(residuals, args, seed=seed, starts=STARTS, steps=steps, last=last)
 
     compiling = {
         "gradient_s": _seconds(lambda: gradient(0, 1, 1)),
-        "evolution_s": _seconds(lambda: costs(np.tile(begin, (members, 1)))),
+        "evolution_s": _seconds(lambda: costs(np.tile(start, (population, 1)))),
     }
     descents, evolutions = [], []
     for seed in range(runs):
         with report.working(f"gradient search {seed + 1} of {runs}"):
             descents.append(gradient(seed))
-        target = (1.0 + min(LEVELS)) * min(one.cost for one in descents)
-        budget = Budget(int(most_times * descents[-1].history[-1].simulations), seconds, target)
+        target = (1.0 + min(LEVELS)) * min(descent.cost for descent in descents)
+        budget = Budget(int(max_ratio * descents[-1].history[-1].simulations), seconds, target)
         with report.progress(f"differential evolution {seed + 1} of {runs}", budget.simulations) as advance:
-            shown = _progress_of(advance, budget.simulations)
-            evolutions.append(evolve(costs, begin, budget, seed=seed, progress=shown))
-    report.values("problem", parameters=len(begin), samples=len(case.log.time), population=members, starts=STARTS)
+            on_visit = _progress_of(advance, budget.simulations)
+            evolutions.append(evolve(costs, start, budget, seed=seed, progress=on_visit))
+    report.values("problem", parameters=len(start), samples=len(case.log.time), population=population, starts=STARTS)
     report.values("compiling_before", **compiling)
     _report_searches(report, descents, evolutions)
-    best = min(descents, key=lambda one: one.cost)
-    drive, unknowns = residuals.unpack(jnp.asarray(best.y), question.problem)
+    best = min(descents, key=lambda descent: descent.cost)
+    drive, unknowns = residuals.unpack(jnp.asarray(best.theta), question.problem)
     _compare_routes(report, case, with_delay(jax.tree.map(float, drive), float(unknowns.delay)))
 
 
@@ -147,9 +152,9 @@ def _compare_routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> 
     if case.truth is not None:
         drives["truth"] = case.truth
     named = [dict(_parameters(drive)) for drive in drives.values()]
-    rows = [[name, *(one[name] for one in named)] for name in named[0]]
+    rows = [[name, *(parameters[name] for parameters in named)] for name in named[0]]
     gaps = [replay_closed_loop(drive, case.controller, case.log) for drive in drives.values()]
-    rows.append(["force gap in closed loop, %", *(one.force_percent for one in gaps)])
+    rows.append(["force gap in closed loop, %", *(replay.force_percent for replay in gaps)])
     report.table("routes", ("SI units", *drives), rows, "What the two routes find")
 
 
@@ -158,17 +163,17 @@ def _parameters(drive: Drive) -> Iterator[tuple[str, float]]:
         if path != "damping":
             yield path, float(value)
     for path, _, value in quantities(drive.friction):
-        if path not in ("load_coefficient", "initial_load", "stribeck_exponent"):  # which are given, not looked for
+        if path not in ("load_coefficient", "initial_load", "stribeck_exponent"):  # which are not fitted
             yield f"{path} +", float(value.positive)
             yield f"{path} -", float(value.negative)
     yield "delay, periods", drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
 
 
 def with_delay(drive: Drive, delay: float) -> Drive:
-    """The drive with a delay of control periods; one below zero, a command that was logged late, as none."""
-    whole = max(0, int(np.floor(delay)))
-    fraction = float(np.clip(delay - whole, 0.0, 1.0))
-    actuator = dataclasses.replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)
+    """The drive with a delay of control periods; a negative one, of a command that was logged late, is set to zero."""
+    samples = max(0, int(np.floor(delay)))
+    fraction = float(np.clip(delay - samples, 0.0, 1.0))
+    actuator = dataclasses.replace(drive.actuator, delay_samples=samples, delay_fraction=fraction or None)
     return dataclasses.replace(drive, actuator=actuator)
 
 
@@ -177,20 +182,20 @@ def _progress_of(advance: Callable[[int, int, float], None], most: int) -> Calla
 
 
 def _seconds(work: Callable[[], Any]) -> float:
-    began = time.perf_counter()
+    start = time.perf_counter()
     work()
-    return time.perf_counter() - began
+    return time.perf_counter() - start
 
 
 def emps_case(folder: Path | None) -> EvolutionCase:
     """The estimation file of EMPS; raises `ParameterError` where the folder does not hold it."""
-    found = folder or emps.find_folder()
-    if found is None or not (found / emps.FILES["estimation"]).is_file():
+    data_folder = folder or emps.find_folder()
+    if data_folder is None or not (data_folder / emps.FILES["estimation"]).is_file():
         where = "shared/data/emps beside this folder" if folder is None else f"--data {folder}"
         raise ParameterError(
             f"{where}: no {emps.FILES['estimation']} in it; name its folder with --data, or --synthetic"
         )
-    record = emps.read(found / emps.FILES["estimation"])
+    record = emps.read(data_folder / emps.FILES["estimation"])
     return EvolutionCase(record.log, emps.controller(record), None)
 
 
@@ -221,21 +226,24 @@ def first_visit_below(history: list[HistoryEntry], cost: float) -> HistoryEntry 
 
 
 def _report_searches(report: Report, descents: list[Descent], evolutions: list[Evolution]) -> None:
-    best = min(one.cost for one in descents)
+    best = min(descent.cost for descent in descents)
     rows = []
-    for k, (ours, theirs) in enumerate(zip(descents, evolutions, strict=True)):
-        for name, one in (("gradient", ours), ("evolution", theirs)):
-            last = one.history[-1]
-            rows.append([f"{name} {k + 1}", last.simulations, last.seconds, last.cost / best, one.status])
+    for k, (descent, evolution) in enumerate(zip(descents, evolutions, strict=True)):
+        for name, search in (("gradient", descent), ("evolution", evolution)):
+            last = search.history[-1]
+            rows.append([f"{name} {k + 1}", last.simulations, last.seconds, last.cost / best, search.status])
     report.table("runs", ("search", "simulations", "s", "cost over best", "ended"), rows, "Each search to its end")
     rows = []
     for level in LEVELS:
         cost = (1.0 + level) * best
-        ours = [first_visit_below(one.history, cost) for one in descents]
-        theirs = [first_visit_below(one.history, cost) for one in evolutions]
-        g, e = _median_visit(ours), _median_visit(theirs)
+        gradient_visits = [first_visit_below(search.history, cost) for search in descents]
+        evolution_visits = [first_visit_below(search.history, cost) for search in evolutions]
+        g, e = _median_visit(gradient_visits), _median_visit(evolution_visits)
         times = [e[k] / g[k] if g and e else None for k in (0, 1)]
-        counts = [f"{sum(one is not None for one in some)} of {len(some)}" for some in (ours, theirs)]
+        counts = [
+            f"{sum(visit is not None for visit in visits)} of {len(visits)}"
+            for visits in (gradient_visits, evolution_visits)
+        ]
         rows.append([f"{100 * level:g} %", counts[0], *(g or (None, None)), counts[1], *(e or (None, None)), *times])
     report.table(
         "equal_quality",
@@ -245,14 +253,14 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
         "(- : half of them or more did not within the budget)",
     )
     searches = {"gradient": descents, "evolution": evolutions}
-    report.data["history"] = {name: [one.history for one in some] for name, some in searches.items()}
+    report.data["history"] = {name: [search.history for search in runs] for name, runs in searches.items()}
     figure, axes = new_figure(1, 2, width=9.0, share_x=False)
-    for name, color, some in (("gradient", "C0", descents), ("evolution", "C1", evolutions)):
-        for k, one in enumerate(some):
-            simulations, spent, cost = np.array(one.history).T
+    for name, color, runs in (("gradient", "C0", descents), ("evolution", "C1", evolutions)):
+        for k, search in enumerate(runs):
+            simulations, seconds, cost = np.array(search.history).T
             above = cost / best - 1.0 + MIN_EXCESS
             axes[0].loglog(simulations, above, color, lw=1, label=None if k else name)
-            axes[1].loglog(spent, above, color, lw=1)
+            axes[1].loglog(seconds, above, color, lw=1)
     axes[0].set(xlabel="simulations", ylabel="cost above the best, share", title="One derivative counts as one more")
     axes[1].set(xlabel="wall time, s", title="Compiled before")
     axes[0].legend()
@@ -260,7 +268,7 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
 
 
 def _median_visit(visits: list[HistoryEntry | None]) -> tuple[float, float] | None:
-    """Median simulations and seconds, those that never got there being the latest; None if that is the median."""
-    table = [(np.inf, np.inf) if one is None else (one.simulations, one.seconds) for one in visits]
-    simulations, spent = np.median(np.array(table, dtype=float), axis=0)
-    return (float(simulations), float(spent)) if np.isfinite(simulations) else None
+    """Median simulations and seconds, with those that never got there as infinite; None if that is the median."""
+    table = [(np.inf, np.inf) if visit is None else (visit.simulations, visit.seconds) for visit in visits]
+    simulations, seconds = np.median(np.array(table, dtype=float), axis=0)
+    return (float(simulations), float(seconds)) if np.isfinite(simulations) else None

@@ -1,9 +1,9 @@
 """The paper's route to a friction model, as a baseline: sliding parameters first, then the bristle (paper, Sec. 4.1).
 
     cruises -> Stribeck curve -> F_C, F_S, v_s, mu_v per direction, by least squares
-    reversals -> friction over the way since -> sigma_0, sigma_1, by a genetic algorithm
+    reversals -> friction over the distance since -> sigma_0, sigma_1, by a genetic algorithm
 
-Mass and, where it is told, offset come from inverse dynamics beforehand. Each stage sees a part of the log alone, and
+Mass and, where it is identifiable, offset come from inverse dynamics. Each stage uses a part of the log only, and
 friction only through the filter that makes an acceleration of a position: what happens within a / (2 f^2) of a reversal
 is blurred. It needs cruises at four speeds or more each way, and knows no delay.
 """
@@ -36,14 +36,14 @@ from tuning.optimisation.space import FreeParameter, SearchSpace, search_space
 
 SLIDING_PARAMETERS = ("coulomb", "breakaway", "stribeck_velocity", "viscous")
 MIN_SPEEDS = 4  # each way, for four parameters
-REACH = 20.0  # believed bristle lengths F_S / sigma_0 behind a reversal: as far as the hysteresis is looked at
+REACH = 20.0  # nominal bristle lengths F_S / sigma_0 behind a reversal: as far as the hysteresis is looked at
 BUDGET = Budget(simulations=4_000, seconds=60.0)
 POPULATION = 15  # members per parameter: of so few parameters, scipy's default does
 
 
 @dataclass(frozen=True)
 class TwoStage:
-    """The drive that the two stages find, how well it fits what each of them saw, and what was left out."""
+    """The drive that the two stages find, the misfit of each stage, and notes."""
 
     drive: Drive
     stribeck_rms: float  # N, over the bins of the Stribeck curve
@@ -55,7 +55,7 @@ class TwoStage:
 class _CruiseData(NamedTuple):
     """The Stribeck curve, and the drive whose friction is to pass through it."""
 
-    believed: Drive
+    nominal: Drive
     unknowns: Unknowns
     origin: Float[np.ndarray, " free"]
     velocity: Float[np.ndarray, " b"]  # m/s
@@ -75,12 +75,12 @@ class _ReversalData(NamedTuple):
 
 @dataclass(frozen=True)
 class _StribeckResiduals:
-    """Residuals (N) of the Stribeck curve as a function of y; hashed by value."""
+    """Residuals (N) of the Stribeck curve as a function of theta; hashed by value."""
 
     free: tuple[FreeParameter, ...]
 
-    def __call__(self, y: Float[Array, " k"], points: _CruiseData) -> Float[Array, " b"]:
-        drive = SearchSpace(self.free, points.origin).insert(points.unknowns, y).drive(points.believed)
+    def __call__(self, theta: Float[Array, " k"], points: _CruiseData) -> Float[Array, " b"]:
+        drive = SearchSpace(self.free, points.origin).insert(points.unknowns, theta).drive(points.nominal)
         steady = steady_friction(drive.friction, points.velocity, points.load)
         return steady + drive.plant.damping.towards(points.velocity) * points.velocity - points.friction
 
@@ -96,16 +96,16 @@ def two_stage(
     """
     require_double_precision()
     check_drive(drive)
-    found = inverse_dynamics.identify(list(logs), DIRECTIONAL, dynamics=dynamics, min_speed=MIN_SPEED)
-    seeded, notes = initial_drive(drive, found)
-    sliding, stribeck_rms, said = _fit_sliding(logs, seeded, dynamics)
-    whole, evolution = _fit_bristle(logs, sliding, dynamics, budget, seed)
+    dynamics_fit = inverse_dynamics.identify(list(logs), DIRECTIONAL, dynamics=dynamics, min_speed=MIN_SPEED)
+    seeded, notes = initial_drive(drive, dynamics_fit)
+    sliding, stribeck_rms, curve_notes = _fit_sliding(logs, seeded, dynamics)
+    fitted, evolution = _fit_bristle(logs, sliding, dynamics, budget, seed)
     return TwoStage(
-        jax.tree.map(float, whole),
+        jax.tree.map(float, fitted),
         stribeck_rms,
         evolution.cost,
         evolution,
-        (*notes, *said, f"bristle: {evolution.status}"),
+        (*notes, *curve_notes, f"bristle: {evolution.status}"),
     )
 
 
@@ -139,7 +139,7 @@ def _fit_bristle(
     logs: Sequence[Log], drive: Drive, dynamics: float, budget: Budget, seed: int
 ) -> tuple[Drive, Evolution]:
     """`drive` with the bristle that fits the friction behind reversals, by differential evolution."""
-    ways = [as_arrays(_reversal_data(along, drive)) for along in measured_friction(list(logs), drive, dynamics)[0]]
+    motions = [as_arrays(_reversal_data(along, drive)) for along in measured_friction(list(logs), drive, dynamics)[0]]
     unknowns = unknowns_of(drive, 0.0)
     free = tuple(
         default_bounds(path, float(value.positive), 0.0)
@@ -147,12 +147,14 @@ def _fit_bristle(
         if path.startswith("bristle") and (value := getattr(unknowns, path.split(".")[0])) is not None
     )
     space = search_space(unknowns, free)
-    counted = sum(float(way.counts.sum()) for way in ways)
+    sample_count = sum(float(motion.counts.sum()) for motion in motions)
 
     def costs(shares: Population) -> Float[np.ndarray, " s"]:
         points = jnp.asarray(theta_at(space, shares))
-        squares = sum(_misfits(space.free, points, as_arrays(space.origin), drive, unknowns, way) for way in ways)
-        return np.sqrt(np.asarray(squares) / max(counted, 1.0))
+        squares = sum(
+            _misfits(space.free, points, as_arrays(space.origin), drive, unknowns, motion) for motion in motions
+        )
+        return np.sqrt(np.asarray(squares) / max(sample_count, 1.0))
 
     evolution = evolve(costs, origin_fractions(space), budget, population=POPULATION, seed=seed)
     return space.insert(unknowns, theta_at(space, evolution.share)).drive(drive), evolution
@@ -165,24 +167,24 @@ def _misfits(
     origin: Float[Array, " k"],
     drive: Drive,
     unknowns: Unknowns,
-    way: _ReversalData,
+    motion: _ReversalData,
 ) -> Float[Array, " s"]:
-    def one(y: Float[Array, " k"]) -> Float[Array, ""]:
-        there = SearchSpace(free, origin).insert(unknowns, y).drive(drive)
-        friction = friction_along(there, way.velocity, way.load, way.period).friction
-        return jnp.sum(way.counts * (friction - way.friction) ** 2)
+    def misfit(theta: Float[Array, " k"]) -> Float[Array, ""]:
+        candidate = SearchSpace(free, origin).insert(unknowns, theta).drive(drive)
+        friction = friction_along(candidate, motion.velocity, motion.load, motion.period).friction
+        return jnp.sum(motion.counts * (friction - motion.friction) ** 2)
 
-    return lax.map(one, points, batch_size=BLOCK)
+    return lax.map(misfit, points, batch_size=BLOCK)
 
 
-def _reversal_data(along: MeasuredFriction, drive: Drive) -> _ReversalData:
+def _reversal_data(measured: MeasuredFriction, drive: Drive) -> _ReversalData:
     friction = drive.friction
     levels = friction.coulomb_screw, friction.load_coefficient, friction.breakaway_gap, friction.bristle_stiffness
-    screw, slope, gap, stiffness = (float(one.positive) for one in levels)
-    reach = REACH * (screw + slope * (float(friction.initial_load) + float(along.load.mean())) + gap) / stiffness
-    counts = np.zeros_like(along.velocity)
-    for one in passes(along)[1:]:
-        travelled = np.abs(along.position[one] - along.position[one.start])
+    screw, slope, gap, stiffness = (float(interval.positive) for interval in levels)
+    reach = REACH * (screw + slope * (float(friction.initial_load) + float(measured.load.mean())) + gap) / stiffness
+    counts = np.zeros_like(measured.velocity)
+    for interval in passes(measured)[1:]:
+        travelled = np.abs(measured.position[interval] - measured.position[interval.start])
         if travelled.max() > reach:  # else the table rests, or creeps
-            counts[one] = travelled <= reach
-    return _ReversalData(along.velocity, along.load, along.friction, counts, 1.0 / along.rate)
+            counts[interval] = travelled <= reach
+    return _ReversalData(measured.velocity, measured.load, measured.friction, counts, 1.0 / measured.rate)

@@ -29,21 +29,21 @@ def simulated(scenario: paper.PaperScenario) -> dict[str, Run]:
 
 def drawn(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Any:
     """Three panels over time: motion and load, the error of all, and the error of the compensated ones."""
-    figure, (motion, whole, close) = new_figure(3, 1, width=8.0, height=1.75)
+    figure, (motion, error_panel, detail_panel) = new_figure(3, 1, width=8.0, height=1.75)
     time = scenario.motion.time
     motion.plot(time, 1e3 * scenario.motion.velocity, "k", label="velocity, mm/s")
     motion.plot(time, 1e-3 * scenario.load, "C3", label="load, kN")
     motion.set(ylim=(-13, 13))
     motion.legend(loc="center", bbox_to_anchor=(0.5, 0.28), fontsize=8)
-    for panel, kinds in ((whole, list(KINDS)), (close, list(KINDS)[1:])):
+    for panel, kinds in ((error_panel, list(KINDS)), (detail_panel, list(KINDS)[1:])):
         for kind in kinds:
             name, colour = KINDS[kind]
             label = f"{name}: {1e6 * runs[kind].rms(*paper.AFTER_LOAD):.3g} um RMS"
             panel.plot(time, 1e6 * runs[kind].error, colour, lw=0.8, label=label)
         panel.axvspan(*paper.AFTER_LOAD, color="k", alpha=0.08, lw=0)
-    whole.set(ylabel="tracking error, um", ylim=(-15, 22))
-    whole.legend(loc="upper center", fontsize=8, title="at the reversal under 10 kN (shaded)", title_fontsize=8)
-    close.set(ylabel="enlarged, um", ylim=(-0.6, 0.6), xlabel="time, s", xlim=SHOWN)
+    error_panel.set(ylabel="tracking error, um", ylim=(-15, 22))
+    error_panel.legend(loc="upper center", fontsize=8, title="at the reversal under 10 kN (shaded)", title_fontsize=8)
+    detail_panel.set(ylabel="enlarged, um", ylim=(-0.6, 0.6), xlabel="time, s", xlim=SHOWN)
     return figure
 
 

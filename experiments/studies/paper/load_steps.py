@@ -31,9 +31,11 @@ def motion_at(speed: float) -> Motion:
 def estimators(drive: Drive) -> dict[str, Controller]:
     """The two load estimators with the paper's gains; eq. (20) also allowed at 1 and 3 mm/s, so that both are tried."""
     tracking = paper_tracking(drive, PAPER_KP, PAPER_KD)
-    printed = InnovationLoad(min_speed=0.0005)
+    innovation_load = InnovationLoad(min_speed=0.0005)
     return {
-        "eq. (20)": FrictionCompensation(tracking, KalmanObserver(drive.plant, drive.friction, Tuning(), printed)),
+        "eq. (20)": FrictionCompensation(
+            tracking, KalmanObserver(drive.plant, drive.friction, Tuning(), innovation_load)
+        ),
         "load as a state": FrictionCompensation(tracking, LoadStateObserver(drive.plant, drive.friction)),
     }
 
@@ -54,8 +56,8 @@ def load_errors() -> list[list[Any]]:
             for speed in SPEEDS:
                 motion = motion_at(factor * speed)
                 weight = load.step(motion.time, at=STEP_TIME, to=LOAD)
-                found = np.asarray(_estimate(*as_arrays((drive, controller)), loop_inputs(motion, weight)))
-                late = motion.time >= STEP_TIME + WAIT
-                row.append(float(jnp.max(jnp.abs(found[late] - LOAD))))
+                estimate = np.asarray(_estimate(*as_arrays((drive, controller)), loop_inputs(motion, weight)))
+                settled = motion.time >= STEP_TIME + WAIT
+                row.append(float(jnp.max(jnp.abs(estimate[settled] - LOAD))))
             rows.append(row)
     return rows

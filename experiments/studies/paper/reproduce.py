@@ -53,9 +53,11 @@ def static_checks(drive: Drive) -> list[tuple[str, float, float]]:
     """Exact figures: name, ours, the closed form of the notes."""
     rows = [("Kp N/m", PAPER_KP, 7.97965e6), ("Kd N s/m", PAPER_KD, 15959.3)]
     expected = {(0.010, 0.0): 11.411, (0.010, 1e4): 11.870, (-0.010, 0.0): -11.262, (-0.010, 1e4): -11.721}
-    for (speed, weight), theirs in expected.items():
+    for (speed, weight), published in expected.items():
         force = float(steady_friction(drive.friction, speed, weight) + drive.plant.damping.towards(speed) * speed)
-        rows.append((f"static PD error um, {1e3 * speed:+g} mm/s, {weight / 1e3:g} kN", 1e6 * force / PAPER_KP, theirs))
+        rows.append(
+            (f"static PD error um, {1e3 * speed:+g} mm/s, {weight / 1e3:g} kN", 1e6 * force / PAPER_KP, published)
+        )
     rows.append(("LuGre force N, +10 mm/s", float(steady_friction(drive.friction, 0.010)), 87.3))
     return rows
 
@@ -73,10 +75,14 @@ def table_1_rows(exact: dict[str, Run], quantised: dict[str, Run]) -> list[list[
     """Peak and RMS in um: the paper's, ours at 4 to 4.2 s without and with the 0.1 um scale, ours at 2 to 2.2 s."""
     rows = []
     for name, run in exact.items():
-        theirs = paper.TABLE_1.get(name, (None, None))
-        row: list[Any] = [name, *theirs]
-        for which, window in ((run, paper.AFTER_LOAD), (quantised[name], paper.AFTER_LOAD), (run, paper.BEFORE_LOAD)):
-            row += [1e6 * which.peak(*window), 1e6 * which.rms(*window)]
+        published = paper.TABLE_1.get(name, (None, None))
+        row: list[Any] = [name, *published]
+        for windowed, window in (
+            (run, paper.AFTER_LOAD),
+            (quantised[name], paper.AFTER_LOAD),
+            (run, paper.BEFORE_LOAD),
+        ):
+            row += [1e6 * windowed.peak(*window), 1e6 * windowed.rms(*window)]
         rows.append(row)
     return rows
 
@@ -112,12 +118,12 @@ def hysteresis(friction: Friction, weight: float, amplitude: float = 20e-6, peri
     position = amplitude * np.sin(2 * np.pi * time / period)
     velocity = np.gradient(position, step)
 
-    def one(deflection: Any, v: Any) -> Any:
+    def body(deflection: Any, v: Any) -> Any:
         bristle = lugre_coefficients(friction, v, deflection, weight)
         deflection = deflection_after(deflection, v, bristle.rate, step)
         return deflection, friction_force(bristle, v, deflection)
 
-    _, force = jax.lax.scan(one, jnp.zeros(()), jnp.asarray(velocity))
+    _, force = jax.lax.scan(body, jnp.zeros(()), jnp.asarray(velocity))
     settled = slice(8_000, None)
     return position[settled], np.asarray(force)[settled]
 
@@ -125,9 +131,11 @@ def hysteresis(friction: Friction, weight: float, amplitude: float = 20e-6, peri
 def unloaded_experiment(drive: Drive) -> dict[str, Run]:
     """Fig. 9's situation: reciprocal motion with the 0.1 um scale, no load."""
     back_and_forth = motion.triangular(speed=0.010, stroke=0.0085, rounding=0.3, duration=4.0, rate=paper.SAMPLING.rate)
-    wanted = ("DOBVSC", "PD+FF+DOB", "PD+FC")
-    known = paper.controllers(drive)
-    return {name: simulate(drive, known[name], back_and_forth, sampling=paper.SAMPLING).require_ok() for name in wanted}
+    names = ("DOBVSC", "PD+FF+DOB", "PD+FC")
+    controllers = paper.controllers(drive)
+    return {
+        name: simulate(drive, controllers[name], back_and_forth, sampling=paper.SAMPLING).require_ok() for name in names
+    }
 
 
 def loaded_experiment(
@@ -141,14 +149,14 @@ def loaded_experiment(
     rippled = weight + np.sqrt(2) * ripple / mu * np.sin(2 * np.pi * to_and_fro.position / pitch)
     tracking = Tracking(PDGains(PAPER_KP, PAPER_KD), Feedforward(mass=drive.plant.mass))
     plant, friction = drive.plant, drive.friction
-    ours: dict[str, Controller] = {
+    loops: dict[str, Controller] = {
         "PD+FC": FrictionCompensation(tracking, KalmanObserver(plant, friction)),
         "PD+FC+LE": FrictionCompensation(tracking, KalmanObserver(plant, friction, Tuning(), InnovationLoad())),
         "PD+FC+LS": FrictionCompensation(tracking, LoadStateObserver(plant, friction)),
     }
     return {
         name: simulate(drive, controller, to_and_fro, rippled, sampling=paper.SAMPLING).require_ok()
-        for name, controller in ours.items()
+        for name, controller in loops.items()
     }
 
 
@@ -163,18 +171,18 @@ def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[Any]]:
     """Estimation error (N), tracking error (um) and estimated load (kN), RMS: the paper's beside ours."""
     rows = []
     for kilonewtons, runs in experiments.items():
-        theirs = dict(zip(("e FC", "e LE", "t FC", "t LE", "W LE"), paper.TABLE_4[kilonewtons], strict=True))
+        published = dict(zip(("e FC", "e LE", "t FC", "t LE", "W LE"), paper.TABLE_4[kilonewtons], strict=True))
         for name in runs:
-            run, short = runs[name], name[-2:]
+            run, suffix = runs[name], name[-2:]
             assert run.friction_estimate is not None
             rows.append(
                 [
                     f"{kilonewtons} kN {name}",
-                    theirs.get(f"e {short}"),
+                    published.get(f"e {suffix}"),
                     settled_rms(run.friction_estimate - run.friction, run),
-                    theirs.get(f"t {short}"),
+                    published.get(f"t {suffix}"),
                     1e6 * settled_rms(run.error, run),
-                    theirs.get(f"W {short}"),
+                    published.get(f"W {suffix}"),
                     None if run.load_estimate is None else 1e-3 * settled_rms(run.load_estimate, run),
                 ]
             )
@@ -189,7 +197,7 @@ def reproduce(out: Path | None) -> Report:
         exact, quantised = paper_drive(quantised=False), paper_drive()
         report.table(
             "static", ("quantity", "ours", "closed form", "difference"),
-            [[name, ours, theirs, ours / theirs - 1] for name, ours, theirs in static_checks(exact)],
+            [[name, computed, expected, computed / expected - 1] for name, computed, expected in static_checks(exact)],
             "Gains and static errors",
         )  # fmt: skip
         with report.working(

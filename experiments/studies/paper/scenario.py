@@ -60,4 +60,4 @@ def canonical() -> PaperScenario:
 def controllers(drive: Drive, kp: float = PAPER_KP, kd: float = PAPER_KD) -> dict[str, Controller]:
     """The paper's five controllers, and ours, with a model of exactly this drive."""
     kinds = paper_controllers(drive, kp, kd)
-    return {kind.upper(): one for kind, one in kinds.items() if kind != "cascade"}
+    return {kind.upper(): controller for kind, controller in kinds.items() if kind != "cascade"}

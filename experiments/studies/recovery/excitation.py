@@ -1,11 +1,11 @@
 """A motion from which a drive's friction, mass and delay can all be identified, such as a servo engineer would run.
 
-Every parameter shows in some regime and hides in the others, so the motion passes through all of them, slowest first,
+Every parameter is visible in one regime and not in the others: the motion passes through all of them, slowest first,
 from rest to rest in strokes of limited jerk:
 
 - creeping, 1 to 20 um: the bristle bends, breaks away and bends back: its stiffness, and the breakaway force;
 - a multisine to 150 Hz of about 1 um, within the bristle's reach: the table swings on the bristle, at 92 Hz on the
-  paper's drive, which tells stiffness, bristle damping and mass apart, and shows the delay;
+  paper's drive, which separates stiffness, bristle damping and mass, and shows the delay;
 - slow reversals, 0.1 to 3 mm/s, a few around the Stribeck velocity of 1 mm/s: how friction falls from breakaway to
   Coulomb, each way;
 - medium strokes, 5 to 30 mm/s: the lowest friction, at which Coulomb and viscous friction part;
@@ -50,8 +50,8 @@ def concatenate(parts: Sequence[Motion], name: str) -> Motion:
     position = [part.position - part.position[0] + start for part, start in zip(parts, starts, strict=False)]
     signals = [position, [part.velocity for part in parts], [part.acceleration for part in parts]]
     # the last sample of a part is the first one of the next
-    kept = [np.concatenate([signal[0], *(piece[1:] for piece in signal[1:])]) for signal in signals]
-    return Motion(np.arange(len(kept[0])) / parts[0].rate, *kept, name)
+    signals_joined = [np.concatenate([signal[0], *(piece[1:] for piece in signal[1:])]) for signal in signals]
+    return Motion(np.arange(len(signals_joined[0])) / parts[0].rate, *signals_joined, name)
 
 
 def resting(duration: float, rate: float) -> Motion:

@@ -1,4 +1,4 @@
-"""How well identification recovers what is known: random drives, logged by a truth machine of its own numerics.
+"""How well identification recovers what is known: random drives, logged by a truth machine with its own numerics.
 
 Each draw is a drive within 40 % of the paper's (`random_drive`), logged on the identification motion, without load at
 first and under 8 kN later, through a 0.1 um scale with 30 nm of noise, and identified from the paper's drive.
@@ -34,20 +34,20 @@ BARS = dict.fromkeys(  # %, that an estimate should be within
 
 
 def true_values(drive: Drive, believed: Drive) -> dict[str, float]:
-    """What identification should find, under the names that it reports; the believed damping is taken as known."""
+    """The true values under the names that identification reports; the nominal damping is taken as known."""
     friction, values = drive.friction, {"mass": drive.plant.mass, "constant_force": drive.plant.constant_force}
     for side in ("positive", "negative"):
-        of = {name: float(getattr(getattr(friction, name), side)) for name in PER_DIRECTION}
-        level = of["coulomb_screw"] + of["load_coefficient"] * float(friction.initial_load)
+        one_side = {name: float(getattr(getattr(friction, name), side)) for name in PER_DIRECTION}
+        level = one_side["coulomb_screw"] + one_side["load_coefficient"] * float(friction.initial_load)
         damping = float(getattr(drive.plant.damping, side)) - float(getattr(believed.plant.damping, side))
-        values |= {f"{name}.{side}": value for name, value in of.items()}
-        values |= {f"coulomb_at_no_load.{side}": level, f"viscous.{side}": of["viscous"] + damping}
+        values |= {f"{name}.{side}": value for name, value in one_side.items()}
+        values |= {f"coulomb_at_no_load.{side}": level, f"viscous.{side}": one_side["viscous"] + damping}
     for name in ("bristle_stiffness", "bristle_damping"):
         values[name] = getattr(friction, name).positive
     return {name: float(value) for name, value in values.items()} | {"delay": 0.0}
 
 
-SCORED = ("fitted", "at its bound", "failed")  # not what was held, nor what was said to be undetermined
+SCORED = ("fitted", "at its bound", "failed")  # neither fixed nor reported as undetermined
 PER_DIRECTION = ("coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous")
 
 
@@ -63,22 +63,22 @@ def identify_draw(number: int) -> dict[str, Any]:
     motion, gains = identification_motion(RATE), PDGains(PAPER_KP, PAPER_KD)
     load = ramp(motion.time, start=LOADED[0], end=LOADED[1], to=LOAD)
     log = truth_log(drive, gains, motion, load, seed=number)
-    began = time.perf_counter()
+    start = time.perf_counter()
     truth = true_values(drive, believed)
     try:
-        found = identify([log], believed)
-        status, simulations = found.status, found.simulations
+        identified = identify([log], believed)
+        status, simulations = identified.status, identified.simulations
         rows = [
             {"name": e.name, "true": truth[e.name], "value": e.value, "low": e.low, "high": e.high, "status": e.status}
-            for e in found.estimates
+            for e in identified.estimates
         ]
-    except DiffdriveError as problem:  # a result too: nothing was found
-        status, simulations = f"failed: {problem}", 0
+    except DiffdriveError as error:  # a result, too
+        status, simulations = f"failed: {error}", 0
         rows = [{"name": name, "true": value, "status": "failed"} for name, value in truth.items()]
     return {
         "draw": number,
         "status": status,
-        "seconds": round(time.perf_counter() - began, 2),
+        "seconds": round(time.perf_counter() - start, 2),
         "simulations": simulations,
         "rows": rows,
     }
@@ -92,17 +92,17 @@ def _read_finished(path: Path) -> list[dict[str, Any]]:
 
 def identify_draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
     """Draws 0 to `count` - 1, those in `path` first, the others as they are done and written there."""
-    kept = _read_finished(path) if path.exists() else []
-    yield from (one for one in kept if one["draw"] < count)
-    left = sorted(set(range(count)) - {one["draw"] for one in kept})
-    if not left:
+    finished = _read_finished(path) if path.exists() else []
+    yield from (draw for draw in finished if draw["draw"] < count)
+    remaining = sorted(set(range(count)) - {draw["draw"] for draw in finished})
+    if not remaining:
         return
-    with processes(min(workers, len(left))) as pool:
-        for done in as_completed([pool.submit(identify_draw, number) for number in left]):
-            one = done.result()
-            kept.append(one)
-            write_text(path, "".join(json.dumps(each) + "\n" for each in kept))
-            yield one
+    with processes(min(workers, len(remaining))) as pool:
+        for future in as_completed([pool.submit(identify_draw, number) for number in remaining]):
+            draw = future.result()
+            finished.append(draw)
+            write_text(path, "".join(json.dumps(draw) + "\n" for draw in finished))
+            yield draw
 
 
 def study(out: Path, count: int = 200, workers: int | None = None) -> None:
@@ -112,27 +112,27 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
     require_memory(ParameterError, f"--draws {format_count(count)}: their results", RESULT * count, mend)
     require_memory(ParameterError, f"--workers {format_count(workers)}: as many processes", PROCESS * workers, mend)
     with Report(f"identification of {count} random drives", out) as report:
-        done = []
+        draws = []
         with report.progress("draws", count) as advance:
-            for one in identify_draws(count, out / "draws.jsonl", workers):
-                done.append(one)
-                advance(len(done), count, one["seconds"])
-        rows = summary(done)
+            for draw in identify_draws(count, out / "draws.jsonl", workers):
+                draws.append(draw)
+                advance(len(draws), count, draw["seconds"])
+        rows = summary(draws)
         columns = (
             "parameter", "values", "median error, %", "95 %", "worst", "bar, %", "within it, %", "covered, %",
             "not determined", "at its bound",
         )  # fmt: skip
         report.table("recovery", columns, rows, "Error of the estimate and coverage of the 95 % interval")
-        covered, total = coverage(done)
+        covered, total = coverage(draws)
         report.values(
             "study",
-            draws=len(done),
-            converged=sum(one["status"] == "converged" for one in done),
+            draws=len(draws),
+            converged=sum(draw["status"] == "converged" for draw in draws),
             covered_percent=100.0 * covered / total,
             intervals=total,
-            median_seconds=float(np.median([one["seconds"] for one in done])),
+            median_seconds=float(np.median([draw["seconds"] for draw in draws])),
         )
-        report.figure("recovery", _figure(done))
+        report.figure("recovery", _figure(draws))
 
 
 def _covers(row: dict[str, Any]) -> bool:
@@ -147,39 +147,39 @@ def _relative(row: dict[str, Any]) -> float:
     return 100.0 * abs(row["value"] / row["true"] - 1.0)
 
 
-def summary(done: list[dict[str, Any]]) -> list[list[Any]]:
+def summary(draws: list[dict[str, Any]]) -> list[list[Any]]:
     """One row for each parameter, both directions together: errors in percent and coverage."""
-    stems = list(dict.fromkeys(_stem(row["name"]) for one in done for row in one["rows"]))
+    stems = list(dict.fromkeys(_stem(row["name"]) for draw in draws for row in draw["rows"]))
     table = []
     for stem in stems:
-        rows = [row for one in done for row in one["rows"] if _stem(row["name"]) == stem]
+        rows = [row for draw in draws for row in draw["rows"] if _stem(row["name"]) == stem]
         fitted = [row for row in rows if row["status"] == "fitted"]
         errors = [_relative(row) for row in fitted if row["true"] != 0.0]
-        stopped = sum(row["status"] == "at its bound" for row in rows)
+        at_bound = sum(row["status"] == "at its bound" for row in rows)
         inside = [_covers(row) for row in rows if row["status"] in SCORED]
         quantiles = [float(np.quantile(errors, q)) for q in (0.5, 0.95, 1.0)] if errors else [None] * 3
-        lost = sum(row["status"] == "not determined" for row in rows)
+        undetermined = sum(row["status"] == "not determined" for row in rows)
         bar = BARS.get(stem)
-        met = None if bar is None or not inside else 100.0 * float(np.sum(np.array(errors) <= bar)) / len(inside)
+        within_bar = None if bar is None or not inside else 100.0 * float(np.sum(np.array(errors) <= bar)) / len(inside)
         covered = 100.0 * float(np.mean(inside)) if inside else None
-        table.append([stem, len(rows), *quantiles, bar, met, covered, lost, stopped])
+        table.append([stem, len(rows), *quantiles, bar, within_bar, covered, undetermined, at_bound])
     return table
 
 
-def coverage(done: list[dict[str, Any]]) -> tuple[int, int]:
-    """How many of the intervals hold the truth, and how many there are; what ran to its bound has one that does not."""
-    inside = [_covers(row) for one in done for row in one["rows"] if row["status"] in SCORED]
+def coverage(draws: list[dict[str, Any]]) -> tuple[int, int]:
+    """How many of the intervals hold the truth, and how many there are; an estimate at its bound counts as a miss."""
+    inside = [_covers(row) for draw in draws for row in draw["rows"] if row["status"] in SCORED]
     return sum(inside), len(inside)
 
 
-def _figure(done: list[dict[str, Any]]) -> Any:
+def _figure(draws: list[dict[str, Any]]) -> Any:
     """Estimate minus truth in half-widths of the interval, per parameter: 95 % should lie within one."""
     figure, axis = new_figure(1, 1, width=9.0, height=4.5)
-    stems = list(dict.fromkeys(_stem(row["name"]) for one in done for row in one["rows"]))
+    stems = list(dict.fromkeys(_stem(row["name"]) for draw in draws for row in draw["rows"]))
     for k, stem in enumerate(stems):
-        rows = [r for one in done for r in one["rows"] if _stem(r["name"]) == stem and r["status"] == "fitted"]
-        off = [2.0 * (r["value"] - r["true"]) / (r["high"] - r["low"]) for r in rows]
-        axis.plot(np.clip(off, -4, 4), k + 0.3 * np.linspace(-1, 1, len(off)), ".", ms=2)
+        rows = [r for draw in draws for r in draw["rows"] if _stem(r["name"]) == stem and r["status"] == "fitted"]
+        errors = [2.0 * (r["value"] - r["true"]) / (r["high"] - r["low"]) for r in rows]
+        axis.plot(np.clip(errors, -4, 4), k + 0.3 * np.linspace(-1, 1, len(errors)), ".", ms=2)
     axis.axvspan(-1, 1, color="0.9", zorder=0)
     axis.set(yticks=range(len(stems)), yticklabels=stems, xlim=(-4.2, 4.2))
     axis.set_xlabel("error, half-widths of the 95 % interval")

@@ -71,8 +71,8 @@ def _rates(drive: Drive, table: TruthTable, force: Scalar, load: Scalar) -> Trut
         friction.initial_load + load
     )
     gap = friction.breakaway_gap.towards(velocity)
-    fast, exponent = speed / friction.stribeck_velocity.towards(velocity), friction.stribeck_exponent
-    level = coulomb + gap * jnp.exp(-(fast if exponent is None else fast**exponent))
+    speed_ratio, exponent = speed / friction.stribeck_velocity.towards(velocity), friction.stribeck_exponent
+    level = coulomb + gap * jnp.exp(-(speed_ratio if exponent is None else speed_ratio**exponent))
     spring = friction.bristle_stiffness.towards(deflection) * deflection
     slip = velocity - spring * speed / level
     viscous = (friction.viscous.towards(velocity) + plant.damping.towards(velocity)) * velocity
@@ -129,25 +129,27 @@ def run(
     sensor, actuator, period = drive.sensor, drive.actuator, 1.0 / rate
     steps = int(np.ceil(round(period / LONGEST_STEP, 6))) if steps is None else steps
 
-    def body(loop: _Loop, at: tuple[Scalar, Scalar]) -> tuple[_Loop, TruthSignals]:
-        wanted, weight = at
+    def body(loop: _Loop, inputs: tuple[Scalar, Scalar]) -> tuple[_Loop, TruthSignals]:
+        target, applied_load = inputs
         table = loop.table.position
         measured = table + sensor.noise * jax.random.normal(jax.random.fold_in(key, loop.count), dtype=jnp.float64)
         if sensor.resolution is not None:
             measured = sensor.resolution * jnp.round(measured / sensor.resolution)
-        error = wanted - measured
+        error = target - measured
         last = jnp.where(loop.count == 0, error, loop.error)
         command = gains.kp * error + gains.kd * (error - last) * rate
         limit = jnp.inf if actuator.force_limit is None else actuator.force_limit
         forces = (jnp.clip(command, -limit, limit), *loop.forces)
-        moved = advance(drive, loop.table, forces[-1], forces[-2], weight, period, steps)
-        return _Loop(moved, forces[:-1], error, loop.count + 1), TruthSignals(measured, command, table)
+        next_table = advance(drive, loop.table, forces[-1], forces[-2], applied_load, period, steps)
+        return _Loop(next_table, forces[:-1], error, loop.count + 1), TruthSignals(measured, command, table)
 
     holding = drive.friction.bristle_stiffness.towards(deflection) * deflection - drive.plant.constant_force
-    held = reference[0] - holding / gains.kp
-    rest = TruthTable(held, jnp.zeros_like(held), jnp.zeros_like(held) + deflection)
-    begin = _Loop(rest, (holding,) * (actuator.delay_samples + 1), jnp.zeros_like(held), jnp.zeros((), jnp.uint32))
-    return lax.scan(body, begin, (reference, load))[1]
+    rest_position = reference[0] - holding / gains.kp
+    rest = TruthTable(rest_position, jnp.zeros_like(rest_position), jnp.zeros_like(rest_position) + deflection)
+    initial = _Loop(
+        rest, (holding,) * (actuator.delay_samples + 1), jnp.zeros_like(rest_position), jnp.zeros((), jnp.uint32)
+    )
+    return lax.scan(body, initial, (reference, load))[1]
 
 
 @partial(jax.jit, static_argnums=6)
@@ -175,16 +177,21 @@ def truth_logs(
     lanes, samples = len(drives), len(motion.time)
     seeds = range(lanes) if seeds is None else seeds
     gains = [gains] * lanes if isinstance(gains, PDGains) else gains
-    each = loads if isinstance(loads, Sequence) else [loads] * lanes
-    if not lanes == len(seeds) == len(gains) == len(each):
-        raise ParameterError(f"{lanes} drives, {len(gains)} gains, {len(each)} loads, {len(seeds)} seeds: give as many")
+    lane_loads = loads if isinstance(loads, Sequence) else [loads] * lanes
+    if not lanes == len(seeds) == len(gains) == len(lane_loads):
+        raise ParameterError(
+            f"{lanes} drives, {len(gains)} gains, {len(lane_loads)} loads, {len(seeds)} seeds: give as many"
+        )
     for drive, gain in zip(drives, gains, strict=True):
         check_drive(drive)
         check(gain)
     if len({jax.tree.structure(drive) for drive in as_arrays(list(drives))}) > 1:
         raise ParameterError("drives with different delay_samples or optional parameters: run each kind on its own")
     load = np.stack(
-        [validated_load(drive, one * np.ones(samples), motion.time) for drive, one in zip(drives, each, strict=True)]
+        [
+            validated_load(drive, lane_load * np.ones(samples), motion.time)
+            for drive, lane_load in zip(drives, lane_loads, strict=True)
+        ]
     )
     draws = [np.random.default_rng(seed) for seed in seeds]
     deflection = [
@@ -192,13 +199,13 @@ def truth_logs(
     ]
     # not key(seed): `simulate` with the same seed would meet the same noise
     keys = jnp.stack([jax.random.key(int(draw.integers(2**32))) for draw in draws])
-    stack = partial(jax.tree.map, lambda *leaves: jnp.stack(leaves))
-    machines = stack(*as_arrays(list(drives))), stack(*as_arrays(list(gains)))
+    stacked = partial(jax.tree.map, lambda *leaves: jnp.stack(leaves))
+    machines = stacked(*as_arrays(list(drives))), stacked(*as_arrays(list(gains)))
     signals = _run_lanes(*machines, jnp.asarray(motion.position), load, jnp.asarray(deflection), keys, motion.rate)
     position, command = np.asarray(signals.position), np.asarray(signals.command)
-    sound = np.all(np.abs(position - motion.position) < 1.0, axis=1)
-    if not sound.all():
-        raise DivergenceError(f"the loops of drives {np.flatnonzero(~sound).tolist()} diverge: lower their gains")
+    stable = np.all(np.abs(position - motion.position) < 1.0, axis=1)
+    if not stable.all():
+        raise DivergenceError(f"the loops of drives {np.flatnonzero(~stable).tolist()} diverge: lower their gains")
     return [
         Log(f"truth {seed}", motion.time, position[i], command[i], reference=motion.position, load=load[i])
         for i, seed in enumerate(seeds)

@@ -4,7 +4,7 @@
     nelder_mead      the simplex (Nelder and Mead 1965, in scipy)
     random_search    points drawn evenly
 
-All share one interface: they begin at y = 0, minimise one penalised number
+All share one interface: they begin at theta = 0, minimise one penalised number
 (`tuning.gains.constrained.Point.penalised`), keep to one budget, and return the best point in any case.
 """
 
@@ -26,8 +26,8 @@ from tuning.gains.constrained import ConstrainedGains, TuningProblem
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.optimisation.evolution import DIVERGED_COST, Budget
 
-INITIAL_SPREAD = 0.5  # in y: the first spread of CMA-ES, the edges of the first simplex
-MIN_SIMPLEX = 1e-4  # in y: the size of a simplex that has collapsed
+INITIAL_SPREAD = 0.5  # in theta: the first spread of CMA-ES, the edges of the first simplex
+MIN_SIMPLEX = 1e-4  # in theta: the size of a simplex that has collapsed
 RANDOM_BATCH = 10  # points of random search at a time
 BLOCK = 32  # points that one call of the compiled program holds at most
 
@@ -69,7 +69,7 @@ def silent(visit: BaselineVisit) -> None:
 class BaselineResult:
     """Where a baseline ended: its best point, why it stopped, and the lowest costs along the way."""
 
-    y: Float[np.ndarray, " k"]  # of the lowest penalised cost
+    theta: Float[np.ndarray, " k"]  # of the lowest penalised cost
     cost: float
     feasible: Float[np.ndarray, " k"] | None  # of the lowest objective among those that keep the requirements
     status: str
@@ -91,8 +91,8 @@ class _Recorder:
 
     cost: CostFunction
     budget: Budget
-    visited: OnVisit
-    y: Float[np.ndarray, " k"]
+    on_visit: OnVisit
+    theta: Float[np.ndarray, " k"]
     feasible: Float[np.ndarray, " k"] | None = None
     last: BaselineVisit = NONE_YET
     history: list[BaselineVisit] = field(default_factory=list)
@@ -100,30 +100,30 @@ class _Recorder:
 
     def __call__(self, points: Points) -> Float[np.ndarray, " s"]:
         """Penalised costs, all of them finite. Of a batch that exceeds the budget only the first points are tried."""
-        left = self.budget.simulations - self.last.simulations
-        if left < 1:
+        remaining = self.budget.simulations - self.last.simulations
+        if remaining < 1:
             raise _BudgetSpentError(self._spent())
-        points = points[:left]
+        points = points[:remaining]
         penalised, objective, missed = self.cost(points)
         penalised = np.where(np.isfinite(penalised), penalised, DIVERGED_COST)
-        kept = np.where(np.isfinite(objective) & (missed <= FEASIBILITY_TOLERANCE), objective, np.inf)
-        self._keep(points, penalised, kept)
-        self.visited(self.last)
+        feasible = np.where(np.isfinite(objective) & (missed <= FEASIBILITY_TOLERANCE), objective, np.inf)
+        self._keep(points, penalised, feasible)
+        self.on_visit(self.last)
         if self._spent():
             raise _BudgetSpentError(self._spent())
         return penalised
 
-    def _keep(self, points: Points, penalised: Float[np.ndarray, " s"], kept: Float[np.ndarray, " s"]) -> None:
-        least, best = int(np.argmin(penalised)), int(np.argmin(kept))
+    def _keep(self, points: Points, penalised: Float[np.ndarray, " s"], feasible: Float[np.ndarray, " s"]) -> None:
+        least, best = int(np.argmin(penalised)), int(np.argmin(feasible))
         if penalised[least] < self.last.cost:
-            self.y = np.array(points[least])
-        if kept[best] < self.last.feasible:
+            self.theta = np.array(points[least])
+        if feasible[best] < self.last.feasible:
             self.feasible = np.array(points[best])
         self.last = BaselineVisit(
             self.last.simulations + len(points),
             time.perf_counter() - self.began,
             min(self.last.cost, float(penalised[least])),
-            min(self.last.feasible, float(kept[best])),
+            min(self.last.feasible, float(feasible[best])),
         )
         self.history.append(self.last)
 
@@ -140,33 +140,33 @@ Evaluate = Callable[[Points], Float[np.ndarray, " s"]]
 
 
 def _run_search(
-    search: Callable[[Evaluate], str], cost: CostFunction, k: int, budget: Budget, visited: OnVisit
+    search: Callable[[Evaluate], str], cost: CostFunction, k: int, budget: Budget, on_visit: OnVisit
 ) -> BaselineResult:
     """The search, and what is left of it when it converges, has spent its budget or is interrupted."""
-    trail = _Recorder(cost, budget, visited, np.zeros(k))
+    recorder = _Recorder(cost, budget, on_visit, np.zeros(k))
     try:
-        status = search(trail)
+        status = search(recorder)
     except _BudgetSpentError as spent:
         status = str(spent)
     except KeyboardInterrupt:
-        status = f"interrupted after {trail.last.simulations} simulations"
-    return BaselineResult(trail.y, trail.last.cost, trail.feasible, status, trail.history)
+        status = f"interrupted after {recorder.last.simulations} simulations"
+    return BaselineResult(recorder.theta, recorder.last.cost, recorder.feasible, status, recorder.history)
 
 
-def cma_es(cost: CostFunction, k: int, budget: Budget, seed: int = 0, visited: OnVisit = silent) -> BaselineResult:
+def cma_es(cost: CostFunction, k: int, budget: Budget, seed: int = 0, on_visit: OnVisit = silent) -> BaselineResult:
     """CMA-ES with the package's default population, 4 + 3 ln k, and its default rules of convergence."""
 
-    def search(tried: Evaluate) -> str:
+    def search(evaluate: Evaluate) -> str:
         import cma  # a second to load, and pyplot with it: only where it is used
 
         strategy = cma.CMAEvolutionStrategy(np.zeros(k), INITIAL_SPREAD, _quiet(seed))
-        tried(np.zeros((1, k)))
+        evaluate(np.zeros((1, k)))
         while not strategy.stop():
             points = strategy.ask()
-            strategy.tell(points, list(tried(np.array(points))))
+            strategy.tell(points, list(evaluate(np.array(points))))
         return f"converged: {', '.join(strategy.stop())}"
 
-    return _run_search(search, cost, k, budget, visited)
+    return _run_search(search, cost, k, budget, on_visit)
 
 
 def _quiet(seed: int) -> dict[str, object]:
@@ -176,7 +176,9 @@ def _quiet(seed: int) -> dict[str, object]:
     return {"verbose": -9, "signals_filename": "", "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan}
 
 
-def nelder_mead(cost: CostFunction, k: int, budget: Budget, seed: int = 0, visited: OnVisit = silent) -> BaselineResult:
+def nelder_mead(
+    cost: CostFunction, k: int, budget: Budget, seed: int = 0, on_visit: OnVisit = silent
+) -> BaselineResult:
     """Nelder-Mead. The first simplex has a corner in the start; `seed` draws whether its edges go up or down."""
     edges = INITIAL_SPREAD * np.random.default_rng(seed).choice([-1.0, 1.0], k)
     options = {
@@ -187,15 +189,17 @@ def nelder_mead(cost: CostFunction, k: int, budget: Budget, seed: int = 0, visit
         "maxfev": budget.simulations + 1,
     }
 
-    def search(tried: Evaluate) -> str:
-        scipy.optimize.minimize(lambda y: float(tried(y[None])[0]), np.zeros(k), method="Nelder-Mead", options=options)
+    def search(evaluate: Evaluate) -> str:
+        scipy.optimize.minimize(
+            lambda y: float(evaluate(y[None])[0]), np.zeros(k), method="Nelder-Mead", options=options
+        )
         return "converged: the simplex has collapsed"
 
-    return _run_search(search, cost, k, budget, visited)
+    return _run_search(search, cost, k, budget, on_visit)
 
 
 def random_search(
-    cost: CostFunction, k: int, budget: Budget, seed: int = 0, visited: OnVisit = silent
+    cost: CostFunction, k: int, budget: Budget, seed: int = 0, on_visit: OnVisit = silent
 ) -> BaselineResult:
     """The start and random points: even between the bounds where the start is in their middle (`space.around`).
 
@@ -203,12 +207,12 @@ def random_search(
     """
     rng = np.random.default_rng(seed)
 
-    def search(tried: Evaluate) -> str:
-        tried(np.zeros((1, k)))
+    def search(evaluate: Evaluate) -> str:
+        evaluate(np.zeros((1, k)))
         while True:
-            tried(rng.logistic(size=(RANDOM_BATCH, k)))
+            evaluate(rng.logistic(size=(RANDOM_BATCH, k)))
 
-    return _run_search(search, cost, k, budget, visited)
+    return _run_search(search, cost, k, budget, on_visit)
 
 
 @eqx.filter_jit
@@ -218,23 +222,23 @@ def _block_costs(
     """Of the points of each device the first `counts`: so one program serves batches of all sizes."""
     arrays, rest = eqx.partition(problem, eqx.is_array)
 
-    def share(
+    def device_costs(
         points: Float[Array, "p k"], counts: Int[Array, " one"], arrays: TuningProblem
     ) -> Float[Array, "p three"]:
         problem = eqx.combine(arrays, rest)
 
-        def one(row: Int[Array, ""], found: Float[Array, "p three"]) -> Float[Array, "p three"]:
+        def evaluate_row(row: Int[Array, ""], costs: Float[Array, "p three"]) -> Float[Array, "p three"]:
             point = gains.at(points[row], problem)
-            return found.at[row].set(jnp.stack([point.penalised, point.objective, point.missed]))
+            return costs.at[row].set(jnp.stack([point.penalised, point.objective, point.missed]))
 
-        return lax.fori_loop(0, counts[0], one, jnp.full((len(points), 3), jnp.nan))
+        return lax.fori_loop(0, counts[0], evaluate_row, jnp.full((len(points), 3), jnp.nan))
 
-    shared, everywhere = PartitionSpec("points"), PartitionSpec()
+    sharded, replicated = PartitionSpec("points"), PartitionSpec()
     return jax.shard_map(
-        share,
+        device_costs,
         mesh=Mesh(np.array(jax.devices()), ("points",)),
-        in_specs=(shared, shared, everywhere),
-        out_specs=shared,
+        in_specs=(sharded, sharded, replicated),
+        out_specs=sharded,
         check_vma=False,
     )(points, counts, arrays)
 
@@ -246,20 +250,20 @@ def costs_of(gains: ConstrainedGains, problem: TuningProblem, block: int = BLOCK
     ensemble fill the vectors already. With eight lanes on two cores: 25 ms per point, against 18 ms.
     """
     devices = len(jax.devices())
-    each = -(-block // devices)
+    rows = -(-block // devices)
 
-    def some(points: Points) -> Float[np.ndarray, "s three"]:
+    def block_costs(points: Points) -> Float[np.ndarray, "s three"]:
         """Point i goes to device i modulo devices."""
         counts = np.array([len(points[device::devices]) for device in range(devices)])
-        held = np.zeros((devices, each, points.shape[1]))
+        padded = np.zeros((devices, rows, points.shape[1]))
         for device, count in enumerate(counts):
-            held[device, :count] = points[device::devices]
-        found = _block_costs(gains, problem, held.reshape(devices * each, -1), counts)
-        return np.asarray(found).reshape(devices, each, 3).swapaxes(0, 1).reshape(-1, 3)[: len(points)]
+            padded[device, :count] = points[device::devices]
+        costs = _block_costs(gains, problem, padded.reshape(devices * rows, -1), counts)
+        return np.asarray(costs).reshape(devices, rows, 3).swapaxes(0, 1).reshape(-1, 3)[: len(points)]
 
     def cost(points: Points) -> PenalisedCosts:
-        most = devices * each
-        found = [some(points[first : first + most]) for first in range(0, len(points), most)]
-        return PenalisedCosts(*np.concatenate(found).T)
+        capacity = devices * rows
+        costs = [block_costs(points[first : first + capacity]) for first in range(0, len(points), capacity)]
+        return PenalisedCosts(*np.concatenate(costs).T)
 
     return cost

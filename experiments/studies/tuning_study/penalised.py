@@ -35,8 +35,8 @@ class _Scalar:
 
     gains: ConstrainedGains
 
-    def __call__(self, y: Float[Array, " k"], problem: TuningProblem) -> Float[Array, ""]:
-        return self.gains.at(y, problem).penalised
+    def __call__(self, theta: Float[Array, " k"], problem: TuningProblem) -> Float[Array, ""]:
+        return self.gains.at(theta, problem).penalised
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,15 @@ class _Squares:
 
     gains: ConstrainedGains
 
-    def __call__(self, y: Float[Array, " k"], problem: TuningProblem) -> Float[Array, " m"]:
-        signals, kept = self.gains.seen(y, problem)
+    def __call__(self, theta: Float[Array, " k"], problem: TuningProblem) -> Float[Array, " m"]:
+        signals, constraints = self.gains.seen(theta, problem)
         weights = jax.lax.stop_gradient(self.gains.objective.weights(signals))
         parts = jax.tree.map(lambda weight, signal: (weight * signal).ravel(), weights, signals)
         scale = jax.lax.stop_gradient(PENALTY * self.gains.objective(signals))
-        missed = [jnp.sqrt(scale) * jnp.sqrt(jnp.maximum(jnp.max(values), 1e-12)) for values in kept.values()]
-        return jnp.concatenate([*jax.tree.leaves(parts), jnp.stack(missed)])
+        violations = [
+            jnp.sqrt(scale) * jnp.sqrt(jnp.maximum(jnp.max(values), 1e-12)) for values in constraints.values()
+        ]
+        return jnp.concatenate([*jax.tree.leaves(parts), jnp.stack(violations)])
 
 
 def bfgs(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineResult:
@@ -70,43 +72,43 @@ def _options(solver: Any) -> dict[str, Any]:
 
 def _function(residuals: Callable[..., Any]) -> Callable[..., Any]:
     linearised = with_jacobian(residuals)
-    return lambda y, problem: (linearised(y, problem), None)
+    return lambda theta, problem: (linearised(theta, problem), None)
 
 
 @eqx.filter_jit
-def _begin(solver: Any, residuals: Callable[..., Any], y: Array, problem: TuningProblem) -> Any:
+def _begin(solver: Any, residuals: Callable[..., Any], theta: Array, problem: TuningProblem) -> Any:
     fn = _function(residuals)
-    shapes = eqx.filter_eval_shape(fn, y, problem)
-    return solver.init(fn, y, problem, _options(solver), *shapes, NO_TAGS)
+    shapes = eqx.filter_eval_shape(fn, theta, problem)
+    return solver.init(fn, theta, problem, _options(solver), *shapes, NO_TAGS)
 
 
 @eqx.filter_jit
-def _step(solver: Any, residuals: Callable[..., Any], y: Array, problem: TuningProblem, state: Any) -> Any:
+def _step(solver: Any, residuals: Callable[..., Any], theta: Array, problem: TuningProblem, state: Any) -> Any:
     fn = _function(residuals)
-    y, state, _ = solver.step(fn, y, problem, _options(solver), state, NO_TAGS)
-    finished, _ = solver.terminate(fn, y, problem, _options(solver), state, NO_TAGS)
-    return y, state, finished
+    theta, state, _ = solver.step(fn, theta, problem, _options(solver), state, NO_TAGS)
+    finished, _ = solver.terminate(fn, theta, problem, _options(solver), state, NO_TAGS)
+    return theta, state, finished
 
 
 def _run_solver(
     solver: Any, residuals: Callable[..., Any], gains: ConstrainedGains, problem: TuningProblem, budget: Budget
 ) -> BaselineResult:
     """Step by step, so that the budget is kept and the best point within the requirements is known."""
-    y = jnp.zeros(len(gains.free))
-    state = _begin(solver, residuals, y, problem)
-    jax.block_until_ready(_step(solver, residuals, y, problem, state))  # compiled before the clock starts
-    began, best, feasible = time.perf_counter(), (np.inf, np.asarray(y)), (np.inf, None)
+    theta = jnp.zeros(len(gains.free))
+    state = _begin(solver, residuals, theta, problem)
+    jax.block_until_ready(_step(solver, residuals, theta, problem, state))  # compiled before the clock starts
+    start, best, feasible = time.perf_counter(), (np.inf, np.asarray(theta)), (np.inf, None)
     history: list[BaselineVisit] = []
     status = ""
     while not status:
-        y, state, finished = _step(solver, residuals, y, problem, state)
-        point: DesignPoint = evaluate(gains, y, problem)
+        theta, state, finished = _step(solver, residuals, theta, problem, state)
+        point: DesignPoint = evaluate(gains, theta, problem)
         penalised, objective = float(point.penalised), float(point.objective)
-        best = min(best, (penalised, np.asarray(y)), key=lambda one: one[0])
+        best = min(best, (penalised, np.asarray(theta)), key=lambda candidate: candidate[0])
         if float(point.missed) <= FEASIBILITY_TOLERANCE and objective < feasible[0]:
-            feasible = (objective, np.asarray(y))
-        history.append(BaselineVisit(len(history) + 1, time.perf_counter() - began, best[0], feasible[0]))
-        if bool(finished) or not np.isfinite(np.asarray(y)).all():
+            feasible = (objective, np.asarray(theta))
+        history.append(BaselineVisit(len(history) + 1, time.perf_counter() - start, best[0], feasible[0]))
+        if bool(finished) or not np.isfinite(np.asarray(theta)).all():
             status = "converged" if bool(finished) else "diverged"
         elif len(history) >= budget.simulations:
             status = f"stopped after {len(history)} steps"

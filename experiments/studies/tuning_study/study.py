@@ -77,11 +77,11 @@ def benchmark(load_error: float | None = None) -> TuningBenchmark:
     drive = delayed_drive()
     observer = LoadStateObserver(drive.plant, drive.friction)
     controller = FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer)
-    asked = None if load_error is None else np.r_[np.full(len(LOADS), load_error), np.full(len(LOADS), 1e9)]
-    limits = LoopLimits(command_noise=20.0, load_error=asked)
-    at = operating_points([drive], SPEEDS, (LOADS[0], LOADS[-1]))
+    load_error_limits = None if load_error is None else np.r_[np.full(len(LOADS), load_error), np.full(len(LOADS), 1e9)]
+    limits = LoopLimits(command_noise=20.0, load_error=load_error_limits)
+    grid = operating_points([drive], SPEEDS, (LOADS[0], LOADS[-1]))
     return TuningBenchmark(
-        controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Constraints(limits, at, SAMPLING)
+        controller, ensemble(scenarios(1), SAMPLING, settle=SETTLE), Constraints(limits, grid, SAMPLING)
     )
 
 
@@ -89,13 +89,13 @@ def tuning_study(
     report: Report, *, evaluations: int = USUAL_EVALUATIONS * BUDGET_FACTOR, runs: int = 3, starts: int = STARTS
 ) -> None:
     """Gradient against other searches: quality, evaluations, time; random starts; number of parameters."""
-    bench = benchmark()
-    space = default_space(bench.controller)
-    tuned, best = _race(report, bench, space, evaluations, runs)
-    _held_out(report, bench.controller, tuned)
+    problem = benchmark()
+    space = default_space(problem.controller)
+    tuned, best = _race(report, problem, space, evaluations, runs)
+    _held_out(report, problem.controller, tuned)
     _true_load(report)
-    _starts(report, bench, space, best, starts)
-    _parameters(report, bench, evaluations)
+    _starts(report, problem, space, best, starts)
+    _parameters(report, problem, evaluations)
 
 
 def _race(
@@ -106,31 +106,36 @@ def _race(
     count = len(space.free)
     tuned = tune(bench.controller, bench.lanes, bench.requirements, space)
     budget = Budget(simulations=evaluations, seconds=600.0)
-    found: dict[str, list[BaselineResult]] = {}
+    results: dict[str, list[BaselineResult]] = {}
     cost = costs_of(gains, problem)
     cost(np.zeros((2, count)))
     with report.progress("other searches", len(SEARCHES) * runs + len(SOLVERS)) as advance:
         for k, (name, search) in enumerate(SEARCHES.items()):
             for seed in range(runs):
-                found.setdefault(name, []).append(search(cost, count, budget, seed))
-                advance(k * runs + seed + 1, len(SEARCHES) * runs + len(SOLVERS), found[name][-1].history[-1].feasible)
+                results.setdefault(name, []).append(search(cost, count, budget, seed))
+                advance(
+                    k * runs + seed + 1, len(SEARCHES) * runs + len(SOLVERS), results[name][-1].history[-1].feasible
+                )
         for k, (name, solver) in enumerate(SOLVERS.items()):
-            found[name] = [solver(gains, problem, budget._replace(simulations=min(evaluations, MAX_SOLVER_STEPS)))]
-            advance(len(SEARCHES) * runs + k + 1, len(SEARCHES) * runs + len(SOLVERS), found[name][0].cost)
-    best = min(float(tuned.point.objective), *(one.history[-1].feasible for each in found.values() for one in each))
+            results[name] = [solver(gains, problem, budget._replace(simulations=min(evaluations, MAX_SOLVER_STEPS)))]
+            advance(len(SEARCHES) * runs + k + 1, len(SEARCHES) * runs + len(SOLVERS), results[name][0].cost)
+    best = min(
+        float(tuned.point.objective),
+        *(result.history[-1].feasible for result_list in results.values() for result in result_list),
+    )
     gradient = [(e, e + count * j, s, f) for e, j, s, f in _evaluation_history(tuned)]
     rows: list[list[Any]] = [["gradient", float(tuned.point.objective), *_cost_to_reach(gradient, best)]]
-    for name, several in found.items():
-        for one in several:
-            trail = [(v.simulations, v.simulations, v.seconds, v.feasible) for v in one.history]
-            rows.append([name, one.history[-1].feasible, *_cost_to_reach(trail, best)])
+    for name, several in results.items():
+        for result in several:
+            trail = [(v.simulations, v.simulations, v.seconds, v.feasible) for v in result.history]
+            rows.append([name, result.history[-1].feasible, *_cost_to_reach(trail, best)])
     columns = ("search", "best um", *(f"{what} to {100 * w:g} %" for w in TOLERANCES for what in ("evaluations", "s")))
     report.table("race", columns, rows, "Cost to come within so much of the best; a derivative is one evaluation")
     report.values("best", objective_um=best, gradient_um=float(tuned.point.objective), parameters=count)
-    evaluated, singly, seconds, _ = gradient[-1]
-    report.values("gradient", status=tuned.status, starts=[float(one) for one in tuned.starts], evaluations=evaluated,
-                  derivatives_counted_singly=singly, seconds=seconds)  # fmt: skip
-    report.figure("race", _race_figure(gradient, found))
+    evaluated, derivatives_singly, seconds, _ = gradient[-1]
+    report.values("gradient", status=tuned.status, starts=[float(start) for start in tuned.starts],
+                  evaluations=evaluated, derivatives_counted_singly=derivatives_singly, seconds=seconds)  # fmt: skip
+    report.figure("race", _race_figure(gradient, results))
     return tuned, best
 
 
@@ -142,8 +147,8 @@ def _compiled(bench: TuningBenchmark, space: SearchSpace) -> tuple[ConstrainedGa
     """The problem, its programs compiled."""
     gains = ConstrainedGains(space.free, Objective())
     problem = tuning_problem(as_arrays(smooth(bench.controller)), space, bench.lanes, bench.requirements)
-    begin = jnp.zeros(len(space.free))
-    jax.block_until_ready((evaluate(gains, begin, problem), linearise_at(gains, begin, problem)))
+    theta = jnp.zeros(len(space.free))
+    jax.block_until_ready((evaluate(gains, theta, problem), linearise_at(gains, theta, problem)))
     return gains, problem
 
 
@@ -152,32 +157,32 @@ def _evaluation_history(tuned: GainSearch) -> list[tuple[int, int, float, float]
 
     Over the searches from all starts, in order, the look at the starts before them included.
     """
-    found, before, derived, seconds = [], len(tuned.starts), 0, tuned.screening
-    for one in tuned.searches:
-        for e, j, s, objective, missed in one.standing.history:
-            value = objective if missed <= FEASIBILITY_TOLERANCE and np.isfinite(objective) else np.inf
+    history, evaluated, derived, seconds = [], len(tuned.starts), 0, tuned.screening
+    for search in tuned.searches:
+        for e, j, s, objective, violation in search.standing.history:
+            value = objective if violation <= FEASIBILITY_TOLERANCE and np.isfinite(objective) else np.inf
             # each search begins with a linearisation
-            found.append((before + e + j + 1, derived + j + 1, seconds + s, value))
-        before, derived, seconds = found[-1][0], found[-1][1], found[-1][2]
-    return found
+            history.append((evaluated + e + j + 1, derived + j + 1, seconds + s, value))
+        evaluated, derived, seconds = history[-1][0], history[-1][1], history[-1][2]
+    return history
 
 
 def _cost_to_reach(trail: list[tuple[int, int, float, float]], best: float) -> list[Any]:
     """Evaluations and seconds until the objective was within each share of the best; None where it never was."""
-    found: list[Any] = []
+    costs: list[Any] = []
     for share in TOLERANCES:
-        there = next((entry for entry in trail if entry[3] <= (1.0 + share) * best), None)
-        found += [None, None] if there is None else [there[0], round(there[2], 2)]
-    return found
+        first = next((entry for entry in trail if entry[3] <= (1.0 + share) * best), None)
+        costs += [None, None] if first is None else [first[0], round(first[2], 2)]
+    return costs
 
 
-def _race_figure(gradient: list[tuple[int, int, float, float]], found: dict[str, list[BaselineResult]]) -> Any:
+def _race_figure(gradient: list[tuple[int, int, float, float]], results: dict[str, list[BaselineResult]]) -> Any:
     figure, axes = new_figure(1, 2, width=11.0, height=3.8, share_x=False)
     for axis, column, what in ((axes[0], 0, "evaluations"), (axes[1], 2, "seconds")):
-        for k, (name, several) in enumerate(found.items()):
-            for n, one in enumerate(several):
-                x = [v.simulations if column == 0 else v.seconds for v in one.history]
-                y = [v.feasible for v in one.history]
+        for k, (name, several) in enumerate(results.items()):
+            for n, result in enumerate(several):
+                x = [v.simulations if column == 0 else v.seconds for v in result.history]
+                y = [v.feasible for v in result.history]
                 axis.step(x, y, f"C{k + 1}", lw=0.9, where="post", label=name if n == 0 else None)
         least = np.minimum.accumulate([entry[3] for entry in gradient])
         axis.step([entry[column] for entry in gradient], least, "C0", lw=2, where="post", label="gradient")
@@ -189,7 +194,7 @@ def _race_figure(gradient: list[tuple[int, int, float, float]], found: dict[str,
 def _mean_rms(controller: Controller, several: list[Scenario]) -> tuple[float, float]:
     """Mean RMS (um) and mean command noise (N) of scenarios."""
     signals = _signals(as_arrays(smooth(controller)), ensemble(several, SAMPLING, settle=SETTLE))
-    errors, noises = (np.sqrt(np.mean(np.square(one), axis=1)) for one in (signals.error, signals.change))
+    errors, noises = (np.sqrt(np.mean(np.square(signal), axis=1)) for signal in (signals.error, signals.change))
     return 1e6 * float(np.mean(errors)), float(np.mean(noises))
 
 
@@ -198,7 +203,7 @@ def _signals(controller: Controller, lanes: Ensemble) -> Any:
     return lanes.signals(controller)
 
 
-def _held_out(report: Report, given: Controller, tuned: GainSearch) -> None:
+def _held_out(report: Report, nominal: Controller, tuned: GainSearch) -> None:
     """Other loads, another machine, other noise, other speeds."""
     cases = {
         "loads in between": scenarios(101, (2_500.0, 7_500.0, 11_300.0)),
@@ -208,8 +213,8 @@ def _held_out(report: Report, given: Controller, tuned: GainSearch) -> None:
     }
     rows = []
     for name, several in cases.items():
-        was, now = _mean_rms(given, several), _mean_rms(tuned.controller, several)
-        rows.append([name, was[0], now[0], was[1], now[1]])
+        before, after = _mean_rms(nominal, several), _mean_rms(tuned.controller, several)
+        rows.append([name, before[0], after[0], before[1], after[1]])
     columns = ("held out", "RMS um", "RMS tuned", "noise N", "noise tuned")
     report.table("held_out", columns, rows, "Mean over the lanes, on scenarios that were not tuned on")
 
@@ -230,16 +235,16 @@ def _starts(report: Report, bench: TuningBenchmark, space: SearchSpace, best: fl
     rows = []
     with report.progress("random starts", starts) as advance:
         for k in range(starts):
-            begin = _random_shift(space, rng)
+            shift = _random_shift(space, rng)
             tuned = tune(
-                bench.controller, bench.lanes, bench.requirements, SearchSpace(space.free, space.origin + begin)
+                bench.controller, bench.lanes, bench.requirements, SearchSpace(space.free, space.origin + shift)
             )
             growth = float(np.max(np.asarray(tuned.point.kept["stability"])))
-            was = float(np.max(np.asarray(tuned.began.kept["stability"])))
+            initial_growth = float(np.max(np.asarray(tuned.began.kept["stability"])))
             objective = float(tuned.point.objective)
-            alone = float(tuned.starts[0])
-            over = [one / best - 1.0 for one in (alone, objective)]
-            rows.append([k, was <= 0, tuned.status, objective, *over, growth <= 0, tuned.feasible])
+            one_search = float(tuned.starts[0])
+            excess = [cost / best - 1.0 for cost in (one_search, objective)]
+            rows.append([k, initial_growth <= 0, tuned.status, objective, *excess, growth <= 0, tuned.feasible])
             advance(k + 1, starts, objective)
     columns = ("start", "began stable", "status", "objective um", "one search, over the best", "over the best",
                "stable", "feasible")  # fmt: skip
@@ -263,25 +268,26 @@ def _random_shift(space: SearchSpace, rng: np.random.Generator) -> np.ndarray:
 
 def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> None:
     """Cost to come within 5 % against the number of parameters."""
-    whole = default_space(bench.controller, friction=True)
+    full = default_space(bench.controller, friction=True)
     rows = []
-    for count in (2, 4, 7, 14, len(whole.free)):
-        space = SearchSpace(whole.free[:count], whole.origin[:count])
+    for count in (2, 4, 7, 14, len(full.free)):
+        space = SearchSpace(full.free[:count], full.origin[:count])
         gains, problem = _compiled(bench, space)
         tuned = tune(bench.controller, bench.lanes, bench.requirements, space)
         cost = costs_of(gains, problem)
         cost(np.zeros((2, count)))
-        began = time.perf_counter()
+        start = time.perf_counter()
         other = cma_es(cost, count, Budget(simulations=evaluations, seconds=600.0), 0)
         best = min(float(tuned.point.objective), other.history[-1].feasible)
-        ours = next((e for e in _evaluation_history(tuned) if e[3] <= 1.05 * best), None)
-        theirs = next((v for v in other.history if v.feasible <= 1.05 * best), None)
+        gradient_cost = next((e for e in _evaluation_history(tuned) if e[3] <= 1.05 * best), None)
+        cma_cost = next((v for v in other.history if v.feasible <= 1.05 * best), None)
         rows.append(
             [
                 count, float(tuned.point.objective), other.history[-1].feasible,
-                None if ours is None else ours[0], None if ours is None else ours[2],
-                None if theirs is None else theirs.simulations, None if theirs is None else theirs.seconds,
-                time.perf_counter() - began,
+                None if gradient_cost is None else gradient_cost[0],
+                None if gradient_cost is None else gradient_cost[2],
+                None if cma_cost is None else cma_cost.simulations, None if cma_cost is None else cma_cost.seconds,
+                time.perf_counter() - start,
             ]
         )  # fmt: skip
         report.say(f"{count} parameters: gradient {rows[-1][1]:.5f}, CMA-ES {rows[-1][2]:.5f} um")
@@ -291,9 +297,9 @@ def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> Non
     )  # fmt: skip
     report.table("parameters", columns, rows, "Cost to come within 5 % of the better of both")
     figure, axes = new_figure(1, 2, width=10.0, height=3.4, share_x=False)
-    for axis, ours, theirs, what in ((axes[0], 3, 5, "evaluations"), (axes[1], 4, 6, "s")):
-        axis.plot([row[0] for row in rows], [row[ours] or np.nan for row in rows], "o-", label="gradient")
-        axis.plot([row[0] for row in rows], [row[theirs] or np.nan for row in rows], "s-", label="CMA-ES")
+    for axis, gradient_cost, cma_cost, what in ((axes[0], 3, 5, "evaluations"), (axes[1], 4, 6, "s")):
+        axis.plot([row[0] for row in rows], [row[gradient_cost] or np.nan for row in rows], "o-", label="gradient")
+        axis.plot([row[0] for row in rows], [row[cma_cost] or np.nan for row in rows], "s-", label="CMA-ES")
         axis.set(xlabel="parameters", ylabel=f"{what} to within 5 %", yscale="log")
     axes[0].legend()
     figure.suptitle("no mark: did not come within 5 % of the better of both", fontsize="small")

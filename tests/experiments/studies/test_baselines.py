@@ -50,22 +50,22 @@ def half_plane(points):
 @pytest.mark.parametrize("search", LOCAL)
 def test_the_optimum_of_a_sphere_is_found(search):
     found = search(free(sphere), 3, Budget(1_000, 60.0))
-    np.testing.assert_allclose(found.y, CENTRE, atol=1e-2)
+    np.testing.assert_allclose(found.theta, CENTRE, atol=1e-2)
     assert found.cost == pytest.approx(1.0, abs=1e-4)
-    np.testing.assert_array_equal(found.feasible, found.y)
+    np.testing.assert_array_equal(found.feasible, found.theta)
 
 
 @pytest.mark.parametrize("search", LOCAL)
 def test_the_optimum_of_a_curved_valley_is_found(search):
     found = search(free(rosenbrock), 2, PLENTY)
-    np.testing.assert_allclose(found.y, [1.0, 1.0], atol=1e-2)
+    np.testing.assert_allclose(found.theta, [1.0, 1.0], atol=1e-2)
     assert found.status.startswith("converged: ")
     assert found.simulations < 2_000
 
 
 def test_random_search_comes_near_the_optimum():
     found = random_search(free(sphere), 2, Budget(4_000, 60.0))
-    np.testing.assert_allclose(found.y, CENTRE[:2], atol=0.2)
+    np.testing.assert_allclose(found.theta, CENTRE[:2], atol=0.2)
     assert found.cost < 1.02
 
 
@@ -73,7 +73,7 @@ def test_random_search_comes_near_the_optimum():
 def test_requirements_are_kept_at_their_price(search):
     found = search(half_plane, 2, Budget(4_000, 60.0))
     near = 0.2 if search is random_search else 0.02
-    np.testing.assert_allclose(found.y, [0.2, -0.4], atol=near)
+    np.testing.assert_allclose(found.theta, [0.2, -0.4], atol=near)
     priced = half_plane(found.feasible[None])
     assert priced.missed[0] <= FEASIBILITY_TOLERANCE
     assert priced.objective[0] == found.history[-1].feasible == pytest.approx(1.25, abs=near**2 + 0.01)
@@ -101,7 +101,7 @@ def test_budgets_are_kept_and_counted(search):
     assert found.status == "stopped after 47 simulations"
     np.testing.assert_array_equal(asked[0], np.zeros((1, 3)))
     costs = sphere(np.concatenate(asked))
-    assert found.cost == costs.min() == sphere(found.y[None])[0]
+    assert found.cost == costs.min() == sphere(found.theta[None])[0]
     assert [visit.cost for visit in found.history] == [costs[: visit.simulations].min() for visit in found.history]
     assert np.all(np.diff([visit.seconds for visit in found.history]) >= 0)
 
@@ -118,28 +118,28 @@ def test_a_search_stops_when_its_time_is_up_or_its_cost_good_enough(search):
 @pytest.mark.parametrize("search", SEARCHES)
 def test_without_a_budget_the_start_is_returned(search):
     found = search(free(sphere), 3, Budget(0, 60.0))
-    np.testing.assert_array_equal(found.y, np.zeros(3))
+    np.testing.assert_array_equal(found.theta, np.zeros(3))
     assert (found.cost, found.simulations, found.history) == (np.inf, 0, [])
 
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_seeds_reproduce(search):
     one, same, other = (search(free(sphere), 3, Budget(60, 60.0), seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.y, same.y)
+    np.testing.assert_array_equal(one.theta, same.theta)
     assert [visit.cost for visit in one.history] == [visit.cost for visit in same.history]
-    assert np.any(one.y != other.y)
+    assert np.any(one.theta != other.theta)
 
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_an_interrupt_keeps_the_best(search):
-    def visited(visit):
+    def on_visit(visit):
         if visit.simulations >= 30:
             raise KeyboardInterrupt
 
-    found = search(free(sphere), 3, PLENTY, visited=visited)
+    found = search(free(sphere), 3, PLENTY, on_visit=on_visit)
     assert found.status == f"interrupted after {found.simulations} simulations"
     assert 30 <= found.simulations < 50
-    assert found.cost == sphere(found.y[None])[0] < sphere(np.zeros((1, 3)))[0]
+    assert found.cost == sphere(found.theta[None])[0] < sphere(np.zeros((1, 3)))[0]
 
 
 @pytest.mark.parametrize("search", SEARCHES)
@@ -148,7 +148,7 @@ def test_an_interrupt_of_the_first_simulation_returns_the_start(search):
         raise KeyboardInterrupt
 
     found = search(interrupted, 3, PLENTY)
-    np.testing.assert_array_equal(found.y, np.zeros(3))
+    np.testing.assert_array_equal(found.theta, np.zeros(3))
     assert found.status == "interrupted after 0 simulations"
 
 
@@ -204,4 +204,4 @@ def test_gains_are_searched(tiny, search):
     found = search(costs_of(gains, problem, BLOCK), points.shape[1], Budget(12, 60.0))
     assert found.simulations == 12
     assert found.cost < found.history[0].cost < 1e3
-    assert found.cost == pytest.approx(float(evaluate(gains, found.y, problem).penalised), rel=1e-9)
+    assert found.cost == pytest.approx(float(evaluate(gains, found.theta, problem).penalised), rel=1e-9)

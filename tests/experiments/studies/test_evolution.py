@@ -121,7 +121,7 @@ def test_a_delay_is_put_into_a_drive(delay, whole, fraction):
 def test_the_study_writes_what_it_compares(tmp_path):
     case = synthetic_case(speeds=(5e-3, 0.02, 0.1), travel=4e-3)
     with Report("evolution", tmp_path) as report:
-        evolution_study(report, case, runs=1, seconds=5.0, most_times=0.5)
+        evolution_study(report, case, runs=1, seconds=5.0, max_ratio=0.5)
     written = json.loads((tmp_path / "result.json").read_text())
     rows = written["tables"]["equal_quality"]["rows"]
     assert [row[1] for row in rows] == ["1 of 1"] * 3
