@@ -6,6 +6,7 @@ The library itself changes no global state; the command line, the studies and th
 import contextlib
 import os
 import platform
+import time
 from pathlib import Path
 
 import jax
@@ -21,7 +22,8 @@ _XLA_FLAGS = (
 
 
 _DEVICE_COUNT_FLAG = "--xla_force_host_platform_device_count"
-_MIN_COMPILE_TIME = 0.1  # s of compilation
+_MIN_COMPILE_TIME = 0.1  # s of compilation, for which a program is kept
+_FORGET_AFTER = 60 * 86_400.0  # s without use: a season, over which each edition of the sources has left programs
 
 
 def cores() -> int:
@@ -32,7 +34,10 @@ def cores() -> int:
 def configure(devices: int | None = None) -> None:
     """Set double precision, fast CPU scans, one CPU device per core, and no GPU (`allow_accelerator` permits one).
 
-    Call it once, before anything is computed. Environment variables that are set stay in force.
+    Call it once, before anything is computed. Environment variables that are set stay in force. What is compiled is
+    kept in the user's cache folder for the next run, since compilation is most of a short program's time; jax
+    recognises programs by content, version, flags and processor. `JAX_COMPILATION_CACHE_DIR` names another folder,
+    `JAX_ENABLE_COMPILATION_CACHE=0` turns it off; where nothing can be written nothing is kept.
 
     Args:
         devices: CPU devices, over which many lanes are shared out; by default one per core.
@@ -53,6 +58,7 @@ def configure(devices: int | None = None) -> None:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", devices or cores())
+    _enable_compilation_cache()
 
 
 def allow_accelerator() -> None:
@@ -68,19 +74,16 @@ def arithmetic_signature() -> list[str]:
     return [jax.default_backend(), jax.devices()[0].device_kind, platform.machine(), *vectors, *sorted(flags)]
 
 
-def enable_compilation_cache() -> None:
-    """Keep what is compiled in the user's cache folder for the next run: compilation is most of a short command.
-
-    jax recognises programs by content, version, flags and processor. `JAX_COMPILATION_CACHE_DIR` names another folder,
-    `JAX_ENABLE_COMPILATION_CACHE=0` turns it off; where nothing can be written nothing is kept.
-    """
+def _enable_compilation_cache() -> None:
+    """Keep what is compiled, and forget what nobody has used for long: jax itself never does without a lock."""
     if jax.config.jax_compilation_cache_dir is not None or not jax.config.jax_enable_compilation_cache:
         return
     folder = Path(platformdirs.user_cache_dir("diffdrive", appauthor=False)) / "compiled"
-    try:
+    with contextlib.suppress(OSError):  # another process may forget the same
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
+        for program in folder.iterdir():
+            if time.time() - program.stat().st_atime > _FORGET_AFTER:
+                program.unlink()
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_TIME)

@@ -1,32 +1,9 @@
-import os
-from pathlib import Path
-
-import jax
-import platformdirs
 import pytest
 from hypothesis import settings
 
 from diffdrive.runtime import configure
 
-configure()
-
-KEPT = {
-    "jax_compilation_cache_dir": str(Path(platformdirs.user_cache_dir("diffdrive", appauthor=False)) / "tests"),
-    "jax_compilation_cache_max_size": 2**29,  # bytes; what was used longest ago gives way
-    "jax_persistent_cache_min_compile_time_secs": 0.1,
-}
-
-
-def pytest_configure():
-    """What one process or one run of the tests has compiled, the others need not: it is half of the tests' time.
-
-    jax recognises programs by content, version, flags and processor. `JAX_ENABLE_COMPILATION_CACHE=0` keeps nothing.
-    """
-    for option, value in KEPT.items():
-        if option.upper() not in os.environ:
-            os.environ[option.upper()] = str(value)  # for the other processes
-            jax.config.update(option, value)
-
+configure()  # which keeps what is compiled from run to run: half of the tests' time is compilation
 
 # the first example of a test pays for compilation: no deadline
 settings.register_profile("compiled", deadline=None)

@@ -10,8 +10,7 @@ class Computing(TyperCommand):
     """JAX is imported and set up when the command runs: a help text need not wait for it."""
 
     def invoke(self, ctx: typer.Context) -> Any:
-        from diffdrive.runtime import configure, enable_compilation_cache
+        from diffdrive.runtime import configure
 
         configure()
-        enable_compilation_cache()
         return super().invoke(ctx)

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 import pyarrow as pa
 
 from diffdrive.errors import ParameterError
-from diffdrive.runtime import allow_accelerator, configure, cores, enable_compilation_cache
+from diffdrive.runtime import allow_accelerator, configure, cores
 from diffdrive.support.processes import processes
 from diffdrive.support.resources import require_memory
 from tuning.sweeps.parts import ComputedParts, Engine, Notify
@@ -28,7 +28,6 @@ def _plan(text: str, devices: int | None) -> SweepPlan:
     configure(devices)
     if devices is None:  # a machine of a cluster, not some cores of this one
         allow_accelerator()
-    enable_compilation_cache()
     return from_text(text).plan()
 
 

@@ -24,7 +24,7 @@ from pyarrow import parquet
 
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.logs import read_logs
-from diffdrive.runtime import configure, enable_compilation_cache
+from diffdrive.runtime import configure
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.processes import exit_after, processes
 from tuning.checked_logs import check_logs
@@ -89,7 +89,6 @@ def _write_answer(case: Path, path: Path, without: tuple[str, ...], answer: dict
 def _start_process() -> None:
     _edition()  # the code as it is imported, whatever becomes of it meanwhile
     configure()
-    enable_compilation_cache()
 
 
 def case_folders(folder: Path) -> list[Path]:
