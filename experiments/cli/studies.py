@@ -20,7 +20,7 @@ def tuning_study(
     runs: Annotated[int, typer.Option(callback=count_of, min=1, help="Of each derivative-free search.")] = 3,
     starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Random starts of the gradient search.")] = 10,
 ) -> None:
-    """Gradient tuner against CMA-ES, Nelder-Mead and random search on one ensemble (docs/method/tuning.md).
+    """Gradient tuner against CMA-ES, Nelder-Mead and random search on one ensemble (docs/evidence/tuning-study.md).
 
     Cost to come near the best against evaluations, time and number of parameters; random starts; held-out scenarios.
     """

@@ -3,7 +3,7 @@
     bfgs                  the penalised objective, a scalar
     levenberg_marquardt   squares that sum to the objective and the penalties
 
-They see a requirement once it is missed; `tuning.gains.sequential` sees it before (docs/method/tuning.md compares
+They see a requirement once it is missed; `tuning.gains.sequential` sees it before (docs/evidence/tuning-study.md compares
 them).
 """
 
