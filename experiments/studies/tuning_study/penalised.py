@@ -3,8 +3,8 @@
     bfgs                  the penalised objective, a scalar
     levenberg_marquardt   squares that sum to the objective and the penalties
 
-They see a requirement once it is missed; `tuning.gains.sequential` sees it before (docs/evidence/tuning-study.md compares
-them).
+They see a requirement once it is missed; `tuning.gains.sequential` sees it before
+(docs/evidence/tuning-study.md compares them).
 """
 
 import time
