@@ -1,15 +1,15 @@
 """An axis: the machine, its controller, and how both are sampled, limited and logged."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from diffdrive.controllers import Controller
 from diffdrive.effects.base import Effect
@@ -17,7 +17,7 @@ from diffdrive.effects.catalogue import in_order
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Directional, Drive, Sampling, directional, quantities
+from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, directional, quantities
 from diffdrive.motion.motion import Limits
 from diffdrive.support.units import in_unit
 
@@ -53,11 +53,11 @@ class Axis(eqx.Module):
         return self.sampling.rate
 
     @property
-    def gains(self) -> dict[str, Any]:
+    def gains(self) -> dict[str, Scalar]:
         """The controller's gains by name, in SI units: those that `with_gains` takes, and that are tuned."""
         return {name: attrgetter(tunable.path)(self.controller) for name, tunable in self.controller.tunables.items()}
 
-    def with_gains(self, **gains: Any) -> "Axis":
+    def with_gains(self, **gains: Scalar) -> "Axis":
         """The axis with these gains, numbers or traced; raises `ParameterError` for an unknown one."""
         tunables = self.controller.tunables
         for name in gains:
@@ -68,18 +68,18 @@ class Axis(eqx.Module):
         return eqx.tree_at(lambda axis: axis.controller, self, controller)
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, PyTree]:
         """The machine's parameters by dotted path, such as `plant.mass`: SI numbers, or pairs (positive, negative)."""
         return {path: _number_or_pair(value) for path, _, value in quantities(self.drive)}
 
-    def value(self, path: str) -> Any:
+    def value(self, path: str) -> PyTree:
         """One of `parameters`; raises `ParameterError` for an unknown path."""
         known = self.parameters
         if path not in known:
             raise ParameterError(f"{path}: {_unknown('parameter', path, known)}")
         return known[path]
 
-    def replace(self, values: Mapping[str, Any]) -> "Axis":
+    def replace(self, values: Mapping[str, object]) -> "Axis":
         """The axis with other parameters, by dotted path (see `parameters`), in its controller's model, too.
 
         A parameter that may differ between the directions takes one number or a pair (positive, negative). Raises
@@ -146,21 +146,21 @@ class Axis(eqx.Module):
         )
 
 
-def _is_concrete(value: Any) -> bool:
+def _is_concrete(value: Scalar) -> bool:
     return not isinstance(value, jax.core.Tracer) and np.ndim(value) == 0
 
 
-def _number_or_pair(value: Any) -> Any:
+def _number_or_pair(value: PyTree) -> PyTree:
     return (value.positive, value.negative) if isinstance(value, Directional) else value
 
 
-def _formatted(value: Any) -> str:
+def _formatted(value: PyTree) -> str:
     values = _number_or_pair(value) if isinstance(value, Directional) else (value,)
     texts = dict.fromkeys(f"{float(value):.6g}" if _is_concrete(value) else "traced" for value in values)
     return " / ".join(texts)
 
 
-def _getter(drive: Drive, path: str) -> Any:
+def _getter(drive: Drive, path: str) -> Callable[[Drive], PyTree]:
     """A function that returns the parameter at `path` of a drive."""
     part, *rest = path.split(".")
     if part != "effects":
@@ -169,6 +169,6 @@ def _getter(drive: Drive, path: str) -> Any:
     return lambda d: getattr(d.effects[index], rest[1])
 
 
-def _unknown(what: str, name: str, known: Mapping[str, Any]) -> str:
+def _unknown(what: str, name: str, known: Mapping[str, object]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     return f"no such {what}; " + (f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}")

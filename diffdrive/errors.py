@@ -1,14 +1,12 @@
 """The errors and warnings that diffdrive raises; each message says what, where, and what to do."""
 
-from typing import Any
-
 from diffdrive.support.messages import printable
 
 
 class DiffdriveError(Exception):
     """Base of every error that diffdrive raises on purpose: one line, with control characters written out."""
 
-    def __init__(self, *arguments: Any) -> None:
+    def __init__(self, *arguments: object) -> None:
         super().__init__(*(printable(argument) if isinstance(argument, str) else argument for argument in arguments))
 
 

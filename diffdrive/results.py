@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -29,9 +29,6 @@ class Status:
     code: str = "ok"
 
 
-Own = TypeVar("Own", bound="Result")
-
-
 class Result(abc.ABC):
     """A result: `repr` is the short form, `summary()` has more, `save()` writes JSON, `require_ok()` raises."""
 
@@ -47,7 +44,7 @@ class Result(abc.ABC):
         return self.headline()
 
     @abc.abstractmethod
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Every number, by names that carry their unit."""
 
     def save(self, folder: str | Path) -> Path:
@@ -60,7 +57,7 @@ class Result(abc.ABC):
         write_text(path, json.dumps(as_json(document), indent=2, allow_nan=False) + "\n")
         return path
 
-    def require_ok(self: Own) -> Own:
+    def require_ok(self) -> Self:
         """The result itself; raises `ResultError` with the status's message where that is not ok."""
         if not self.status.ok:
             raise ResultError(self.status.message)
@@ -76,7 +73,7 @@ class Result(abc.ABC):
         return f"<pre>{html.escape(self.summary())}</pre>"
 
 
-def as_json(value: Any) -> Any:
+def as_json(value: object) -> object:
     """The value as JSON can hold it; infinite and undefined numbers become null."""
     if isinstance(value, Mapping):
         return {str(key): as_json(item) for key, item in value.items()}

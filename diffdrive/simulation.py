@@ -1,12 +1,10 @@
 """An axis simulated: every signal of one motion, or a pure function of the axis for `jit`, `grad` and `vmap`."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers.base import Reference
@@ -132,20 +130,21 @@ def rollout(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
         )
     loads = jnp.broadcast_to(jnp.asarray(load, jnp.float64), motion.time.shape)
-    reference = as_arrays(Reference(motion.position, motion.velocity, motion.acceleration))
-    inputs = loop.Inputs(reference, loads, jnp.zeros_like(loads))
+    signals = (motion.position, motion.velocity, motion.acceleration)
+    position, velocity, acceleration = (jnp.asarray(signal, dtype=jnp.float64) for signal in signals)
+    inputs = loop.Inputs(Reference(position, velocity, acceleration), loads, jnp.zeros_like(loads))
     key = None if seed is None else jax.random.key(seed)
-    signals = loop.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
-    estimate: Any = signals.estimate
+    frames: PyTree = loop.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
+    estimate = frames.estimate
     return Rollout(
-        reference=reference.position,
+        reference=position,
         load=loads,
-        position=signals.position,
-        velocity=signals.velocity,
-        measured=signals.measured,
-        command=signals.command,
-        force=signals.force,
-        friction=signals.friction,
+        position=frames.position,
+        velocity=frames.velocity,
+        measured=frames.measured,
+        command=frames.command,
+        force=frames.force,
+        friction=frames.friction,
         friction_estimate=None if estimate is None else estimate.friction,
         load_estimate=None if estimate is None else estimate.load,
         rate=axis.rate,

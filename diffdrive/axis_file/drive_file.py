@@ -9,9 +9,9 @@ error, because a misspelt key that is silently ignored is a wrong simulation.
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import jax
 import numpy as np
@@ -19,6 +19,7 @@ import tomli_w
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import build_controller, controller_table
+from diffdrive.controllers.kinds import Parameters
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.feasibility import limits_envelope, require_feasible
@@ -42,6 +43,7 @@ from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.messages import short_repr, shortened
 from diffdrive.support.text_file import read_toml
+from diffdrive.support.typing import TomlTable
 from diffdrive.support.units import in_unit, to_si
 
 # pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
@@ -50,7 +52,7 @@ from diffdrive.support.units import in_unit, to_si
 class TomlSection:
     """One table of a drive file; takes keys out one by one and raises for those that are left."""
 
-    def __init__(self, source: str, name: str, table: Any) -> None:
+    def __init__(self, source: str, name: str, table: object) -> None:
         if not isinstance(table, dict):
             raise DriveFileError(f"{source}: [{name}] must be a table, got {short_repr(table)}")
         self.source, self.name, self.table, self._remaining = source, name, table, dict(table)
@@ -62,7 +64,7 @@ class TomlSection:
         """The error for a bad `key`."""
         return DriveFileError(f"{self.source}: [{self.name}] {shortened(key)}: {problem}")
 
-    def take(self, key: str, default: Any = dataclasses.MISSING) -> Any:
+    def take(self, key: str, default: object = dataclasses.MISSING) -> object:
         """The raw value of `key`, or the default."""
         self._accepted.append(key)
         if key not in self._remaining:
@@ -83,11 +85,11 @@ class TomlSection:
         self.kind, self._kinds_of_table = kind, kinds_with
         self.kinds_with = lambda key: kinds_with(self.name, key)
 
-    def number(self, key: str, unit: str, default: Any = dataclasses.MISSING) -> Any:
+    def number(self, key: str, unit: str, default: object = dataclasses.MISSING) -> float:
         """A number in SI, converted from a string with a unit where one is given."""
         return self._number(key, self.take(key, default), unit)
 
-    def _number(self, key: str, value: Any, unit: str) -> Any:
+    def _number(self, key: str, value: object, unit: str) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             or_text = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
             raise self.fail(key, f"must be a number{in_unit(unit)}{or_text}, got {short_repr(value)}")
@@ -101,7 +103,7 @@ class TomlSection:
         except ValueError as problem:
             raise self.fail(key, str(problem)) from None
 
-    def quantity(self, key: str, declared: Quantity, default: Any) -> Any:
+    def quantity(self, key: str, declared: Quantity, default: object) -> object:
         """The value of one declared parameter: a number, or a pair where it may differ by direction."""
         if default is dataclasses.MISSING and key not in self._remaining:
             close = difflib.get_close_matches(key, self._remaining, n=1)
@@ -122,14 +124,14 @@ class TomlSection:
             return Directional(*(self._number(key, side, declared.unit) for side in value))
         return self._number(key, value, declared.unit)
 
-    def build(self, cls: Any, **values: Any) -> Any:
+    def build(self, cls: type[Parameters], **values: object) -> Parameters:
         """An instance of a parameter class from the keys of this section, beside `values`."""
-        for field in dataclasses.fields(cls):
+        for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # parameters are dataclasses
             if "quantity" in field.metadata and field.name not in values:
                 values[field.name] = self.quantity(field.name, field.metadata["quantity"], field.default)
         try:
             built = cls(**values)
-            check(built, self.name)
+            check(built, self.name)  # type: ignore[arg-type]
         except ParameterError as error:
             raise DriveFileError(f"{self.source}: {error}") from None
         return built
@@ -161,7 +163,7 @@ def _limits(section: TomlSection) -> Limits:
             raise section.fail(
                 "stroke", f"give both ends a unit, or neither where they are in m, got {short_repr(stroke)}"
             )
-        ends = tuple(section._number("stroke", value, "m") for value in stroke)
+        ends = (section._number("stroke", stroke[0], "m"), section._number("stroke", stroke[1], "m"))
         if not ends[0] < ends[1]:
             raise section.fail("stroke", f"the lowest position must be below the highest, got {short_repr(stroke)}")
     limits = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}
@@ -188,7 +190,7 @@ def _effects(section: TomlSection) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
+def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
     root = TomlSection(source, "drive file", tables)
     sections = {
@@ -196,7 +198,7 @@ def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
         for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
     }
     try:
-        mapping = parse_mapping(root.take("columns", {}), root.take("units", {}), root.take("shifts", {}))
+        mapping = parse_mapping(*(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")))
     except LogError as error:
         raise DriveFileError(f"{source}: {error}") from None
     effects = root.take("effects", {})
@@ -217,7 +219,7 @@ def parse_axis(tables: dict[str, Any], source: str = "drive") -> Axis:
     substeps = sections["sampling"].take("substeps", None)
     try:
         check_drive(drive)
-        sampling = Sampling(rate, substeps)
+        sampling = Sampling(rate, substeps)  # type: ignore[arg-type]  # which checks them
     except ParameterError as error:
         raise DriveFileError(f"{source}: {error}") from None
     limits = _limits(sections["limits"])
@@ -256,10 +258,10 @@ def read_axis(path: str | Path) -> Axis:
     return dataclasses.replace(axis, name=Path(path).stem)
 
 
-def axis_tables(axis: Axis) -> dict[str, Any]:
+def axis_tables(axis: Axis) -> dict[str, TomlTable]:
     """The tables of a drive file that `parse_axis` reads back to the same axis."""
     drive, limits = axis.drive, axis.limits
-    tables = {
+    tables: dict[str, TomlTable] = {
         "plant": quantity_table(drive.plant),
         "friction": quantity_table(drive.friction),
         "actuator": quantity_table(drive.actuator) | {"delay_samples": drive.actuator.delay_samples},
@@ -286,7 +288,8 @@ def write_axis(path: str | Path, axis: Axis, comments: Sequence[str] = ()) -> No
     read_back = parse_axis(tables, str(path))
     for name in ("drive", "controller"):
         written, reread = (jax.tree.flatten(getattr(side, name)) for side in (axis, read_back))
-        if written[1] != reread[1] or [*map(float, written[0])] != [*map(float, reread[0])]:
+        same_structure = written[1] == reread[1]
+        if not same_structure or [*map(float, written[0])] != [*map(float, reread[0])]:
             raise DriveFileError(
                 f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
                 "their model from [plant] and [friction]"

@@ -2,13 +2,13 @@
 
 import dataclasses
 from collections.abc import Container, Iterator
-from typing import Any
 
 from diffdrive.controllers import KINDS, Keys
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Actuator, Friction, Plant, Quantity, Sensor
+from diffdrive.support.typing import DataclassInstance
 
-_PARTS: tuple[tuple[str, Any], ...] = (
+_PARTS: tuple[tuple[str, type[DataclassInstance]], ...] = (
     ("plant", Plant),
     ("friction", Friction),
     ("actuator", Actuator),
@@ -69,7 +69,7 @@ def _range(declared: Quantity) -> str:
     return ", ".join(f"{sign} {bound:g}" for sign, bound in signs if bound is not None)
 
 
-def _default(field: Any, declared: Quantity) -> str:
+def _default(field: dataclasses.Field[object], declared: Quantity) -> str:
     if field.default is None:
         return "absent"
     if field.default is dataclasses.MISSING:
@@ -77,7 +77,9 @@ def _default(field: Any, declared: Quantity) -> str:
     return f"{getattr(field.default, 'positive', field.default):g}"
 
 
-def _parameter_rows(table: str, kind: str, cls: Any, names: Container[str] | None = None) -> Iterator[tuple[str, ...]]:
+def _parameter_rows(
+    table: str, kind: str, cls: type[DataclassInstance], names: Container[str] | None = None
+) -> Iterator[tuple[str, ...]]:
     """Rows of the parameters of a class, or of those `names`."""
     for field in dataclasses.fields(cls):
         if "quantity" not in field.metadata or (names is not None and field.name not in names):

@@ -2,17 +2,18 @@
 
 import abc
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, PyTree
 
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
+from diffdrive.support.typing import TomlTable
 
 
 class Reference(NamedTuple):
@@ -54,7 +55,7 @@ class Controller(eqx.Module):
         """The gains that may be tuned, by name."""
         return {}
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         """Its keys of [controller] in a drive file, without the kind."""
         raise ParameterError(f"no drive file can state a {type(self).__name__}: register a `Kind` of it")
 
@@ -63,13 +64,13 @@ class Controller(eqx.Module):
         return self
 
     @abc.abstractmethod
-    def init(self, position: Scalar) -> Any:
+    def init(self, position: Scalar) -> PyTree:
         """State at rest, the table measured at `position` (m)."""
 
     @abc.abstractmethod
     def step(
-        self, state: Any, reference: Reference, position: Scalar, applied: Scalar, period: float
-    ) -> tuple[Any, Command]:
+        self, state: PyTree, reference: Reference, position: Scalar, applied: Scalar, period: float
+    ) -> tuple[PyTree, Command]:
         """One period: measured `position` (m), and the force (N) that acted since the last one."""
 
     @property
@@ -150,7 +151,7 @@ class Tracking(eqx.Module):
         force = self.gains.force(error, last.value_or(error), period) + self.feedforward.force(reference)
         return LastError.after(error), force
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         """Its keys of [controller]."""
         return {"feedforward": self.feedforward.is_on} | quantity_table(self.gains)
 

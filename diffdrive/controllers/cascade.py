@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 from diffdrive.support.messages import short_repr
+from diffdrive.support.typing import TomlTable
 
 
 class CascadeState(NamedTuple):
@@ -52,7 +53,7 @@ class Cascade(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         options = {"feedforward": self.feedforward.is_on, "velocity_samples": self.velocity_samples}
         return options | quantity_table(self)
 

@@ -1,7 +1,7 @@
 """DOBVSC: disturbance observer plus variable-structure (sliding-mode) control."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
@@ -31,6 +31,7 @@ from diffdrive.controllers.kinds import (
 )
 from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
+from diffdrive.support.typing import TomlTable
 
 SURFACE_FACTOR = 10.0  # by which a search may move what shapes the sliding surface
 
@@ -63,7 +64,7 @@ class DOBVSC(Controller):
         surface_gains = {name: Tunable(name, SURFACE_FACTOR) for name in ("reach", "layer", "slope")}
         return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)} | surface_gains
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
 
     def with_model(self, drive: Drive) -> "DOBVSC":

@@ -1,7 +1,7 @@
 """PD+FF+DOB: friction predicted from the reference, the rest left to a disturbance observer."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
@@ -32,6 +32,7 @@ from diffdrive.controllers.kinds import (
 from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Friction, Scalar, quantity, quantity_table
 from diffdrive.observers.friction_observer import ObserverEstimate
+from diffdrive.support.typing import TomlTable
 
 
 class FeedforwardState(NamedTuple):
@@ -59,7 +60,7 @@ class PDFeedforwardDOB(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)}
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
 
     def with_model(self, drive: Drive) -> "PDFeedforwardDOB":

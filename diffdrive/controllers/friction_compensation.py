@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from jaxtyping import PyTree
 
 from diffdrive.controllers.base import (
     FILTER_FACTOR,
@@ -31,13 +33,14 @@ from diffdrive.observers.friction_observer import (
     Tuning,
 )
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
+from diffdrive.support.typing import DataclassInstance, TomlTable
 
 
 class FrictionCompensationState(NamedTuple):
     """Last error and the observer's state."""
 
     last_error: LastError
-    observer: Any
+    observer: PyTree
 
 
 class FrictionCompensation(Controller):
@@ -61,7 +64,7 @@ class FrictionCompensation(Controller):
         }
         return TRACKING_GAINS | observer_gains
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         return self.tracking.table() | self.observer.tables()
 
     def with_model(self, drive: Drive) -> "FrictionCompensation":
@@ -106,7 +109,7 @@ def _build_with_load_state(section: Section, drive: Drive) -> FrictionCompensati
     return FrictionCompensation(tracking, observer)
 
 
-def _keys(tuning: type, estimator: type) -> tuple[Keys, ...]:
+def _keys(tuning: type[DataclassInstance], estimator: type[DataclassInstance]) -> tuple[Keys, ...]:
     return (TRACKING_KEYS, Keys("controller.observer", tuning), Keys("controller.load_estimator", estimator))
 
 

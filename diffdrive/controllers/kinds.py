@@ -5,20 +5,23 @@ A `Kind` builds a controller from the table [controller] of a file; the controll
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 from diffdrive.controllers.base import Controller, Feedforward, PDGains, Tracking
 from diffdrive.model.parameters import Drive
 from diffdrive.support.messages import short_repr
+from diffdrive.support.typing import DataclassInstance
+
+Parameters = TypeVar("Parameters")  # a class of parameters
 
 
 class Section(Protocol):
     """One table of a drive file, from which a kind takes keys; a key that is left over is an error."""
 
-    def take(self, key: str, default: Any = ...) -> Any:
+    def take(self, key: str, default: object = ...) -> object:
         """The raw value of a key."""
 
-    def build(self, cls: Any, **values: Any) -> Any:
+    def build(self, cls: type[Parameters], **values: object) -> Parameters:
         """An instance of a parameter class from its keys, beside `values`."""
 
     def subsection(self, key: str) -> "Section":
@@ -52,7 +55,7 @@ class Keys(NamedTuple):
     """The declared parameters of a class as keys of a table, without those taken from the plant."""
 
     table: str  # "controller", or one below it
-    parameters: type
+    parameters: type[DataclassInstance]
     from_plant: frozenset[str] = frozenset()
 
     def names(self) -> Iterator[str]:

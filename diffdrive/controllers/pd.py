@@ -1,11 +1,11 @@
 """PD: feedback and motion feed-forward alone."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from diffdrive.controllers.base import TRACKING_GAINS, Command, Controller, LastError, Reference, Tracking, Tunable
 from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, read_tracking
 from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.support.typing import TomlTable
 
 
 class PD(Controller):
@@ -21,7 +21,7 @@ class PD(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return TRACKING_GAINS
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         return self.tracking.table()
 
     def with_model(self, drive: Drive) -> "PD":

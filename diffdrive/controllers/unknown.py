@@ -1,11 +1,14 @@
 """A controller whose law is unknown: logs can be identified, but no loop can be simulated."""
 
-from typing import Any, NoReturn
+from typing import NoReturn
+
+from jaxtyping import PyTree
 
 from diffdrive.controllers.base import Controller, Reference
 from diffdrive.controllers.kinds import Kind
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Scalar
+from diffdrive.support.typing import TomlTable
 
 
 class UnknownController(Controller):
@@ -15,7 +18,7 @@ class UnknownController(Controller):
     def kind(self) -> str:
         return "unknown"
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> TomlTable:
         return {}
 
     def init(self, position: Scalar) -> NoReturn:
@@ -23,7 +26,7 @@ class UnknownController(Controller):
             "the drive file's controller is 'unknown': to simulate its loop, give [controller] a kind and its gains"
         )
 
-    def step(self, state: Any, reference: Reference, position: Scalar, applied: Scalar, period: float) -> NoReturn:
+    def step(self, state: PyTree, reference: Reference, position: Scalar, applied: Scalar, period: float) -> NoReturn:
         self.init(position)
 
 

@@ -1,8 +1,9 @@
 """Effects between the command and the force."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from diffdrive.effects.base import ActuatorEffect, Push, Stage
 from diffdrive.model.parameters import Scalar, quantity
@@ -17,11 +18,11 @@ class ForceGain(ActuatorEffect):
     stage: ClassVar[Stage] = Stage.SCALED
     gain: Scalar = quantity("1", "force over the force believed, minus one", above=-1.0, default=0.0)
 
-    def init(self, force: Scalar) -> Any:
+    def init(self, force: Scalar) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force scaled."""
         return state, Push((1.0 + self.gain) * force)
 
@@ -33,11 +34,11 @@ class ForceLimit(ActuatorEffect):
     stage: ClassVar[Stage] = Stage.LIMITED
     limit: Scalar = quantity("N", "largest force in either direction", above=0.0, default=float("inf"))
 
-    def init(self, force: Scalar) -> Any:
+    def init(self, force: Scalar) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force clipped."""
         return state, Push(jnp.clip(force, -self.limit, self.limit))
 
@@ -49,11 +50,11 @@ class ActuatorLag(ActuatorEffect):
     stage: ClassVar[Stage] = Stage.LAGGED
     time_constant: Scalar = quantity("s", "of the current loop, 1 / (2 pi bandwidth)", at_least=0.0, default=0.0)
 
-    def init(self, force: Scalar) -> Any:
+    def init(self, force: Scalar) -> PyTree:
         """The force that acts."""
         return force
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force follows the request."""
         share = self.time_constant / period
         resolved = share > 1e-3
@@ -73,11 +74,11 @@ class LoopDelay(ActuatorEffect):
     stage: ClassVar[Stage] = Stage.DELAYED
     delay: Scalar = quantity("1", "control periods", at_least=0.0, at_most=float(LONGEST_DELAY), default=0.0)
 
-    def init(self, force: Scalar) -> Any:
+    def init(self, force: Scalar) -> PyTree:
         """Past forces, the latest first."""
         return (force,) * LONGEST_DELAY
 
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The delayed force: one value, and from some instant within the period on the next."""
         forces = (force, *state)
         delay = jnp.clip(self.delay, 0.0, LONGEST_DELAY)

@@ -9,9 +9,10 @@ effects in its loop; the diagnosis steps the same code along a measured trajecto
 
 import abc
 import enum
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Drive, Scalar
 
@@ -27,7 +28,9 @@ class Seen(NamedTuple):
     friction: Scalar  # N, all that resists the table, viscous damping included
     load: Scalar  # N, on the guides
     push: Scalar = 0.0  # N, other forces on the table, without the plant's constant force
-    ripple: Any = None  # [parts] N, difference of the force from its mean in equal parts of the period; None: zero
+    ripple: Float[Array, " parts"] | None = (
+        None  # [parts] N, difference of the force from its mean in equal parts of the period; None: zero
+    )
     disturbance: Scalar = 0.0  # N, disturbance force that a filter estimates
 
     def external_force(self, drive: Drive) -> Scalar:
@@ -117,11 +120,11 @@ class ActuatorEffect(Effect):
     stage: ClassVar[Stage]
 
     @abc.abstractmethod
-    def init(self, force: Scalar) -> Any:
+    def init(self, force: Scalar) -> PyTree:
         """State after a long time at `force` (N)."""
 
     @abc.abstractmethod
-    def step(self, state: Any, force: Scalar, period: float) -> tuple[Any, Push]:
+    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force over the coming period, of length `period` (s), when `force` (N) is requested."""
 
 
@@ -140,11 +143,11 @@ class TableEffect(Effect):
     order: ClassVar[StepOrder] = StepOrder.KINEMATIC
 
     @abc.abstractmethod
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """State at the start of a motion, at rest."""
 
     @abc.abstractmethod
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """State after the coming period (s), and the forces over it."""
 
     def substeps(self, period: float) -> int | None:
@@ -154,7 +157,7 @@ class TableEffect(Effect):
         """
         return None
 
-    def state_after_travel(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
+    def state_after_travel(self, state: PyTree, seen: Seen, travel: Scalar, drive: Drive, period: float) -> PyTree:
         """State after a period over which the table travels a known distance (m)."""
         return self.step(state, seen, drive, period)[0]
 

@@ -1,14 +1,12 @@
 """Whether a machine with these effects is physically possible and can be computed, checked before it runs."""
 
-from typing import Any
-
 import jax
 import numpy as np
 
 from diffdrive.effects import stages
 from diffdrive.effects.base import Envelope, MachineEffect
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.parameters import Drive, Sampling, Scalar
 from diffdrive.motion.motion import Limits
 
 
@@ -72,5 +70,5 @@ def _infeasibility(drive: Drive, load: float) -> str | None:
     return None if all(jax.tree.leaves(finite)) else "plant or friction are beyond all numbers"
 
 
-def _lowest(values: Any) -> float:
+def _lowest(values: Scalar | np.ndarray) -> float:
     return float(np.min(values))

@@ -1,9 +1,10 @@
 """Effects that push or pull the table: in time, in position, through the machine's base."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.oscillator import Oscillator, discretise
@@ -29,7 +30,7 @@ def window(time: Scalar, start: Scalar, end: Scalar, edge: Scalar = EDGE_TIME) -
     return 0.25 * (1.0 + jnp.tanh(2.0 * (time - start) / edge)) * (1.0 - jnp.tanh(2.0 * (time - end) / edge))
 
 
-def too_stiff(stiffness: Any, drive: Drive, envelope: Envelope) -> str | None:
+def too_stiff(stiffness: Scalar | np.ndarray, drive: Drive, envelope: Envelope) -> str | None:
     """Why a force with this gradient (N/m, of either sign) cannot be computed; None where it can.
 
     Each period T has one force: with k T^2 / M above 1 it reverses the table within a period, or doubles its travel.
@@ -46,7 +47,7 @@ def too_stiff(stiffness: Any, drive: Drive, envelope: Envelope) -> str | None:
     )
 
 
-def too_many_turns(turns: Any, noun: str) -> str | None:
+def too_many_turns(turns: Scalar | np.ndarray, noun: str) -> str | None:
     """Why a wave of so many turns cannot be computed, its phase being lost in rounding; None where it can."""
     largest = float(np.max(np.abs(turns)))
     if largest <= MAX_TURNS:
@@ -60,11 +61,11 @@ class ConstantForce(TableEffect):
     name: ClassVar[str] = "constant_force"
     force: Scalar = quantity("N", "constant force on the table", default=0.0)
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The force."""
         return state, Acts(force=self.force)
 
@@ -80,11 +81,11 @@ class PositionSpring(TableEffect):
         """A spring that swings faster than the control samples."""
         return too_stiff(self.stiffness, drive, envelope)
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The spring's force."""
         return state, Acts(force=-self.stiffness * (midpoint_position(seen, period) - self.neutral))
 
@@ -116,11 +117,11 @@ class Cogging(TableEffect):
             2.0 * np.pi * height / np.asarray(self.period), drive, envelope
         )
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The ripple's force."""
         first = cosine_sine(2.0 * jnp.pi * midpoint_position(seen, period) / self.period)
         second = double_angle(*first)
@@ -155,11 +156,11 @@ class ProcessForce(TableEffect):
         turns = np.asarray(self.frequency) * (envelope.duration or 0.0)
         return too_many_turns(turns, "the motion's duration")
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The force in the middle of the coming period."""
         time = seen.time + 0.5 * period
         first = cosine_sine(2.0 * jnp.pi * self.frequency * time)
@@ -183,11 +184,11 @@ class FrameVibration(TableEffect):
     frequency: Scalar = quantity("Hz", "natural frequency of the base", above=0.0, default=20.0)
     damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, default=0.03)
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """The base at rest."""
         return Oscillator.at_rest()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The force of inertia seen from the base."""
         # the friction in the middle of the period: where the table sticks, it changes as fast as the table moves
         net_force = seen.resultant(drive) + self.ratio * (seen.force - seen.friction)

@@ -1,11 +1,12 @@
 """Effects on the friction: along the stroke, over time, by time at rest, and in presliding."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import PyTree
 
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.forces import end_velocity, midpoint_position, too_many_turns, window
@@ -51,11 +52,11 @@ class AppliedLoad(TableEffect):
             return f"a load of {np.min(least):g} N leaves no Coulomb friction: it must stay above 0"
         return None
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """Coulomb friction in proportion."""
         load = self.load + self.more * window(seen.time, self.start, self.end, self.edge)
         return state, Acts(coulomb=drive.friction.load_coefficient.towards(seen.velocity) * load)
@@ -95,11 +96,11 @@ class PositionFriction(TableEffect):
             return None
         return f"it takes {-100 * np.min(least):.4g} % of the Coulomb friction off at some place: less than all must go"
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The share of the Coulomb friction here."""
         position = midpoint_position(seen, period)
         cosine, sine = cosine_sine(2.0 * jnp.pi * position / self.period)
@@ -123,11 +124,11 @@ class ViscousDrift(TableEffect):
             return f"coulomb = {np.min(self.coulomb):g} leaves no Coulomb friction: it must be above -1"
         return None
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The drift that remains."""
         remaining = jnp.exp(-seen.time / self.time_constant)
         viscous_sum = drive.friction.viscous.towards(seen.velocity) + drive.plant.damping.towards(seen.velocity)
@@ -170,11 +171,11 @@ class FrictionDwell(TableEffect):
                 )
         return None
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """The contact's age (s)."""
         return jnp.asarray(self.rested)
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The gap grown with age."""
         half = 0.5 * period
         speed = _mean_speed(seen.velocity, end_velocity(seen, drive, period))
@@ -219,11 +220,11 @@ class PreslidingHysteresis(TableEffect):
         """The elements' slip distances over the longest."""
         return [self.shortest + (1.0 - self.shortest) * k / (ELEMENTS - 1) for k in range(ELEMENTS)]
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """The elongation of each element over its slip distance, and the bristle's deflection (m)."""
         return (jnp.zeros(()),) * (ELEMENTS + 1)
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """Elements and bristle follow the table as the forces move it within the period.
 
         A reversal takes milliseconds, so a velocity constant over the period of a log would be far off. Midpoint rule,
@@ -237,7 +238,7 @@ class PreslidingHysteresis(TableEffect):
         def mean_force(levels: Directional, stretched: Sequence[Scalar]) -> Scalar:
             return once(sum(element * levels.towards(element) for element in stretched) * (1.0 / ELEMENTS))
 
-        def body(carry: Any, _: None) -> Any:
+        def body(carry: PyTree, _: None) -> tuple[PyTree, None]:
             elements, bristle, velocity, impulse, travel = carry
             stiffness = friction.stiffness.towards(bristle)
             levels = once(friction.levels(velocity))
@@ -274,7 +275,7 @@ class PreslidingHysteresis(TableEffect):
         shift = (0.5 * period * impulse - travel) * inverse_mass
         return (*stretched, next_bristle), Acts(force=-self.share * impulse / period, shift=self.share * shift)
 
-    def state_after_travel(self, state: Any, seen: Seen, travel: Scalar, drive: Drive, period: float) -> Any:
+    def state_after_travel(self, state: PyTree, seen: Seen, travel: Scalar, drive: Drive, period: float) -> PyTree:
         """Elements and bristle follow the travel; no force is needed."""
         *elements, deflection = state
         coefficients = friction_under_load(drive.friction, seen.load).at(travel / period, deflection)

@@ -1,10 +1,11 @@
 """Effects that change parameters, not equations: mass, friction, asymmetry of friction."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from diffdrive.effects.base import Acts, Envelope, MachineEffect, Seen, TableEffect
 from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
@@ -78,11 +79,11 @@ class FrictionShape(MachineEffect, TableEffect):
             ),
         )
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """No state."""
         return ()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """The curved part."""
         return state, Acts(viscous=self.curvature * jnp.abs(seen.velocity))
 

@@ -1,5 +1,6 @@
 """Parameters of an effect with their prior distribution, which the diagnosis needs."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -48,5 +49,5 @@ def positive(unit: str, meaning: str, *, usual: float, spread: float = 0.7, sess
     return _with_prior(quantity(unit, meaning, above=0.0, default=usual), Prior(usual, spread, session=session))
 
 
-def _with_prior(field: Any, prior: Prior) -> Any:
+def _with_prior(field: dataclasses.Field[Any], prior: Prior) -> Any:
     return eqx.field(default=field.default, metadata=dict(field.metadata) | {"prior": prior})

@@ -1,6 +1,6 @@
 """Effects on the measured position."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from diffdrive.model.parameters import Drive, Scalar, quantity
 from diffdrive.numerics.trigonometry import cosine_sine, double_angle
 
 
-def _counts_backwards(linear: Any, height: Any, period: Any, envelope: Envelope) -> str | None:
+def _counts_backwards(linear: Scalar, height: Scalar | np.ndarray, period: Scalar, envelope: Envelope) -> str | None:
     """Why a scale with a wave of this height (m) is impossible: its reading must increase with the position."""
     if not np.any(height > 0.0) and np.all(1.0 + np.asarray(linear) > 0.0):
         return None

@@ -2,9 +2,9 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from diffdrive.effects.actuator import ForceGain, ForceLimit
 from diffdrive.effects.base import (
@@ -32,20 +32,20 @@ def with_machine_effects(drive: Drive, effects: Effects) -> Drive:
     return drive
 
 
-def initial_states(effects: Effects, force: Scalar) -> tuple[Any, ...]:
+def initial_states(effects: Effects, force: Scalar) -> tuple[PyTree, ...]:
     """The state of every effect at rest, those of the actuator after a long time at `force` (N)."""
     return tuple(_initial_state(effect, force) for effect in effects)
 
 
-def _initial_state(effect: Effect, force: Scalar) -> Any:
+def _initial_state(effect: Effect, force: Scalar) -> PyTree:
     if isinstance(effect, ActuatorEffect):
         return effect.init(force)
     return effect.init() if isinstance(effect, TableEffect) else ()
 
 
 def actuator_output(
-    effects: Effects, states: tuple[Any, ...], force: Scalar, period: float
-) -> tuple[tuple[Any, ...], Push]:
+    effects: Effects, states: tuple[PyTree, ...], force: Scalar, period: float
+) -> tuple[tuple[PyTree, ...], Push]:
     """The states and the force of the actuator over a `period` (s) in which `force` (N) is requested."""
     next_states, push = list(states), Push(force)
     chain = [(effect.stage, k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
@@ -60,11 +60,10 @@ def force_limit(drive: Drive) -> Scalar | None:
 
     An effect limits the force after a `ForceGain`, the drive its command.
     """
-    gain = functools.reduce(
-        lambda gain, effect: gain * jnp.abs(1.0 + effect.gain),
-        [effect for effect in drive.effects if isinstance(effect, ForceGain)],
-        1.0,
-    )
+    gain: Scalar = 1.0
+    for effect in drive.effects:
+        if isinstance(effect, ForceGain):
+            gain = gain * jnp.abs(1.0 + effect.gain)
     limits = [effect.limit / gain for effect in drive.effects if isinstance(effect, ForceLimit)]
     if drive.actuator.force_limit is not None:
         limits.append(drive.actuator.force_limit)
@@ -84,24 +83,26 @@ def slope_displacement(drive: Drive, slope: Scalar, period: float) -> Scalar:
 
 
 def table_action(
-    effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
-) -> tuple[tuple[Any, ...], Acts]:
+    effects: Effects, states: tuple[PyTree, ...], seen: Seen, drive: Drive, period: float
+) -> tuple[tuple[PyTree, ...], Acts]:
     """The states after the coming period, and what the effects add to force and friction over it."""
     return table_action_in_order(effects, states, seen, drive, period)[:2]
 
 
 def table_action_in_order(
-    effects: Effects, states: tuple[Any, ...], seen: Seen, drive: Drive, period: float
-) -> tuple[tuple[Any, ...], Acts, tuple[Seen, Drive]]:
+    effects: Effects, states: tuple[PyTree, ...], seen: Seen, drive: Drive, period: float
+) -> tuple[tuple[PyTree, ...], Acts, tuple[Seen, Drive]]:
     """`table_action`, and the inputs (table, drive) of an effect that is stepped after all of these.
 
     An effect's inputs contain the forces and the friction of those with an earlier `StepOrder`.
     """
     next_states, total, inputs = list(states), Acts(), (seen, drive)
     for order in StepOrder:
-        members = [k for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.order == order]
-        for k in members:
-            next_states[k], acts = effects[k].step(states[k], *inputs, period)
+        members = [
+            (k, effect) for k, effect in enumerate(effects) if isinstance(effect, TableEffect) and effect.order == order
+        ]
+        for k, effect in members:
+            next_states[k], acts = effect.step(states[k], *inputs, period)
             total = total.plus(acts)
         if members:
             machine = with_friction_offset(drive, total)
@@ -116,7 +117,7 @@ def scale_error(effects: Effects, position: Scalar) -> Scalar:
     return sum(errors[1:], errors[0]) if errors else 0.0 * position
 
 
-def with_friction_offset(drive: Drive, acts: Any) -> Drive:
+def with_friction_offset(drive: Drive, acts: PyTree) -> Drive:
     """The drive with the friction that the effects add."""
 
     def shifted(pair: Directional, offset: Scalar) -> Directional:

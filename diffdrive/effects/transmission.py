@@ -18,12 +18,13 @@ are integrated in short steps, the table from the drive's state.
 import abc
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.forces import too_many_turns
@@ -96,9 +97,9 @@ class _Substeps(NamedTuple):
     """One control period in substeps."""
 
     initial: _TwoMass
-    substep: Callable[[_TwoMass, Any], _TwoMass]
-    count: int
-    ripple: Any
+    substep: Callable[[_TwoMass, Scalar | None], _TwoMass]
+    steps: int
+    ripple: Float[Array, " substeps"] | None
     constant: Scalar  # N, on the table throughout
 
     def end(self, masses: _TwoMass, drive: Drive, period: float) -> tuple[MotorState, Acts]:
@@ -127,7 +128,7 @@ def _discretised(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, peri
     per_table = per_table_share / mass
     contact = discretise(angular, screw.damping, h)
 
-    def substep(masses: _TwoMass, ripple: Any) -> _TwoMass:
+    def substep(masses: _TwoMass, ripple: Scalar | None) -> _TwoMass:
         (q, bristle, relative_acceleration, table_acceleration), velocity, deflection, impulse, impulse_integral = (
             masses
         )
@@ -181,10 +182,10 @@ def step_screw(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period
     """The motor one `period` (s) later, and the force that the rigid drive needs to move like the table."""
     substeps = _discretised(screw, motor, seen, drive, period)
 
-    def body(masses: _TwoMass, ripple: Any) -> tuple[_TwoMass, None]:
+    def body(masses: _TwoMass, ripple: Scalar | None) -> tuple[_TwoMass, None]:
         return once(substeps.substep(masses, ripple)), None
 
-    return substeps.end(lax.scan(body, substeps.initial, substeps.ripple, length=substeps.count)[0], drive, period)
+    return substeps.end(lax.scan(body, substeps.initial, substeps.ripple, length=substeps.steps)[0], drive, period)
 
 
 def step_screw_with_sensitivities(
@@ -196,7 +197,7 @@ def step_screw_with_sensitivities(
     """
     substeps = _discretised(screw, motor, seen, drive, period)
 
-    def body(carry: Any, ripple: Any) -> tuple[Any, None]:
+    def body(carry: PyTree, ripple: Scalar | None) -> tuple[PyTree, None]:
         masses, tangents = carry
         masses, slope = jax.linearize(lambda one: substeps.substep(one, ripple), masses)
         return once((masses, tuple(slope(one) for one in tangents))), None
@@ -210,7 +211,7 @@ def step_screw_with_sensitivities(
         zeros._replace(motor=motor_zeros._replace(relative=relative_zeros._replace(deflection=one))),
         zeros._replace(motor=motor_zeros._replace(relative=relative_zeros._replace(rate=one))),
     )
-    (masses, tangents), _ = lax.scan(body, (substeps.initial, tangents), substeps.ripple, length=substeps.count)
+    (masses, tangents), _ = lax.scan(body, (substeps.initial, tangents), substeps.ripple, length=substeps.steps)
     sensitivities = tuple(Sensitivity(*one.motor.relative, *one.acts(drive.plant.mass, period)) for one in tangents)
     return (*substeps.end(masses, drive, period), sensitivities)
 
@@ -236,17 +237,17 @@ class Transmission(TableEffect):
         """Substeps of motor and table."""
         return _substeps(period)
 
-    def init(self) -> Any:
+    def init(self) -> PyTree:
         """The screw relaxed, in the middle of any dead zone."""
         return MotorState.at_rest()
 
-    def step(self, state: Any, seen: Seen, drive: Drive, period: float) -> tuple[Any, Acts]:
+    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """Free within a dead zone, an oscillator in contact, which lasts as long as it pushes."""
         return step_screw(self.screw, state, seen, drive, period)
 
     def step_with_sensitivities(
-        self, state: Any, seen: Seen, drive: Drive, period: float
-    ) -> tuple[Any, Acts, tuple[Sensitivity, ...]]:
+        self, state: PyTree, seen: Seen, drive: Drive, period: float
+    ) -> tuple[PyTree, Acts, tuple[Sensitivity, ...]]:
         """`step`, and its sensitivities to the table's velocity and bristle, the motor's deflection and its rate."""
         return step_screw_with_sensitivities(self.screw, state, seen, drive, period)
 

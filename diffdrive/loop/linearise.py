@@ -10,7 +10,8 @@ A frequency response is differentiable in every gain. Its derivative follows fro
 dL = dC r + l dB + l dA r with r = (z I - A)^-1 B and l = C (z I - A)^-1: many gains cost no more solves than one.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Complex, Float, PyTree
 
 from diffdrive.controllers import Controller, FrictionCompensation, Reference
 from diffdrive.effects import stages
@@ -124,7 +125,7 @@ def _settled_state(drive: Drive, controller: Controller, sampling: Sampling, poi
             observed = observed._replace(load=point.load + 0.0 * force)
         controller_state = controller_state._replace(observer=observed)
 
-    def body(controller_state: Any, position: Scalar) -> tuple[Any, None]:
+    def body(controller_state: PyTree, position: Scalar) -> tuple[PyTree, None]:
         reference = Reference(position, velocity, 0.0)
         return controller.step(controller_state, reference, position, force, sampling.period)[0], None
 
@@ -144,13 +145,13 @@ def _settled_effects(
     table: plant.PlantState,
     force: Scalar,
     count: int,
-) -> tuple[Any, ...]:
+) -> tuple[PyTree, ...]:
     """The states of the effects after the same steady motion."""
     initial = stages.initial_states(drive.effects, force)
     if not drive.effects:
         return initial
 
-    def body(effect_states: Any, k: Scalar) -> tuple[Any, None]:
+    def body(effect_states: PyTree, k: Scalar) -> tuple[PyTree, None]:
         position = point.velocity * sampling.period * k
         seen = stages.seen_by(
             drive, sampling.period * k, position, table.velocity, table.bristle, force, 0.0, point.load
@@ -165,16 +166,16 @@ def _load_is_assumed(controller: Controller) -> bool:
     return isinstance(estimator, FixedLoad)
 
 
-def _state_vector(state: LoopState, frozen: tuple[str, ...]) -> tuple[Array, Any]:
+def _state_vector(state: LoopState, frozen: tuple[str, ...]) -> tuple[Array, Callable[[Array], LoopState]]:
     """The states that are not `frozen` as one vector, and the function from a vector to a complete state."""
     leaves, tree = jax.tree_util.tree_flatten_with_path(state)
     is_dynamic = [not any(getattr(key, "name", None) in frozen for key in path) for path, _ in leaves]
     vector, unravel = ravel_pytree([leaf for (_, leaf), dynamic in zip(leaves, is_dynamic, strict=True) if dynamic])
 
-    def rebuild(vector: Array) -> Any:
+    def rebuild(vector: Array) -> LoopState:
         values = iter(unravel(vector))
         pairs = zip(leaves, is_dynamic, strict=True)
-        return tree.unflatten(next(values) if dynamic else leaf for (_, leaf), dynamic in pairs)
+        return jax.tree.unflatten(tree, (next(values) if dynamic else leaf for (_, leaf), dynamic in pairs))
 
     return vector, rebuild
 

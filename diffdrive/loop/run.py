@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+from jaxtyping import PyTree
 
 from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
@@ -39,7 +40,7 @@ class Run(Result):
         message = self.status.message if self.status.ok else f"NOT OK: {self.status.message}"
         return f"{message}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         return {
             "duration_s": float(self.time[-1] - self.time[0]),
             "rms_error_m": self.rms(),
@@ -48,7 +49,7 @@ class Run(Result):
         }
 
     @classmethod
-    def from_frames(cls, motion: Motion, load: np.ndarray, frames: Any, every: int) -> "Run":
+    def from_frames(cls, motion: Motion, load: np.ndarray, frames: PyTree, every: int) -> "Run":
         """From the frames of a roll-out that recorded each `every`-th sample."""
         count = len(frames.position)
         samples = slice(0, count * every, every)
@@ -92,8 +93,10 @@ class Run(Result):
 
     def log(self, name: str = "run") -> Log:
         """The log that the machine itself would have written of this run."""
-        signals = {channel: getattr(self, channel) for channel in ("time", "position", "command", "reference", "load")}
-        return Log(name, **{channel: np.asarray(values, dtype=np.float64) for channel, values in signals.items()})
+        channels = (self.time, self.position, self.command)
+        time, position, command = (np.asarray(signal, dtype=np.float64) for signal in channels)
+        reference, load = (np.asarray(signal, dtype=np.float64) for signal in (self.reference, self.load))
+        return Log(name, time=time, position=position, command=command, reference=reference, load=load)
 
     def require_ok(self) -> "Run":
         """The run itself, or a `DivergenceError` with its status."""
@@ -113,10 +116,10 @@ def with_status(run: Run, limits: Limits, force_limit: float | None, effects: Se
 
     `effects` are the names of those without which the same loop does not diverge, for the message.
     """
-    bound = divergence_bound(run.reference, limits)
+    largest_error = divergence_bound(run.reference, limits)
     limit = np.inf if force_limit is None else force_limit
     with np.errstate(invalid="ignore", over="ignore"):
-        faults = [("tracking error", run.error, ~(np.abs(run.error) <= bound), f"{bound:g} m")]
+        faults = [("tracking error", run.error, ~(np.abs(run.error) <= largest_error), f"{largest_error:g} m")]
         for name in ("command", "friction_estimate", "load_estimate", "velocity"):
             signal = getattr(run, name)
             if signal is not None:

@@ -10,14 +10,14 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import feasibility, stages
@@ -78,9 +78,9 @@ class LoopState(NamedTuple):
 
     plant: plant.PlantState
     actuator: actuator.ActuatorState
-    controller: Any
-    count: Scalar
-    effects: tuple[Any, ...] = ()
+    controller: PyTree
+    count: Scalar  # type: ignore[assignment]  # hides `tuple.count`, which a state does not need
+    effects: tuple[PyTree, ...] = ()
 
 
 def initial_state(drive: Drive, controller: Controller, position: Scalar) -> LoopState:
@@ -97,7 +97,7 @@ def initial_state(drive: Drive, controller: Controller, position: Scalar) -> Loo
 
 def step_machine(
     drive: Drive, sampling: Sampling, state: LoopState, push: Push, disturbance: Scalar, load: Scalar
-) -> tuple[plant.PlantState, tuple[Any, ...], Drive]:
+) -> tuple[plant.PlantState, tuple[PyTree, ...], Drive]:
     """One period of the table under the actuator's `push`, a `disturbance` and a `load` (N).
 
     `drive` has its machine effects in it. Returns the table, the states of the effects, and the drive with the friction
@@ -154,14 +154,19 @@ def step(
 rematerialised = partial(jax.checkpoint, prevent_cse=False)
 
 
+Carry = TypeVar("Carry")
+Input = TypeVar("Input")
+Output = TypeVar("Output")
+
+
 def _scanned(
-    body: Callable[[Any, Any], tuple[Any, Any]], begin: Any, inputs: Any, checkpoint_every: int
-) -> tuple[Any, Any]:
+    body: Callable[[Carry, Input], tuple[Carry, Output]], begin: Carry, inputs: Input, checkpoint_every: int
+) -> tuple[Carry, Output]:
     """`lax.scan` that in reverse mode keeps each `checkpoint_every`-th carry and computes the steps between again."""
     if checkpoint_every == 1:
         return lax.scan(rematerialised(body), begin, inputs)
     if not isinstance(checkpoint_every, int) or checkpoint_every < 1:
-        raise ParameterError(f"kept must be a whole number from 1 on, got {checkpoint_every!r}")
+        raise ParameterError(f"checkpoint_every must be a whole number from 1 on, got {checkpoint_every!r}")
     blocked = len(jax.tree.leaves(inputs)[0]) // checkpoint_every * checkpoint_every
     chunks = jax.tree.map(lambda signal: signal[:blocked].reshape(-1, checkpoint_every, *signal.shape[1:]), inputs)
     state, frames = lax.scan(
@@ -197,7 +202,8 @@ def rollout(
     def body(state: LoopState, inputs_now: Inputs) -> tuple[LoopState, Frame]:
         return step(drive, controller, sampling, key, state, inputs_now)
 
-    begin = initial_state(drive, controller, inputs.reference.position[0]) if begin is None else begin
+    if begin is None:
+        begin = initial_state(drive, controller, cast(Array, inputs.reference.position)[0])
     if every == 1:
         return _scanned(body, begin, inputs, checkpoint_every)[1]
 
@@ -207,7 +213,7 @@ def rollout(
         state, _ = _scanned(lambda s, inputs_now: (body(s, inputs_now)[0], None), state, rest, checkpoint_every)
         return state, frame
 
-    blocks = len(inputs.load) // every
+    blocks = len(cast(Array, inputs.load)) // every
     chunks = jax.tree.map(lambda signal: signal[: blocks * every].reshape(blocks, every), inputs)
     return lax.scan(block, begin, chunks)[1]
 
@@ -247,26 +253,26 @@ def running_costs(
     limit = stages.force_limit(drive)
     limit = jnp.inf if limit is None else limit
 
-    def body(carry: Any, inputs_now: tuple[Inputs, Scalar]) -> tuple[Any, Any]:
+    def body(carry: PyTree, inputs_now: tuple[Inputs, Scalar]) -> tuple[PyTree, None]:
         state, last, (square, largest, change, load_error, limited, finite) = carry
         now, count = inputs_now
         if ramp is not None:
             now = now._replace(load=now.load + ramp.at(sampling.period * state.count))
         state, frame = step(drive, controller, sampling, key, state, now)
         error = now.reference.position - frame.position
-        has_load_estimate = frame.estimate is not None and frame.estimate.load is not None
+        estimated_load = None if frame.estimate is None else frame.estimate.load
         counts_change = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
         # what does not count may be anything, infinite too
         tracking_error, command_change = (
             jnp.where(count > 0.0, error, 0.0),
             jnp.where(counts_change > 0.0, frame.command - last, 0.0),
         )
-        load_deviation = jnp.where(count > 0.0, frame.estimate.load - now.load, 0.0) if has_load_estimate else None
+        load_deviation = None if estimated_load is None else jnp.where(count > 0.0, estimated_load - now.load, 0.0)
         sums = (
             square + count * tracking_error**2,
             jnp.maximum(largest, count * jnp.abs(tracking_error)),
             change + counts_change * command_change**2,
-            load_error + count * load_deviation**2 if has_load_estimate else None,
+            None if load_deviation is None else load_error + count * load_deviation**2,
             limited + count * jnp.where(jnp.abs(frame.command) > limit, 1.0, 0.0),
             finite
             + jnp.where((jnp.abs(error) <= divergence_bound) & (finite == state.count - 1), 1, 0).astype(jnp.uint32),
@@ -274,7 +280,7 @@ def running_costs(
         return (state, frame.command, sums), None
 
     zero = jnp.zeros(())  # sums stay in double precision, whatever the loop runs in
-    begin = initial_state(drive, controller, inputs.reference.position[0])
+    begin = initial_state(drive, controller, cast(Array, inputs.reference.position)[0])
     zero_command = jnp.zeros_like(begin.plant.position)
     first_inputs = Inputs(*jax.tree.map(lambda signal: signal[0], tuple(inputs)))
     estimate = jax.eval_shape(lambda: step(drive, controller, sampling, key, begin, first_inputs)[1].estimate)
@@ -301,9 +307,10 @@ compiled_rollout = eqx.filter_jit(rollout)
 
 def loop_inputs(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
     """The inputs of `rollout` from a motion, a load and a disturbance force (N, [n] each; None: no force)."""
-    reference = Reference(motion.position, motion.velocity, motion.acceleration)
     force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
-    return as_arrays(Inputs(reference, np.asarray(load, float), force))
+    signals = (motion.position, motion.velocity, motion.acceleration, np.asarray(load, float), force)
+    arrays = [jnp.asarray(signal, dtype=jnp.float64) for signal in signals]
+    return Inputs(Reference(*arrays[:3]), *arrays[3:])
 
 
 def simulate(
@@ -342,8 +349,7 @@ def simulate(
         DOUBLE_BYTES * len(motion.time) * (INPUT_ARRAYS + OUTPUT_ARRAYS / every),
         "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
     )
-    loads = np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load
-    loads = validated_load(drive, loads, motion.time)
+    loads = validated_load(drive, np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load, motion.time)
     require_resolved_friction(drive, float(np.max(loads)), float(np.max(np.abs(motion.velocity))), sampling)
     feasibility.require_feasible(
         drive, feasibility.motion_envelope(motion.position, motion.velocity, loads, sampling.period)
@@ -352,8 +358,7 @@ def simulate(
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
     if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
         raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {short_repr(seed)}")
-    noisy = seed is not None and float(drive.sensor.noise) > 0
-    key = jax.random.key(seed) if noisy else None
+    key = jax.random.key(seed) if seed is not None and float(drive.sensor.noise) > 0 else None
 
     def run_machine(machine: Drive) -> tuple[Run, float | None]:
         frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, every)

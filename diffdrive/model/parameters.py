@@ -13,10 +13,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import ParameterError, PrecisionError
 from diffdrive.support.messages import short_repr
+from diffdrive.support.typing import DataclassInstance, TomlTable
 from diffdrive.support.units import in_unit
 
 LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
@@ -46,7 +47,7 @@ class Quantity(NamedTuple):
         highs = [bound for bound in (self.below, self.at_most) if bound is not None]
         return max(lows, default=-np.inf), min(highs, default=np.inf)
 
-    def violated_bounds(self, numbers: Any) -> list[str]:
+    def violated_bounds(self, numbers: np.ndarray | float) -> list[str]:
         """The bounds that some of these numbers violate, in words."""
         bounds = (
             ("above", self.above, np.greater),
@@ -73,7 +74,7 @@ class Directional(eqx.Module):
         return jnp.where(signal >= 0, self.positive, self.negative)
 
 
-def directional(value: Any) -> Directional | None:
+def directional(value: object) -> Directional | None:
     """One value for both directions, or a pair (positive, negative); None, where a parameter is absent, stays None."""
     if value is None or isinstance(value, Directional):
         return value
@@ -83,7 +84,7 @@ def directional(value: Any) -> Directional | None:
                 f"a value per direction needs exactly two entries [positive, negative], got {len(value)}: {value!r}"
             )
         return Directional(*value)
-    return Directional(value, value)
+    return Directional(value, value)  # type: ignore[arg-type]  # `check` says what is no number
 
 
 def quantity(
@@ -95,7 +96,7 @@ def quantity(
     below: float | None = None,
     at_most: float | None = None,
     per_direction: bool = False,
-    default: Any = dataclasses.MISSING,
+    default: object = dataclasses.MISSING,
     optional: bool = False,
 ) -> Any:
     """Declare a parameter field: its unit, meaning and range.
@@ -197,7 +198,7 @@ class Drive(eqx.Module):
     friction: Friction
     actuator: Actuator = Actuator()
     sensor: Sensor = Sensor()
-    effects: tuple[Any, ...] = ()  # of the catalogue (diffdrive.effects)
+    effects: tuple[PyTree, ...] = ()  # of the catalogue (diffdrive.effects)
 
 
 class Sampling(eqx.Module):
@@ -238,21 +239,21 @@ class Sampling(eqx.Module):
         return self.substeps or int(np.ceil(round(self.period / LONGEST_SUBSTEP, 6)))
 
 
-def quantities(module: Any, path: str = "") -> Iterator[tuple[str, Quantity, Any]]:
+def quantities(module: DataclassInstance, path: str = "") -> Iterator[tuple[str, Quantity, PyTree]]:
     """Every declared parameter below `module`: its dotted path, its declaration and its value."""
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         name = f"{path}.{field.name}" if path else field.name
         if "quantity" in field.metadata:
             yield name, field.metadata["quantity"], value
-        elif dataclasses.is_dataclass(value):
+        elif dataclasses.is_dataclass(value) and not isinstance(value, type):
             yield from quantities(value, name)
         elif isinstance(value, tuple):
             for item in value:
                 yield from quantities(item, f"{name}.{item.name}")
 
 
-def _by_direction(value: Any) -> Iterator[tuple[str, Any]]:
+def _by_direction(value: object) -> Iterator[tuple[str, object]]:
     if isinstance(value, Directional):
         yield " (positive direction)", value.positive
         yield " (negative direction)", value.negative
@@ -266,7 +267,7 @@ def _range_text(numbers: np.ndarray) -> str:
     return f"{low:.6g} to {high:.6g}" if low < high else f"{low:.12g}"
 
 
-def check(module: Any, path: str = "") -> None:
+def check(module: DataclassInstance, path: str = "") -> None:
     """Raise `ParameterError` naming every parameter below `module` that is not finite or out of its range.
 
     Traced values (inside `jit`, `grad`, `vmap`) are skipped.
@@ -313,11 +314,13 @@ def check_drive(drive: Drive) -> None:
             f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
         )
     limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
-    are_numbers = (
-        limit is not None and width is not None and not any(isinstance(x, jax.core.Tracer) for x in (limit, width))
-    )
     # the rounded limit is a difference of numbers as large as the limit
-    if are_numbers and np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width)):
+    if (
+        limit is not None
+        and width is not None
+        and not any(isinstance(x, jax.core.Tracer) for x in (limit, width))
+        and np.any(np.finfo(float).eps * np.asarray(limit) > ROUNDING * np.asarray(width))
+    ):
         raise ParameterError(
             f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
             f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
@@ -339,9 +342,9 @@ def check_drive(drive: Drive) -> None:
             )
 
 
-def quantity_table(module: Any) -> dict[str, Any]:
+def quantity_table(module: DataclassInstance) -> TomlTable:
     """The declared parameters of one module as TOML values; absent ones are left out."""
-    table: dict[str, Any] = {}
+    table: TomlTable = {}
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         if "quantity" not in field.metadata:
@@ -371,7 +374,7 @@ def require_double_precision() -> None:
 def as_arrays(tree: Tree) -> Tree:
     """The same tree with every number as a double-precision array, so that a new value never recompiles."""
 
-    def convert(leaf: Any) -> Any:
+    def convert(leaf: PyTree) -> PyTree:
         if isinstance(leaf, bool) or not isinstance(leaf, int | float | np.number | np.ndarray | jax.Array):
             return leaf
         return jnp.asarray(leaf, dtype=jnp.float64)
@@ -379,11 +382,11 @@ def as_arrays(tree: Tree) -> Tree:
     return jax.tree.map(convert, tree)
 
 
-def in_precision_of(number: Any, tree: Tree) -> Tree:
+def in_precision_of(number: Scalar, tree: Tree) -> Tree:
     """The same tree with every array of floats in the precision of `number`."""
     dtype = jnp.result_type(number)
 
-    def convert(leaf: Any) -> Any:
+    def convert(leaf: PyTree) -> PyTree:
         return leaf.astype(dtype) if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
     return jax.tree.map(convert, tree)

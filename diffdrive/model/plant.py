@@ -11,13 +11,13 @@ velocity at which a substep evaluates its friction is predicted by the balance o
 (docs/method/numerics.md).
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.friction import LoadedFriction, friction_under_load, nan_unless_positive
 from diffdrive.model.parameters import Directional, Drive, Scalar
@@ -155,14 +155,14 @@ def advance(
     push = plant.mobility * (force + drive.plant.constant_force)
     ripple_pushes = _ripple_pushes(plant, ripple)
 
-    def body(current: _SubstepState, ripple_push: Any) -> tuple[_SubstepState, None]:
+    def body(current: _SubstepState, ripple_push: tuple[Scalar, Scalar] | None) -> tuple[_SubstepState, None]:
         return _substep(plant, current, *_pushes(push, ripple_push)), None
 
     begin = _begin(plant, state, _first_push(push, ripple_pushes))
     return lax.scan(body, begin, ripple_pushes, length=substeps, unroll=min(UNROLLED, substeps))[0].state
 
 
-def _ripple_pushes(plant: _PlantUnderLoad, ripple: Float[Array, " substeps"] | None) -> Any:
+def _ripple_pushes(plant: _PlantUnderLoad, ripple: Float[Array, " substeps"] | None) -> tuple[Array, Array] | None:
     """How the push of each substep, and of the next one, differs from that of the period."""
     if ripple is None:
         return None
@@ -170,11 +170,11 @@ def _ripple_pushes(plant: _PlantUnderLoad, ripple: Float[Array, " substeps"] | N
     return pushes, jnp.concatenate([pushes[1:], pushes[-1:]])
 
 
-def _first_push(push: Scalar, ripple_pushes: Any) -> Scalar:
+def _first_push(push: Scalar, ripple_pushes: tuple[Array, Array] | None) -> Scalar:
     return push if ripple_pushes is None else push + ripple_pushes[0][0]
 
 
-def _pushes(push: Scalar, ripple_push: Any) -> tuple[Scalar, Scalar]:
+def _pushes(push: Scalar, ripple_push: tuple[Scalar, Scalar] | None) -> tuple[Scalar, Scalar]:
     """The push in a substep and in the next one."""
     return (push, push) if ripple_push is None else (push + ripple_push[0], push + ripple_push[1])
 
@@ -200,11 +200,13 @@ def advance_with_tangents(
         [plant.mobility * push_tangent for _, push_tangent in directions],
     )
 
-    def linearised(function: Any, point: Any, tangents: Any) -> tuple[Any, Any]:
+    def linearised(
+        function: Callable[..., _SubstepState], point: tuple[PyTree, ...], tangents: Sequence[tuple[PyTree, ...]]
+    ) -> tuple[_SubstepState, tuple[_SubstepState, ...]]:
         value, slope = jax.linearize(function, *point)
         return value, tuple(slope(*tangent) for tangent in tangents)
 
-    def body(carry: Any, ripple_push: Any) -> tuple[Any, None]:
+    def body(carry: PyTree, ripple_push: tuple[Scalar, Scalar] | None) -> tuple[PyTree, None]:
         current, tangents = carry
         ahead = [
             (tangent, push_tangent, push_tangent) for tangent, push_tangent in zip(tangents, push_tangents, strict=True)

@@ -329,7 +329,9 @@ def staircase(
     return motion_of_pieces("staircase", pieces, rate, start)
 
 
-def from_array(time: Sequence[float], position: Sequence[float], *, name: str = "own array") -> Motion:
+def from_array(
+    time: Sequence[float] | np.ndarray, position: Sequence[float] | np.ndarray, *, name: str = "own array"
+) -> Motion:
     """Your own reference (s, m) on a uniform time grid; velocity and acceleration from its cubic spline.
 
     Args:

@@ -159,7 +159,7 @@ def require_resolved_friction(drive: Drive, max_load: Scalar, max_speed: float, 
             )
 
 
-def validated_load(drive: Drive, load: np.ndarray, time: np.ndarray) -> np.ndarray:
+def validated_load(drive: Drive, load: np.ndarray | Sequence[float] | float, time: np.ndarray) -> np.ndarray:
     """The load (N, [n]) unchanged; raises `MotionError` unless it is finite, [n], and above minus the preload."""
     load = np.asarray(load, float)
     if load.shape != np.shape(time):

@@ -1,8 +1,7 @@
 """Every motion and shape of load with its settings, units and defaults, as their functions declare them."""
 
 import inspect
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
 
 from diffdrive.motion.text import LISTS, LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, PAIRS
 
@@ -13,7 +12,7 @@ _BY_DEFAULT = {
 }  # where the default depends on other settings
 
 
-def _setting(name: str, unit: str, default: Any) -> str:
+def _setting(name: str, unit: str, default: object) -> str:
     list_prefix = "list of " if name in LISTS else "list of pairs of " if name in PAIRS else ""
     kind = list_prefix + ("whole number" if unit == "1" else unit)
     if default is inspect.Parameter.empty:
@@ -21,7 +20,7 @@ def _setting(name: str, unit: str, default: Any) -> str:
     return f"{name} ({kind}; {_BY_DEFAULT[name] if default is None else f'{default:g}'})"
 
 
-def reference(builders: dict[str, Callable[..., Any]], units: dict[str, str]) -> Iterator[tuple[str, ...]]:
+def reference(builders: Mapping[str, Callable[..., object]], units: dict[str, str]) -> Iterator[tuple[str, ...]]:
     """Rows of `COLUMNS`, one for each name."""
     for name, builder in builders.items():
         settings: dict[bool, list[str]] = {False: [], True: []}

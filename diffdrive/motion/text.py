@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -98,7 +98,7 @@ def numbers(text: str, unit: str, where: str) -> list[float]:
     return [number(part, unit, where) for part in parts]
 
 
-def _value(text: str, key: str, unit: str, where: str) -> Any:
+def _value(text: str, key: str, unit: str, where: str) -> float | list[float] | list[tuple[float, ...]]:
     """One number; for plural settings a list a;b;c, for cuts a list of pairs from~to."""
     if key in PAIRS:
         return [tuple(number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
@@ -109,16 +109,19 @@ def _value(text: str, key: str, unit: str, where: str) -> Any:
     return number(text, unit, where)
 
 
+Built = TypeVar("Built")  # a motion, or the array of a load
+
+
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(Generic[Built]):
     """A motion or a load as a line of text specifies it: the function that builds it, and its settings in SI units."""
 
     kind: str
-    builder: Callable[..., Any]
+    builder: Callable[..., Built]
     units: dict[str, str]
-    settings: dict[str, Any]
+    settings: dict[str, object]
 
-    def build(self, *grid: np.ndarray, **overrides: float) -> Any:
+    def build(self, *grid: np.ndarray, **overrides: float) -> Built:
         """A load on a time grid (s), or a motion at a `rate` (Hz); `overrides` replace settings."""
         return self.builder(*grid, **self.settings | overrides)
 
@@ -132,10 +135,10 @@ class Recipe:
         return found
 
 
-def _recipe(kind: str, text: str, builder: Callable[..., Any], units: dict[str, str]) -> Recipe:
+def _recipe(kind: str, text: str, builder: Callable[..., Built], units: dict[str, str]) -> Recipe[Built]:
     parameters = inspect.signature(builder).parameters
     known = [name for name in parameters if name not in ("time", "rate")]
-    settings: dict[str, Any] = {}
+    settings: dict[str, object] = {}
     for item in filter(None, text.split(",")):
         key, equals, value = item.partition("=")
         key = key.strip()
@@ -150,13 +153,13 @@ def _recipe(kind: str, text: str, builder: Callable[..., Any], units: dict[str, 
     return Recipe(kind, builder, units, settings)
 
 
-def motion_recipe(text: str) -> Recipe | None:
+def motion_recipe(text: str) -> Recipe[Motion] | None:
     """The recipe of `name:key=value,...` (lists with ;); None if `name` is no motion, as for a file."""
     name, _, rest = text.partition(":")
     return _recipe(name, rest, MOTIONS[name], MOTION_UNITS) if name in MOTIONS else None
 
 
-def load_recipe(text: str) -> Recipe | None:
+def load_recipe(text: str) -> Recipe[np.ndarray] | None:
     """The recipe of `name:key=value,...` (pairs of times as cuts=1~2;3~4); None for a plain number."""
     name, colon, rest = text.partition(":")
     if name in LOADS:

@@ -40,7 +40,7 @@ class ExpNegParts(NamedTuple):
     """exp(-x), and what it is made of where x is small."""
 
     value: Scalar  # exp(-x)
-    small: Bool[Array, ""]  # whether x < ln 2 / 2: there exp(-x) = 1 - x + x^2 series
+    small: Bool[Array, ""] | bool  # whether x < ln 2 / 2: there exp(-x) = 1 - x + x^2 series
     series: Scalar  # to rounding; in single precision to 2e-6
 
 

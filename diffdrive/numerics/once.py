@@ -15,4 +15,6 @@ def once(values: Values) -> Values:
     computed several times (docs/evidence/performance.md says where that matters). On a GPU one large kernel that
     computes things twice is faster than many that pass them on, so there is no barrier.
     """
-    return lax.optimization_barrier(values) if jax.default_backend() == "cpu" else values
+    if jax.default_backend() != "cpu":
+        return values
+    return lax.optimization_barrier(values)  # type: ignore[no-untyped-call]  # jax declares no types of it

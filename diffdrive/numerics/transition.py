@@ -12,7 +12,7 @@ from the same two functions, since A is regular (det A = a r + b > 0):
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +49,9 @@ def _cosh_sinh_sqrt(p: Scalar) -> tuple[Scalar, Scalar]:
 
 
 @_cosh_sinh_sqrt.defjvp
-def _cosh_sinh_sqrt_jvp(primals: tuple[Scalar], tangents: tuple[Scalar]) -> tuple[Any, Any]:
+def _cosh_sinh_sqrt_jvp(
+    primals: tuple[Scalar], tangents: tuple[Scalar]
+) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     (p,), (tangent,) = primals, tangents
     even, odd = _cosh_sinh_sqrt(p)
     return (even, odd), (0.5 * odd * tangent, polynomial(_ODD_SLOPE, p) * tangent)

@@ -6,11 +6,12 @@ single-precision angle gives single precision (1e-7), by the same steps with few
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.typing import DTypeLike
 
 from diffdrive.model.parameters import Scalar
 from diffdrive.numerics.polynomial import polynomial
@@ -27,7 +28,7 @@ class _Precision(NamedTuple):
     magic: float  # beside it a whole number stands in the last bits
     quarter: tuple[float, float, float]  # pi / 2 in parts, of so few bits that a whole multiple is exact
     terms: int
-    bits: Any
+    bits: DTypeLike
 
 
 _DOUBLE = _Precision(

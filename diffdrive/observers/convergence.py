@@ -47,7 +47,7 @@ def steady_covariance(ad: Array, process: Array, measurement: Scalar) -> Array:
     return h * scale[:, None] * scale[None, :]
 
 
-def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, load: Scalar = 0.0) -> Scalar:
+def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, load: Scalar = 0.0) -> Float[Array, ""]:
     """G of eq. (20): newtons of Fhat[k+1|k+1] - Fhat[k+1|k] per newton of Coulomb error, sliding at `velocity` (m/s).
 
     Dimensionless, signed with the direction of motion; differentiable. `load` (N) is the load slid under.
@@ -58,8 +58,8 @@ def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, 
     force = (
         steady_friction(friction, velocity, load) + plant.damping.towards(velocity) * velocity
     )  # the force that slides it
-    ad, _ = state_matrices(plant, lugre_coefficients(friction, velocity, deflection, load), velocity, period)
-    ad = jnp.stack([jnp.stack([jnp.asarray(entry, jnp.float64) for entry in row]) for row in ad])
+    rows, _ = state_matrices(plant, lugre_coefficients(friction, velocity, deflection, load), velocity, period)
+    ad = jnp.stack([jnp.stack([jnp.asarray(entry, jnp.float64) for entry in row]) for row in rows])
     covariance = steady_covariance(ad, jnp.stack(as_arrays(tuning.process)), tuning.measurement)
     gain = covariance[:, 0] / (covariance[0, 0] + tuning.measurement)
 
@@ -91,7 +91,7 @@ def _with_coulomb(friction: Friction, extra: Scalar) -> Friction:
 
 
 @eqx.filter_jit
-def _gains(observer: KalmanObserver, velocities: Array, period: float, load: Scalar) -> Array:
+def _gains(observer: KalmanObserver, velocities: Array, period: float, load: Scalar) -> Float[Array, " n"]:
     return jax.vmap(lambda v: convergence_gain(observer, v, period, load))(velocities)
 
 
@@ -132,14 +132,17 @@ def time_constants(
 def innovation_load_observer(controller: Controller) -> KalmanObserver | None:
     """The observer with an eq. (20) estimator in this controller, if there is one; its numbers may be traced."""
     observer = controller.observer if isinstance(controller, FrictionCompensation) else None
-    has_innovation_load = isinstance(observer, KalmanObserver) and isinstance(observer.load_estimator, InnovationLoad)
-    return observer if has_innovation_load else None
+    if isinstance(observer, KalmanObserver) and isinstance(observer.load_estimator, InnovationLoad):
+        return observer
+    return None
 
 
 def active_innovation_load_observer(controller: Controller) -> KalmanObserver | None:
     """The observer with an eq. (20) estimator in this controller, if there is one and it is switched on."""
     observer = innovation_load_observer(controller)
-    return None if observer is None or not float(observer.load_estimator.gain) > 0 else observer
+    if observer is None or not isinstance(observer.load_estimator, InnovationLoad):
+        return None
+    return observer if float(observer.load_estimator.gain) > 0 else None
 
 
 def divergent_speeds(

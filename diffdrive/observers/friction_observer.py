@@ -5,18 +5,20 @@ returns its estimates: friction to cancel, load, velocity.
 """
 
 import abc
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
-from diffdrive.model.friction import friction_force, lugre_coefficients
+from diffdrive.model.friction import LuGreCoefficients, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Friction, Plant, Scalar, quantity, quantity_table
 from diffdrive.numerics.once import once
 from diffdrive.numerics.transition import state_matrices, transition
 from diffdrive.observers import kalman
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
+from diffdrive.support.typing import TomlTable
 
 
 class ObserverEstimate(NamedTuple):
@@ -48,7 +50,7 @@ class FrictionObserver(eqx.Module):
         """The suffix of the controller's kind, after pd+fc."""
 
     @abc.abstractmethod
-    def tables(self) -> dict[str, Any]:
+    def tables(self) -> TomlTable:
         """Its tables [controller.observer] and [controller.load_estimator] of a drive file."""
 
     @property
@@ -57,11 +59,11 @@ class FrictionObserver(eqx.Module):
         """Paths of its tunable parameters, by the gain's name in the controller."""
 
     @abc.abstractmethod
-    def init(self, position: Scalar) -> Any:
+    def init(self, position: Scalar) -> PyTree:
         """State of the observer for a table at rest at `position` (m)."""
 
     @abc.abstractmethod
-    def step(self, state: Any, force: Scalar, position: Scalar, period: float) -> tuple[Any, ObserverEstimate]:
+    def step(self, state: PyTree, force: Scalar, position: Scalar, period: float) -> tuple[PyTree, ObserverEstimate]:
         """One period: `force` (N) acted over it, `position` (m) was measured at its end."""
 
 
@@ -108,7 +110,7 @@ class KalmanObserver(FrictionObserver):
     def suffix(self) -> str:
         return self.load_estimator.suffix
 
-    def tables(self) -> dict[str, Any]:
+    def tables(self) -> TomlTable:
         return {"observer": quantity_table(self.tuning), "load_estimator": quantity_table(self.load_estimator)}
 
     @property
@@ -185,7 +187,7 @@ class LoadStateObserver(FrictionObserver):
     def suffix(self) -> str:
         return "+ls"
 
-    def tables(self) -> dict[str, Any]:
+    def tables(self) -> TomlTable:
         return {"observer": quantity_table(self.tuning), "load_estimator": quantity_table(self)}
 
     @property
@@ -221,7 +223,9 @@ class LoadStateObserver(FrictionObserver):
         state = once(ObserverState(updated, covariance, load))
         return state, ObserverEstimate(updated_friction, load, updated[1], innovation)
 
-    def _load_column(self, coefficients: Any, velocity: Scalar, deflection: Scalar, period: float) -> kalman.Vector:
+    def _load_column(
+        self, coefficients: LuGreCoefficients, velocity: Scalar, deflection: Scalar, period: float
+    ) -> kalman.Vector:
         """d[x, v, z]/dW over one period: the bristle is pushed by (r z / g) mu_LC per newton of load."""
         deflection_rate = (
             coefficients.rate * deflection / coefficients.level * self.friction.load_coefficient.towards(velocity)

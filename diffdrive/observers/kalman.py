@@ -6,7 +6,7 @@ cannot know that the other half is equal, and would compute, carry and, in rever
 is C = [1, 0, ..., 0] throughout.
 """
 
-from typing import Any
+from collections.abc import Callable
 
 from diffdrive.model.parameters import Scalar
 
@@ -15,7 +15,7 @@ Matrix = tuple[Vector, ...]
 Triangle = tuple[Vector, ...]  # row i from the diagonal on
 
 
-def _equals(entry: Any, number: float) -> bool:
+def _equals(entry: object, number: float) -> bool:
     return isinstance(entry, float) and entry == number
 
 
@@ -35,7 +35,7 @@ def matvec(matrix: Matrix, vector: Vector) -> Vector:
     return tuple(dot(row, vector) for row in matrix)
 
 
-def _triangle(size: int, entry: Any) -> Triangle:
+def _triangle(size: int, entry: Callable[[int, int], Scalar]) -> Triangle:
     return tuple(tuple(entry(i, j) for j in range(i, size)) for i in range(size))
 
 

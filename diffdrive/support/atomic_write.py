@@ -28,8 +28,8 @@ def atomic_write(path: str | Path, mode: str = "wb") -> Iterator[IO[Any]]:
     """
     path = Path(os.path.realpath(path))  # a replaced link would leave the file that it names as it was
     temporary = temporary_beside(path)
-    text = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
-    file = temporary.open(mode.replace("w", "x"), **text)
+    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+    file = temporary.open(mode.replace("w", "x"), encoding=encoding, newline=newline)
     try:
         yield file
         file.flush()

@@ -4,7 +4,6 @@ import difflib
 import reprlib
 import unicodedata
 from collections.abc import Collection
-from typing import Any
 
 MAX_LISTED = 30  # names; of more, those nearest to the wanted one are listed
 NEAREST = 5
@@ -34,7 +33,7 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
-def short_repr(value: Any) -> str:
+def short_repr(value: object) -> str:
     """`repr` of a value, shortened: nested lists, and a number of 400 digits, are cut in the middle."""
     return shortened(_REPR.repr(value), 2 * MAX_LENGTH)
 

@@ -3,9 +3,9 @@
 import codecs
 import tomllib
 from pathlib import Path
-from typing import Any
 
 from diffdrive.errors import DiffdriveError
+from diffdrive.support.typing import TomlTable
 
 # the longer marks first: UTF-32 begins as UTF-16 does
 _MARKS = (
@@ -36,7 +36,7 @@ def decode_text(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
-def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> dict[str, Any]:
+def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> TomlTable:
     """The tables of a TOML file in UTF-8, with or without a byte-order mark, or in UTF-16 or UTF-32 with one.
 
     Raises `error`, one line that names the file (`where`), the line and the remedy.
@@ -52,7 +52,7 @@ def parse_toml(raw: bytes, where: str, error: type[DiffdriveError]) -> dict[str,
         raise error(_missing_mark_message(raw, where) or f"{where}: not a TOML file: {problem}") from None
 
 
-def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> dict[str, Any]:
+def read_toml(path: Path, error: type[DiffdriveError], origin: str) -> TomlTable:
     """The tables of a TOML file; raises `error`. `origin` tells the user how to get a file that does not exist."""
     try:
         raw = path.read_bytes()

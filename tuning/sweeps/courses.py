@@ -38,7 +38,9 @@ def is_cycle_setting(name: str) -> bool:
     return name.startswith(("motion.", "load.")) and name not in LOAD
 
 
-def variable_settings(recipes: Mapping[str, Recipe | None], load: Recipe | None) -> dict[str, KnownQuantity]:
+def variable_settings(
+    recipes: Mapping[str, Recipe[Motion] | None], load: Recipe[np.ndarray] | None
+) -> dict[str, KnownQuantity]:
     """The settings that may vary: those that every motion has, and those of the load."""
     told = [{} if recipe is None else recipe.numbers() for recipe in recipes.values()]
     common = [name for name in (told[0] if told else ()) if all(name in one for one in told)]
@@ -54,13 +56,13 @@ class DutyCycles:
     """The motions of a sweep by their names, its load over time, and which of their settings vary."""
 
     motions: Mapping[str, Motion]
-    recipes: Mapping[str, Recipe | None]
+    recipes: Mapping[str, Recipe[Motion] | None]
     load: str  # as `scenario.parse_load` takes it
     rate: float  # Hz
     varied: tuple[VariedQuantity, ...]
 
     @cached_property
-    def _load(self) -> Recipe | None:
+    def _load(self) -> Recipe[np.ndarray] | None:
         return load_recipe(self.load)
 
     def values(self, name: str, shares: Float[np.ndarray, "n d"]) -> dict[str, Float[np.ndarray, " n"]]:

@@ -64,7 +64,7 @@ class SweepPlan:
     samples: int
     method: Method = "sobol"
     seed: int = 0
-    recipes: Mapping[str, Recipe | None] = field(default_factory=dict)  # of the motions whose settings may vary
+    recipes: Mapping[str, Recipe[Motion] | None] = field(default_factory=dict)  # of the motions whose settings may vary
     load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
     settle: float = 0.0  # s at the start that do not count
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -93,7 +93,7 @@ class SweepSpec:
         text = self.motions[origin]
         return parse_motion(text, rate) if text == origin else parse_motion_table(text, origin)
 
-    def _recipes(self, origins: dict[str, str]) -> dict[str, Recipe | None]:
+    def _recipes(self, origins: dict[str, str]) -> dict[str, Recipe[Motion] | None]:
         """How those motions are made that are not of a file."""
         return {name: motion_recipe(text) if self.motions[text] == text else None for name, text in origins.items()}
 
