@@ -1,5 +1,5 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
-from .gains.objective import Objective
+from .gains.objective import Objective, register_aggregation
 from .gains.workflow import Requirements, TuningResult, tune
 from .identification.workflow import IdentificationResult, identify
 from .sweeps.workflow import SweepResult, sweep
@@ -14,6 +14,7 @@ __all__ = [
     "TuningResult",
     "diagnose",
     "identify",
+    "register_aggregation",
     "sweep",
     "tune",
 ]

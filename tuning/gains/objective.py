@@ -27,24 +27,53 @@ TINY = 1e-30
 Lanes = Float[Array, " lanes"]
 
 
+Aggregation = Callable[[Lanes], Scalar]
+
+AGGREGATIONS: dict[str, Aggregation] = {}
+
+
+def register_aggregation(name: str) -> Callable[[Aggregation], Aggregation]:
+    """Make a way from the costs of the scenarios to one number known to `Objective` and to `diffdrive tune`.
+
+    Args:
+        name: what `Objective(aggregation=...)` and `--aggregation` call it.
+
+    Returns:
+        A decorator of a function from the costs, one per scenario, to their scalar; it must be differentiable by JAX
+        and must not fall where a cost grows.
+
+    Examples:
+        >>> @tuning.register_aggregation("sum of squares")
+        ... def sum_of_squares(costs):
+        ...     return jnp.sum(costs**2)
+
+    """
+
+    def register(aggregation: Aggregation) -> Aggregation:
+        AGGREGATIONS[name] = aggregation
+        return aggregation
+
+    return register
+
+
+@register_aggregation("mean")
 def mean(costs: Lanes) -> Scalar:
     """The mean over the lanes."""
     return jnp.mean(costs)
 
 
+@register_aggregation("worst")
 def worst(costs: Lanes) -> Scalar:
     """A smooth maximum over the lanes."""
     scale = jnp.mean(costs) / MAXIMUM_SHARPNESS + TINY
     return scale * jax.nn.logsumexp(costs / scale)
 
 
+@register_aggregation("cvar")
 def cvar(costs: Lanes) -> Scalar:
     """The mean of the worst quarter of the lanes, at least one (conditional value at risk)."""
     count = max(1, round(TAIL * len(costs)))
     return jnp.mean(lax.top_k(costs, count)[0])
-
-
-AGGREGATIONS: dict[str, Callable[[Lanes], Scalar]] = {"mean": mean, "worst": worst, "cvar": cvar}
 
 
 class Objective(NamedTuple):

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import tuning
+import tuning.gains.objective as objective_module
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, as_arrays
@@ -73,6 +75,19 @@ def test_a_signal_of_zeros_has_no_weight_and_no_nan():
     weights = Objective(peak=1e6, load_error=1e-4).weights(signals)
     assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(weights))
     assert not np.any(weights.error)
+
+
+def test_an_aggregation_of_ones_own_weighs_the_squares_by_its_gradient(monkeypatch):
+    monkeypatch.setattr(objective_module, "AGGREGATIONS", dict(AGGREGATIONS))
+
+    @tuning.register_aggregation("sum of squares")
+    def sum_of_squares(costs):
+        return jnp.sum(costs**2)
+
+    objective, signals = Objective(aggregation="sum of squares"), made_up(4)
+    costs = np.sqrt(np.mean((1e6 * np.asarray(signals.error)) ** 2, axis=1))
+    assert float(objective(signals)) == pytest.approx(np.sum(costs**2))
+    test_the_weighed_squares_have_the_gradient_of_the_objective(objective)
 
 
 def test_an_unknown_aggregation_is_refused_with_those_that_there_are():
