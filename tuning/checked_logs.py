@@ -25,20 +25,20 @@ class CheckedLogs:
     @property
     def fatal(self) -> list[tuple[str, Finding]]:
         """The findings over which nothing should go on."""
-        return [(log, one) for log, one in self.findings if one.severity == "fatal"]
+        return [(log, finding) for log, finding in self.findings if finding.severity == "fatal"]
 
     @property
-    def worth_saying(self) -> list[tuple[str, Finding]]:
+    def notable(self) -> list[tuple[str, Finding]]:
         """The findings that are more than notes."""
-        return [(log, one) for log, one in self.findings if one.severity != "note"]
+        return [(log, finding) for log, finding in self.findings if finding.severity != "note"]
 
 
 def as_logs(axis: Axis, sources: Any) -> tuple[Log, ...]:
     """One or several logs: as they are, or read with the axis's columns and units. Raises `LogError`."""
-    several = sources if isinstance(sources, list | tuple) else [sources]
-    if not several:
+    listed = sources if isinstance(sources, list | tuple) else [sources]
+    if not listed:
         raise LogError("no log is given; give one or more")
-    return tuple(one if isinstance(one, Log) else read_log(one, axis) for one in several)
+    return tuple(source if isinstance(source, Log) else read_log(source, axis) for source in listed)
 
 
 def check_logs(
@@ -47,31 +47,34 @@ def check_logs(
     *,
     files: Sequence[Path] | None = None,
     loads: Mapping[str, float] | None = None,
-    beside: Sequence[Log] = (),
+    checked_before: Sequence[Log] = (),
 ) -> CheckedLogs:
     """Look logs over before they are used: what in them would mislead.
 
     `files` are where they are from, if they are, for messages; `loads` (N), by log or file name, what was on the table
-    where the log does not say it; `beside` are logs that were looked over before, of the same machine. Raises
+    where the log does not say it; `checked_before` are logs that were looked over before, of the same machine. Raises
     `LogError` for a log at another rate than the axis's, one too short to be used, and one that is given twice.
     """
-    where = [log.name for log in logs] if files is None else [str(file) for file in files]
-    known = [log.name for log in logs] if files is None else [file.name for file in files]
-    for place, log in zip(where, logs, strict=True):
+    labels = [log.name for log in logs] if files is None else [str(file) for file in files]
+    names = [log.name for log in logs] if files is None else [file.name for file in files]
+    for place, log in zip(labels, logs, strict=True):
         _require_rate(place, log, axis.rate)
         _require_length(place, log)
-    _require_different(where, logs, beside, None if files is None else [file.resolve() for file in files])
-    logs = tuple(_with_load(log, (loads or {}).get(name)) for name, log in zip(known, logs, strict=True))
+    _require_different(labels, logs, checked_before, None if files is None else [file.resolve() for file in files])
+    logs = tuple(_with_load(log, (loads or {}).get(name)) for name, log in zip(names, logs, strict=True))
     found = [(log.name, finding) for log in logs for finding in examine(log, axis)]
-    found += [(f"{len(beside) + len(logs)} logs", one) for one in examine_together([*beside, *logs], axis)]
+    found += [
+        (f"{len(checked_before) + len(logs)} logs", finding)
+        for finding in examine_together([*checked_before, *logs], axis)
+    ]
     return CheckedLogs(logs, tuple(found))
 
 
-def require_sound(checked: CheckedLogs, mend: str) -> None:
-    """Raise `LogError` for the first fatal finding; `mend` says how to go on all the same."""
+def require_sound(checked: CheckedLogs, remedy: str) -> None:
+    """Raise `LogError` for the first fatal finding; `remedy` says how to go on all the same."""
     if checked.fatal:
-        log, one = checked.fatal[0]
-        raise LogError(f"{log}: {one.channel}: {one.message}; {one.remedy} ({mend})")
+        log, finding = checked.fatal[0]
+        raise LogError(f"{log}: {finding.channel}: {finding.message}; {finding.remedy} ({remedy})")
 
 
 def _with_load(log: Log, load: float | None) -> Log:
@@ -103,18 +106,18 @@ def _require_length(path: str, log: Log) -> None:
 
 
 def _require_different(
-    paths: Sequence[str], logs: Sequence[Log], beside: Sequence[Log], files: Sequence[Path] | None
+    paths: Sequence[str], logs: Sequence[Log], checked_before: Sequence[Log], files: Sequence[Path] | None
 ) -> None:
     """A log that is given twice counts its noise twice, and held out it proves nothing."""
     for k, (path, log) in enumerate(zip(paths, logs, strict=True)):
         if files is not None and files[k] in files[:k]:
             raise LogError(f"{path}: is given twice; give each log once")
-        same = next((other.name for other in [*beside, *logs[:k]] if _same_samples(log, other)), None)
-        if same is not None:
+        duplicate = next((other.name for other in [*checked_before, *logs[:k]] if _same_samples(log, other)), None)
+        if duplicate is not None:
             raise LogError(
-                f"{path}: holds the same samples as {same}; give each log once, and hold out one of another run"
+                f"{path}: holds the same samples as {duplicate}; give each log once, and hold out one of another run"
             )
 
 
-def _same_samples(one: Log, other: Log) -> bool:
-    return np.array_equal(one.position, other.position) and np.array_equal(one.command, other.command)
+def _same_samples(log: Log, other: Log) -> bool:
+    return np.array_equal(log.position, other.position) and np.array_equal(log.command, other.command)

@@ -197,7 +197,7 @@ def tuner(
     start = np.asarray(tuned.theta) + START_OFFSET * (-1.0) ** np.arange(len(TUNED_PARAMETERS))
 
     def search() -> Any:
-        return levenberg_marquardt(residuals, start, args, max_steps=steps, tolerance=1e-15, enough=0.0)
+        return levenberg_marquardt(residuals, start, args, max_steps=steps, tolerance=1e-15, min_gain=0.0)
 
     return compile_loop(value_and_jacobian, jnp.asarray(start), args), search, search().steps
 

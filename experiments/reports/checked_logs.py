@@ -49,7 +49,7 @@ def looked_over(
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
         logs = read_logs(paths, description)
-        checked = check_logs(description, logs, files=paths, loads=loads, beside=beside)
+        checked = check_logs(description, logs, files=paths, loads=loads, checked_before=beside)
     logs, found = checked.logs, list(checked.findings)
     for log in logs:
         for note in log.notes:

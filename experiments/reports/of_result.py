@@ -70,11 +70,11 @@ def _(result: Run, one: Report) -> None:
 
 @section.register
 def _(result: IdentificationResult, one: Report) -> None:
-    estimates_table(one, result.found)
-    say_words(one, result.found)
-    write_uncertainty(_out(one), result.found)
+    estimates_table(one, result.fit)
+    say_words(one, result.fit)
+    write_uncertainty(_out(one), result.fit)
     _write_axis(one, result, "identified.toml")
-    draw_identification(one, result.found, result.given.drive, result.logs.logs)
+    draw_identification(one, result.fit, result.initial_axis.drive, result.logs.logs)
 
 
 @section.register
@@ -83,20 +83,20 @@ def _(result: DiagnosisResult, one: Report) -> None:
     tell(one, told)
     write_reference(one, result.next_motion.reference)
     augmented = _write_axis(one, result, "augmented.toml", (f"the verdict of the diagnosis was {result.verdict}",))
-    draw_diagnosis(one, result.found, result.logs.logs)
+    draw_diagnosis(one, result.diagnosis, result.logs.logs)
     page(one, told, augmented)
 
 
 @section.register
 def _(result: TuningResult, one: Report) -> None:
-    gains_table(one, result.found)
+    gains_table(one, result.search)
     for note in result.notes:
         one.say(note)
-    given = result.given
-    margins_table(one, margins_at(given, [given.controller, result.found.controller], result.plan))
-    loop_figures(one, given, result.found.controller, result.plan, result.required)
+    given = result.initial_axis
+    margins_table(one, margins_at(given, [given.controller, result.search.controller], result.plan))
+    loop_figures(one, given, result.search.controller, result.plan, result.limits)
     verification_table(one, list(result.runs))
-    one.figure("tuning", figure_of(result.found, list(result.runs), result.plan))
+    one.figure("tuning", figure_of(result.search, list(result.runs), result.plan))
     if result.accepted:
         _write_axis(one, result, "tuned.toml")
 

@@ -78,13 +78,13 @@ def tune_drive(
     with report.working("linearising"):
         both = margins_at(description, [description.controller, tuned.controller], plan)
     margins_table(report, both)
-    loop_figures(report, description, tuned.controller, plan, prepared.required)
+    loop_figures(report, description, tuned.controller, plan, prepared.limits)
     with report.working("verifying on the exact simulator"):
         runs = verify(description, tuned.controller, prepared, plan.settle)
     verification_table(report, runs)
     report.figure("tuning", figure_of(tuned, runs, plan))
     if pareto:
-        _pareto(report, description, lanes, requirements, objective, pareto, prepared.off, plan)
+        _pareto(report, description, lanes, requirements, objective, pareto, prepared.held_out, plan)
     if noisy := noise_warning(prepared, runs):
         report.say(noisy)
     accepted = is_accepted(tuned, runs)
@@ -95,19 +95,19 @@ def tune_drive(
             report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
             report.say("simulate it with `--machine` and the file that was given.")
         conditions = _conditions(plan, prepared, description)
-        write_handover(report.out / "handover.toml", handover(description, tuned, both[1].as_tuned, conditions))
+        write_handover(report.out / "handover.toml", handover(description, tuned, both[1].training, conditions))
         (report.out / CHECKPOINT).unlink(missing_ok=True)
     return tuned, accepted
 
 
 def gains_table(report: Report, tuned: GainSearch) -> None:
     """The search, and each gain before and after."""
-    standing = tuned.found.standing
+    standing = tuned.best.state
     report.values(
         "tuning", status=tuned.status, steps=standing.steps, evaluations=standing.evaluations,
-        linearisations=standing.linearisations, objective_before=float(tuned.began.objective),
-        objective=float(tuned.point.objective), missed_before=float(tuned.began.missed), feasible=tuned.feasible,
-        seconds=round(standing.seconds, 1),
+        linearisations=standing.linearisations, objective_before=float(tuned.initial_point.objective),
+        objective=float(tuned.point.objective), missed_before=float(tuned.initial_point.violation),
+        feasible=tuned.feasible, seconds=round(standing.seconds, 1),
     )  # fmt: skip
     rows = [
         [LABELS.get(name, name), float(b), float(a), float(a / b), float(t)]
@@ -117,15 +117,15 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
     report.table("gains", columns, rows, "Gains, SI units; the last column costs 5 % of the objective, alone")
     for said in remarks(tuned):
         report.say(said)
-    if len(tuned.starts) > 1:
-        report.values("starts", objective=[float(one) for one in tuned.starts])
+    if len(tuned.start_objectives) > 1:
+        report.values("starts", objective=[float(one) for one in tuned.start_objectives])
 
 
 def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
     rows: list[list[Any]] = []
     for name, found in zip(("given", "tuned"), both, strict=True):
-        for place, part in (("as tuned", found.as_tuned), ("held out", found.held_out)):
+        for place, part in (("as tuned", found.training), ("held out", found.held_out)):
             worst = worst_margins(part)
             rows.append([f"{place}, {name}", *(worst.get(key) for key in WORST)])
     rows.sort(key=lambda row: row[0])
@@ -205,7 +205,7 @@ def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> d
     """What the gains rest on."""
     asked = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
-        for name, value in prepared.required._asdict().items()
+        for name, value in prepared.limits._asdict().items()
         if value is not None
     }
     return {
@@ -222,7 +222,7 @@ def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> d
 def figure_of(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> Any:
     """The search, and one held-out scenario before and after."""
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
-    history = tuned.found.standing.history
+    history = tuned.best.state.history
     left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
     left.set(xlabel="linearisations", ylabel="objective", title="search", ylim=(0, None))
     scenario, old, new = runs[-3].scenario, runs[-3].before, runs[-3].after

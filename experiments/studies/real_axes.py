@@ -129,14 +129,14 @@ def real_axes(report: Report, which: str = "all", terms: Sequence[str] = ()) -> 
             report.say(f"{name}: left out, its data are not there")
         else:
             study(report, folder)
-    if parts := FolderStore.within(report.out, PARTS):
+    if parts := FolderStore.in_folder(report.out, PARTS):
         parts.remove()
 
 
 def _diagnose(
     report: Report, drive: Drive, controller: Controller, log: Log, max_effects: int, tolerance: float
 ) -> Diagnosis:
-    parts = FolderStore.within(report.out, PARTS)
+    parts = FolderStore.in_folder(report.out, PARTS)
     with report.stages() as progress:
         return diagnose(
             drive, controller, [log], tolerance=tolerance, most_effects=max_effects, store=parts, progress=progress
@@ -145,7 +145,7 @@ def _diagnose(
 
 def _emps(report: Report, folder: Path, terms: Sequence[str]) -> None:
     records = emps.read_all(folder)
-    drive = identify_axis(report, records, store=FolderStore.within(report.out, PARTS)).drive
+    drive = identify_axis(report, records, store=FolderStore.in_folder(report.out, PARTS)).drive
     controller = emps.controller(records["estimation"])
     cases = {term: case for term, case in withheld_terms(drive).items() if term in terms or not terms}
     if cases:

@@ -116,8 +116,8 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     rate = float(round(logs[0].rate / thinning, 6))
     noise = jnp.asarray(noise_floor(drive, lanes, rate))
     sampling = Sampling(rate, thinning * sampling_of(logs[0].rate, SUBSTEP).plant_steps)
-    if lanes.asked is None and float(delay) % 1.0:
-        lanes = lanes._replace(asked=in_parts(lanes.command, sampling.plant_steps))
+    if lanes.period_commands is None and float(delay) % 1.0:
+        lanes = lanes._replace(period_commands=in_parts(lanes.command, sampling.plant_steps))
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
     return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, starts, thinning)
 

@@ -163,6 +163,6 @@ def evolved(
         return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
 
     budget = Budget(SIMULATIONS, np.inf, -np.inf)
-    begun = {"sample": SAMPLE} if seed is None else {"seed": seed}
+    begun = {"screened": SAMPLE} if seed is None else {"seed": seed}
     found = evolve(costs, first, budget, population=POPULATION, **begun)
     return values(found.share), forces(found.share)

@@ -113,7 +113,7 @@ def _asked(
     A part is a control period, or a substep of the plant where the force changes within one: late or lagging, it does.
     Delays, which are counted in samples, hold the command back here.
     """
-    asked = lane.asked
+    asked = lane.period_commands
     if asked is None:
         late = any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects)
         asked = in_parts(lane.command, sampling.plant_steps if late else 1)

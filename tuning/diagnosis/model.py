@@ -74,7 +74,7 @@ def thinned(lanes: Lanes, thinning: int) -> Lanes:
     forces = {name: blocks(getattr(lanes, name)).mean(axis=2) for name in ("command", "disturbance", "load")}
     counts = blocks(lanes.counts).min(axis=2)
     position, asked = blocks(lanes.position)[:, :, 0], blocks(lanes.command)
-    return lanes._replace(position=position, counts=counts, asked=asked, **forces)
+    return lanes._replace(position=position, counts=counts, period_commands=asked, **forces)
 
 
 def counted_in(effect: Effect, periods: float) -> Effect:

@@ -47,7 +47,9 @@ def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts
     actuator = drive.actuator
     counted = np.asarray(lanes.counts) > 0
     command = float(np.abs(np.asarray(lanes.command)[counted]).max())
-    single = np.abs(np.asarray(lanes.command if lanes.asked is None else lanes.asked)[counted]).max()
+    single = np.abs(
+        np.asarray(lanes.command if lanes.period_commands is None else lanes.period_commands)[counted]
+    ).max()
     position = np.asarray(lanes.position)
     speed = np.abs(np.diff(position, axis=1))[:, :: max(1, round(1e-3 / period))] / period
     fastest = float(np.percentile(speed, 99))

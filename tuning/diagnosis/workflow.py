@@ -61,7 +61,7 @@ class DiagnosisResult(Result):
     those that were looked at, the surest first. `closed` is the share of the gap on held-out data that is gone with
     what was found, with its interval (None: nothing was found, or nothing was left to close). `axis` is the axis with
     what was found, None where no cause was looked for; `next_motion` what would decide further. `details` is what
-    diagnosis.json holds, `found` the engine's own answer.
+    diagnosis.json holds, `diagnosis` the whole result of the search.
     """
 
     verdict: str
@@ -71,14 +71,16 @@ class DiagnosisResult(Result):
     axis: Axis | None
     next_motion: Experiment
     details: Mapping[str, Any]
-    found: Diagnosis
+    diagnosis: Diagnosis
     logs: CheckedLogs
     status: Status
 
     schema: ClassVar[str] = "diagnosis/1"
 
     def headline(self) -> str:
-        sure = ", ".join(f"{one.effect} ({100.0 * one.confidence:.0f} % sure)" for one in self.causes if one.found)
+        sure = ", ".join(
+            f"{cause.effect} ({100.0 * cause.confidence:.0f} % sure)" for cause in self.causes if cause.found
+        )
         return f"{self.verdict.upper()}{f': {sure}' if sure else ''}"
 
     def summary(self) -> str:
@@ -86,7 +88,7 @@ class DiagnosisResult(Result):
         lines = [f"{self.verdict.upper()}: {self.says}", *headlines(details["causes"])]
         lines += [details["closed"]["says"], f"Gap: {details['gap']['says']}", f"Next: {self.next_motion.says}"]
         lines += [details["scale_noise"]] if details["scale_noise"] else []
-        lines += [f"{one['log']}: {one['found']}; {one['mend']}" for one in details["findings"]]
+        lines += [f"{finding['log']}: {finding['found']}; {finding['mend']}" for finding in details["findings"]]
         wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
         cut = [*wrapped[: LINES - 1], "... and more: see details"] if len(wrapped) > LINES else wrapped
         return "\n".join(cut)
@@ -157,8 +159,14 @@ def diagnosis_result(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: 
     """The result, for its readers."""
     searched = not is_void(checked)
     findings = [
-        {"log": log, "severity": one.severity, "channel": one.channel, "found": one.message, "mend": one.remedy}
-        for log, one in checked.worth_saying
+        {
+            "log": log,
+            "severity": finding.severity,
+            "channel": finding.channel,
+            "found": finding.message,
+            "mend": finding.remedy,
+        }
+        for log, finding in checked.notable
     ]
     noise = unstated_noise(axis.drive, float(found.logged.noise)) if searched else ""
     details = as_json(found, offer) | {
@@ -166,10 +174,10 @@ def diagnosis_result(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: 
     }  # fmt: skip
     causes = tuple(
         Cause(
-            one["effect"], one["confidence"], one["found"], one["parameters"], one["intervals"], one["units"],
-            tuple(one["indistinguishable_from"]),
+            cause["effect"], cause["confidence"], cause["found"], cause["parameters"], cause["intervals"],
+            cause["units"], tuple(cause["indistinguishable_from"]),
         )
-        for one in details["causes"]
+        for cause in details["causes"]
     )  # fmt: skip
     augmented = augmented_axis(axis, found) if searched else None
     return DiagnosisResult(
@@ -205,7 +213,7 @@ def next_motion_of(axis: Axis, checked: CheckedLogs, found: Diagnosis) -> Experi
 
 def is_void(checked: CheckedLogs) -> bool:
     """Whether a search for causes would be a waste of minutes, and the axis that it finds a trap."""
-    return any(one.invalidates_log for _, one in checked.fatal)
+    return any(finding.invalidates_log for _, finding in checked.fatal)
 
 
 def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
@@ -213,26 +221,28 @@ def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     if not fatal:
         return found
     log, first = _most_urgent(found, fatal)
-    told = f"the log checks say of {log}: {first.message}"
+    message = f"the log checks say of {log}: {first.message}"
     if first.invalidates_log:
-        says = f"no cause was looked for: {told}. Mend that first: {first.remedy}"
+        says = f"no cause was looked for: {message}. Mend that first: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
     if _unexplained(found, [(log, first)]):
-        told = f"{told}. No confidence is above {UNSURE} before that is mended: {first.remedy}"
-        return dataclasses.replace(found, verdict=found.verdict.doubted(told))
-    told = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {told}"
-    return dataclasses.replace(found, verdict=found.verdict.and_says(told))
+        message = f"{message}. No confidence is above {UNSURE} before that is mended: {first.remedy}"
+        return dataclasses.replace(found, verdict=found.verdict.doubted(message))
+    message = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {message}"
+    return dataclasses.replace(found, verdict=found.verdict.and_says(message))
 
 
 def _unexplained(found: Diagnosis, fatal: Fatal) -> Fatal:
     """The fatal findings that nothing that was found resembles, in kind and in size."""
-    sizes = {one.effect: _fitted_amount(one, found.logged.thinning) for one in found.verdict.beliefs if one.found}
-    return [(log, one) for log, one in fatal if not _resembles(one, sizes.get(one.resembles or ""))]
+    sizes = {
+        belief.effect: _fitted_amount(belief, found.logged.thinning) for belief in found.verdict.beliefs if belief.found
+    }
+    return [(log, finding) for log, finding in fatal if not _resembles(finding, sizes.get(finding.resembles or ""))]
 
 
 def _most_urgent(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
     """The one to be mended first: what voids the log, then what is nothing that was found."""
-    voiding = [(log, one) for log, one in fatal if one.invalidates_log]
+    voiding = [(log, finding) for log, finding in fatal if finding.invalidates_log]
     return (voiding or _unexplained(found, fatal) or fatal)[0]
 
 

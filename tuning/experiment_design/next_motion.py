@@ -57,7 +57,7 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
     fast = min(SPEED, 0.8 * limits.speed)
     strong = min(ACCELERATION, 0.8 * limits.acceleration)
 
-    def begun(travel: float) -> float:
+    def start_for(travel: float) -> float:
         """Where to begin so that the motion lies about that position, away from the ends of the axis; whole um."""
         low, high = limits.stroke[0] + CLEARANCE, limits.stroke[1] - CLEARANCE - travel
         return round(float(np.clip(about - 0.5 * travel, low, max(low, high))), 6)
@@ -67,27 +67,27 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
     found = {}
     for wanted, frequency in sines:
         amplitude = _rounded(wanted)
-        start = begun(2.0 * amplitude)
+        start = start_for(2.0 * amplitude)
         name = (
             f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s,"
             f"start={1e3 * start:.6g}mm"
         )
         with contextlib.suppress(MotionError):
-            one = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=start)
-            found[name] = require_within(one, limits)
+            candidate = motion.sine(amplitude=amplitude, frequency=frequency, duration=DURATION, rate=rate, start=start)
+            found[name] = require_within(candidate, limits)
     for wanted, time in strokes:
         speed, rounding = _rounded(wanted), _rounded(max(0.1, wanted / strong))
         stroke = _rounded(speed * (time - rounding / 2.0))
-        start = begun(stroke)
+        start = start_for(stroke)
         name = (
             f"triangular:speed={1e3 * speed:.3g}mm/s,stroke={1e3 * stroke:.3g}mm,rounding={rounding:.3g}s,"
             f"duration={DURATION:g}s,start={1e3 * start:.6g}mm"
         )
         with contextlib.suppress(MotionError):
-            one = motion.triangular(
+            candidate = motion.triangular(
                 speed=speed, stroke=stroke, rounding=rounding, duration=DURATION, rate=rate, start=start
             )
-            found[name] = require_within(one, limits)
+            found[name] = require_within(candidate, limits)
     return found
 
 
@@ -109,7 +109,7 @@ def _rounded(value: float) -> float:
 
 @eqx.filter_jit
 def _simulated(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling) -> Frame:
-    return jax.lax.map(lambda one: rollout(drive, controller, one, sampling), inputs)
+    return jax.lax.map(lambda lane: rollout(drive, controller, lane, sampling), inputs)
 
 
 def propose_motions(
@@ -120,7 +120,7 @@ def propose_motions(
     A coefficient of load needs no search: any sliding motion under a second load. For the others a motion must be
     simulated, and without a controller none can be.
     """
-    wide = identified.wide
+    wide = identified.full_fit
     found = [
         Proposal(path, "any sliding motion under a second load", "1", np.inf, np.nan)
         for path in sorted(identified.undetermined)
@@ -132,7 +132,7 @@ def propose_motions(
     if not open_ones or not motions or isinstance(controller, UnknownController):
         return found
     width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))
-    known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(wide.problem)), 1)[0]
+    known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.theta), as_arrays(wide.problem)), 1)[0]
     offered = _candidate_information(identified, controller, sampling, list(motions.values()))
     for k, free in open_ones:
         informed = (known, *(known + more for more in offered))
@@ -149,13 +149,13 @@ def propose_motions(
 def _slope(wide: RefinedFit, path: str, k: int) -> tuple[str, float]:
     """Unit of what is reported of an unknown, and its derivative along the k-th coordinate of the search."""
 
-    def row(y: Float[Array, " k"]) -> ReportedParameter:
-        drive, unknowns = wide.residuals.unpack(y, wide.problem)
+    def row(theta: Float[Array, " k"]) -> ReportedParameter:
+        drive, unknowns = wide.residuals.unpack(theta, wide.problem)
         together = frozenset({path} if "." not in path else ())
         return next(row for row in reported_parameters(drive, unknowns, together) if row.path == path)
 
-    y = jnp.asarray(wide.search.y).at[k].set(0.0)  # where it started, not where an open search wandered to
-    return row(y).unit, float(jax.grad(lambda y: row(y).value)(y)[k])
+    theta = jnp.asarray(wide.search.theta).at[k].set(0.0)  # where it started, not where an open search wandered to
+    return row(theta).unit, float(jax.grad(lambda theta: row(theta).value)(theta)[k])
 
 
 def _width(information: Float[np.ndarray, "k k"], prior: Float[np.ndarray, " k"], k: int) -> float:
@@ -173,17 +173,17 @@ def _candidate_information(
     identified: Identification, controller: Controller, sampling: Sampling, motions: list[Motion]
 ) -> Float[np.ndarray, "lanes k k"]:
     """Information of each motion about every unknown, as far as the model has proved itself on the logs at hand."""
-    wide = identified.wide
+    wide = identified.full_fit
     load = np.zeros(len(motions[0].time))
-    stack = [loop_inputs(one, load) for one in motions]
+    stack = [loop_inputs(motion, load) for motion in motions]
     inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stack)
     frames = _simulated(*as_arrays((smooth(identified.drive), smooth(controller))), inputs, sampling)
     shape = frames.position.shape
     lanes = Lanes(
         frames.position, frames.command, jnp.zeros(shape), jnp.zeros(shape), jnp.ones(shape), jnp.zeros(shape[0])
     )
-    drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.y), wide.problem)
+    drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.theta), wide.problem)
     fine = wide.residuals.sampling
-    filtered = filter_lanes(drive, unknowns.delay, identified.process, identified.noise, lanes, fine)
+    filtered = filter_lanes(drive, unknowns.delay, identified.process_force, identified.noise, lanes, fine)
     problem = wide.problem._replace(lanes=lanes, gains=jax.tree.map(np.asarray, filtered.gains))
-    return _information(*linearised(wide.residuals, jnp.asarray(wide.search.y), as_arrays(problem)), shape[0])
+    return _information(*linearised(wide.residuals, jnp.asarray(wide.search.theta), as_arrays(problem)), shape[0])

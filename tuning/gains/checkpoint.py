@@ -25,40 +25,40 @@ class Checkpoint:
         """Read what is at `path`, if anything; raises `CheckpointError` if it is another problem's, or damaged."""
         self.path = path
         self.identity = _identity(problem)
-        self.standings: dict[int, SearchState] = {}
+        self.states: dict[int, SearchState] = {}
         if path is None or not path.exists():
             return
         try:
-            held = json.loads(path.read_text(encoding="utf-8"))
-            identity = held["problem"]
-            standings = {int(k): _search_state(fields) for k, fields in held["standings"].items()}
-        except (ValueError, KeyError, TypeError, AttributeError) as problem_of_file:
-            raise CheckpointError(f"{path}: is no checkpoint of a tuning ({problem_of_file}): delete it") from None
+            content = json.loads(path.read_text(encoding="utf-8"))
+            identity = content["problem"]
+            states = {int(k): _search_state(fields) for k, fields in content["standings"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError) as damage:
+            raise CheckpointError(f"{path}: is no checkpoint of a tuning ({damage}): delete it") from None
         if identity != self.identity:
             raise CheckpointError(
                 f"{path}: is the checkpoint of another tuning (other drive, scenarios or settings): delete it to begin "
                 "anew, or name another folder"
             )
-        self.standings = standings
+        self.states = states
 
-    def standing(self, start: int) -> SearchState | None:
+    def state_of(self, start: int) -> SearchState | None:
         """Where this start stands; an interrupted one goes on."""
-        return self.standings.get(start)
+        return self.states.get(start)
 
-    def keep(self, start: int, now: SearchState) -> None:
+    def save(self, start: int, state: SearchState) -> None:
         """Write where this start stands."""
-        self.standings[start] = now
+        self.states[start] = state
         if self.path is None:
             return
-        standings = {str(k): dataclasses.asdict(standing) for k, standing in self.standings.items()}
-        held = {"problem": self.identity, "standings": standings}
-        write_text(self.path, json.dumps(held))
+        states = {str(k): dataclasses.asdict(standing) for k, standing in self.states.items()}
+        content = {"problem": self.identity, "standings": states}
+        write_text(self.path, json.dumps(content))
 
 
 def _search_state(fields: dict[str, Any]) -> SearchState:
     history = tuple(tuple(entry) for entry in fields["history"])
     best = None if fields["best"] is None else tuple(fields["best"])
-    return SearchState(**{**fields, "y": tuple(fields["y"]), "history": history, "best": best})
+    return SearchState(**{**fields, "theta": tuple(fields["theta"]), "history": history, "best": best})
 
 
 def _identity(problem: Any) -> str:

@@ -1,6 +1,6 @@
 """Gains within requirements: the objective and every requirement at a point, with what a Gauss-Newton step needs.
 
-y -> controller -> scenarios -> signals -> objective, and requirements g(y) <= 0.
+theta -> controller -> scenarios -> signals -> objective, and requirements g(theta) <= 0.
 """
 
 from dataclasses import dataclass
@@ -37,24 +37,24 @@ class DesignPoint(NamedTuple):
     """What a point of the search is worth."""
 
     objective: Scalar
-    kept: ConstraintValues  # requirements by name; above zero where missed
+    constraints: ConstraintValues  # requirements by name; above zero where missed
 
     @property
-    def missed(self) -> Scalar:
+    def violation(self) -> Scalar:
         """By how much the requirement that is missed most is missed; zero where all are kept."""
-        return jnp.maximum(0.0, jnp.max(jnp.stack([jnp.max(values) for values in self.kept.values()])))
+        return jnp.maximum(0.0, jnp.max(jnp.stack([jnp.max(values) for values in self.constraints.values()])))
 
     @property
-    def penalised(self) -> Scalar:
+    def penalised_objective(self) -> Scalar:
         """One number for searches that know no requirements: the objective, raised by what is missed.
 
         `DIVERGED_COST` and more where the loop diverges.
         """
-        missed = sum(jnp.maximum(0.0, jnp.max(values)) for values in self.kept.values())
-        number = self.objective * (1.0 + PENALTY * missed)
-        known = jnp.isfinite(number) & (number < DIVERGED_COST)
+        violation = sum(jnp.maximum(0.0, jnp.max(values)) for values in self.constraints.values())
+        number = self.objective * (1.0 + PENALTY * violation)
+        finite = jnp.isfinite(number) & (number < DIVERGED_COST)
         return jnp.where(
-            known, number, DIVERGED_COST * (1.0 + jnp.nan_to_num(jnp.max(self.kept["stability"]), nan=1e3))
+            finite, number, DIVERGED_COST * (1.0 + jnp.nan_to_num(jnp.max(self.constraints["stability"]), nan=1e3))
         )
 
 
@@ -62,39 +62,43 @@ class LinearisedPoint(NamedTuple):
     """A point with the derivatives of everything along the search vector."""
 
     point: DesignPoint
-    slope: Float[Array, " k"]  # of the objective
-    curvature: Float[Array, "k k"]  # Gauss-Newton: of the squares that have the objective's gradient here
-    kept_slopes: dict[str, Float[Array, "n k"]]
+    gradient: Float[Array, " k"]  # of the objective
+    hessian: Float[Array, "k k"]  # Gauss-Newton: of the squares that have the objective's gradient here
+    constraint_jacobians: dict[str, Float[Array, "n k"]]
     # mean products of a limited signal and its derivatives: its RMS is foretold as a root of a quadratic, not as a line
     products: dict[str, Float[Array, "lanes k1 k1"]]
 
 
 @dataclass(frozen=True)
 class ConstrainedGains:
-    """The search as a function of y; hashed by value, so that the same question is compiled once."""
+    """The search as a function of theta; hashed by value, so that the same question is compiled once."""
 
     free: tuple[FreeParameter, ...]
     objective: Objective
 
-    def seen(self, y: Float[Array, " k"], problem: TuningProblem) -> tuple[LoopSignals, ConstraintValues]:
-        controller = SearchSpace(self.free, problem.origin).insert(problem.controller, y)
+    def signals_and_constraints(
+        self, theta: Float[Array, " k"], problem: TuningProblem
+    ) -> tuple[LoopSignals, ConstraintValues]:
+        controller = SearchSpace(self.free, problem.origin).insert(problem.controller, theta)
         signals = problem.scenarios.signals(controller)
-        return signals, problem.requirements.of_loop(controller) | problem.requirements.of_signals(signals)
+        return signals, problem.requirements.loop_constraints(controller) | problem.requirements.signal_constraints(
+            signals
+        )
 
-    def at(self, y: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
+    def evaluate(self, theta: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
         """The point's worth."""
-        signals, kept = self.seen(y, problem)
-        return DesignPoint(self.objective(signals), kept)
+        signals, constraints = self.signals_and_constraints(theta, problem)
+        return DesignPoint(self.objective(signals), constraints)
 
-    def linearised(self, y: Float[Array, " k"], problem: TuningProblem) -> LinearisedPoint:
+    def linearised(self, theta: Float[Array, " k"], problem: TuningProblem) -> LinearisedPoint:
         """The point's worth with derivatives, in one forward pass for all parameters."""
 
         def along(
             direction: Array,
         ) -> tuple[tuple[LoopSignals, ConstraintValues], tuple[LoopSignals, ConstraintValues]]:
-            return jax.jvp(lambda y: self.seen(y, problem), (y,), (direction,))
+            return jax.jvp(lambda theta: self.signals_and_constraints(theta, problem), (theta,), (direction,))
 
-        (signals, kept), (slopes, kept_slopes) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(y)))
+        (signals, constraints), (slopes, jacobians) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(theta)))
         weights = self.objective.weights(signals)
         root = [
             (weight * signal, weight * slope)
@@ -103,10 +107,10 @@ class ConstrainedGains:
             )
         ]
         return LinearisedPoint(
-            point=DesignPoint(self.objective(signals), kept),
-            slope=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
-            curvature=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
-            kept_slopes={name: slope.T for name, slope in kept_slopes.items()},
+            point=DesignPoint(self.objective(signals), constraints),
+            gradient=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
+            hessian=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
+            constraint_jacobians={name: slope.T for name, slope in jacobians.items()},
             products=_products(problem.requirements, signals, slopes),
         )
 
@@ -114,21 +118,21 @@ class ConstrainedGains:
 def _products(
     requirements: Constraints, signals: LoopSignals, slopes: LoopSignals
 ) -> dict[str, Float[Array, "lanes i j"]]:
-    values, derivatives = requirements.limited(signals), jax.vmap(requirements.limited)(slopes)
+    values, derivatives = requirements.limited_signals(signals), jax.vmap(requirements.limited_signals)(slopes)
     both = {name: jnp.concatenate([values[name][None], derivatives[name]]) for name in values}
-    return {name: jnp.einsum("iln,jln->lij", one, one) / one.shape[-1] for name, one in both.items()}
+    return {name: jnp.einsum("iln,jln->lij", signal, signal) / signal.shape[-1] for name, signal in both.items()}
 
 
 @eqx.filter_jit
-def evaluate(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
-    """`ConstrainedGains.at`, compiled."""
-    return gains.at(y, problem)
+def evaluate(gains: ConstrainedGains, theta: Float[Array, " k"], problem: TuningProblem) -> DesignPoint:
+    """`ConstrainedGains.evaluate`, compiled."""
+    return gains.evaluate(theta, problem)
 
 
 @eqx.filter_jit
-def linearise_at(gains: ConstrainedGains, y: Float[Array, " k"], problem: TuningProblem) -> LinearisedPoint:
+def linearise_at(gains: ConstrainedGains, theta: Float[Array, " k"], problem: TuningProblem) -> LinearisedPoint:
     """`ConstrainedGains.linearised`, compiled."""
-    return gains.linearised(y, problem)
+    return gains.linearised(theta, problem)
 
 
 def tuning_problem(

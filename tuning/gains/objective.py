@@ -88,9 +88,9 @@ class Objective(NamedTuple):
         """The number."""
         if self.aggregation not in AGGREGATIONS:
             raise ParameterError(f"no aggregation '{self.aggregation}'; known: {', '.join(AGGREGATIONS)}")
-        return AGGREGATIONS[self.aggregation](self.of_lanes(signals))
+        return AGGREGATIONS[self.aggregation](self.lane_costs(signals))
 
-    def of_lanes(self, signals: LoopSignals) -> Lanes:
+    def lane_costs(self, signals: LoopSignals) -> Lanes:
         """The cost of each lane."""
         costs = self.error * rms(signals.error)
         if self.peak:

@@ -51,14 +51,14 @@ class TuningPlan:
         """The highest speed (m/s) of the motion."""
         return self.speed if self.motion is None else float(np.max(np.abs(self.motion.velocity)))
 
-    def at(self, factor: float, rate: float) -> Motion:
+    def motion_at(self, factor: float, rate: float) -> Motion:
         """The motion at so many times its speed, over as many times its way, in the same time."""
         if self.motion is None:
             return reversal(factor * OFF_GRID_FACTOR * self.speed, rate)
-        one = self.motion
-        start = one.position[0]
-        scaled = start + factor * (one.position - start)
-        return Motion(one.time, scaled, factor * one.velocity, factor * one.acceleration, one.name)
+        motion = self.motion
+        start = motion.position[0]
+        scaled = start + factor * (motion.position - start)
+        return Motion(motion.time, scaled, factor * motion.velocity, factor * motion.acceleration, motion.name)
 
 
 def reversal(speed: float, rate: float, duration: float = DURATION) -> Motion:
@@ -95,12 +95,12 @@ def perturbed(drive: Drive, spread: float, rng: np.random.Generator) -> Drive:
 def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
     """The drive itself, then others with each parameter off by the relative deviation `spread`."""
     drawn = [perturbed(drive, spread, np.random.default_rng((seed, k))) for k in range(1, count)]
-    return [drive, *(jax.tree.map(float, one) for one in drawn)]
+    return [drive, *(jax.tree.map(float, machine) for machine in drawn)]
 
 
 def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
-    motion = plan.at(1.0, description.sampling.rate)
+    motion = plan.motion_at(1.0, description.sampling.rate)
     constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(plan.min_load, plan.max_load, plan.loads)]
     found = []
     for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
@@ -120,7 +120,7 @@ def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
 def held_out_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Loads in between, loads that change, other speeds, another machine, other noise."""
     rate, drive = description.sampling.rate, description.drive
-    motion = plan.at(1.0, rate)
+    motion = plan.motion_at(1.0, rate)
     other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
     steps = np.linspace(plan.min_load, plan.max_load, plan.loads)
     between = (steps[1:] + steps[:-1]) / 2
@@ -133,7 +133,7 @@ def held_out_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     found += [Scenario(f"nominal, {name}", drive, motion, w, 201 + k) for k, (name, w) in enumerate(changing.items())]
     found += [Scenario(f"other machine, {w / 1e3:.3g} kN", other, motion, w, 301 + k) for k, w in enumerate(between)]
     for k, factor in enumerate(HELD_OUT_SPEEDS):
-        other_speed = plan.at(factor, rate)
+        other_speed = plan.motion_at(factor, rate)
         if plan.motion is not None and not is_within(other_speed, description.limits):
             continue  # the axis is too short, or too slow, for that
         name = f"{1e3 * np.max(np.abs(other_speed.velocity)):.3g} mm/s, {half / 1e3:.3g} kN"
@@ -156,11 +156,13 @@ def _machine_name(number: int) -> str:
 
 
 def _require_possible(description: Axis, scenarios: list[Scenario]) -> None:
-    for one in scenarios:
-        require_within(one.motion, description.limits)
-        require_shorter(len(one.motion.time), (*one.drive.actuator.pipelines, *description.controller.pipelines))
-        weights = np.broadcast_to(np.asarray(one.load, float), one.motion.time.shape)
-        validated_load(description.drive, weights, one.motion.time)
+    for scenario in scenarios:
+        require_within(scenario.motion, description.limits)
+        require_shorter(
+            len(scenario.motion.time), (*scenario.drive.actuator.pipelines, *description.controller.pipelines)
+        )
+        weights = np.broadcast_to(np.asarray(scenario.load, float), scenario.motion.time.shape)
+        validated_load(description.drive, weights, scenario.motion.time)
 
 
 @dataclass(frozen=True)

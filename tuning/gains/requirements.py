@@ -81,33 +81,39 @@ class Constraints(eqx.Module):
     def margins(self, controller: Controller) -> Margins:
         """The margins at every operating point, [p] each; `controller` is the smooth variant."""
 
-        def one(drive: Drive, velocity: Array, load: Array) -> Margins:
+        def margins_at(drive: Drive, velocity: Array, load: Array) -> Margins:
             return margins(open_loop(drive, controller, self.sampling, OperatingPoint(velocity, load)))
 
-        return jax.vmap(one)(self.points.drives, jnp.asarray(self.points.velocity), jnp.asarray(self.points.load))
+        return jax.vmap(margins_at)(
+            self.points.drives, jnp.asarray(self.points.velocity), jnp.asarray(self.points.load)
+        )
 
-    def of_loop(self, controller: Controller) -> dict[str, Float[Array, " p"]]:
+    def loop_constraints(self, controller: Controller) -> dict[str, Float[Array, " p"]]:
         """Requirements on the loop alone, by name: no simulation is needed."""
-        found, limits = self.margins(controller), self.limits
-        grows = (found.growth - NEUTRAL_GROWTH) / UNSTABLE
-        stable = found.growth < NEUTRAL_GROWTH
+        margins_found, limits = self.margins(controller), self.limits
+        excess_growth = (margins_found.growth - NEUTRAL_GROWTH) / UNSTABLE
+        stable = margins_found.growth < NEUTRAL_GROWTH
 
-        def asked(excess: Array, at_most: Array | float) -> Array:
+        def unless_unstable(excess: Array, at_most: Array | float) -> Array:
             # an unstable loop has no margins: it misses them by as much as a loop at the brink of instability
             return jnp.where(stable, excess, at_most)
 
-        kept = {
-            "stability": grows,
-            "gain margin up": asked(limits.gain_up / found.gain_up - 1.0, limits.gain_up - 1.0),
-            "gain margin down": asked(limits.gain_down / found.gain_down - 1.0, limits.gain_down - 1.0),
-            "phase margin": asked(jnp.where(jnp.isinf(found.phase), -1.0, 1.0 - found.phase / limits.phase), 1.0),
+        constraints = {
+            "stability": excess_growth,
+            "gain margin up": unless_unstable(limits.gain_up / margins_found.gain_up - 1.0, limits.gain_up - 1.0),
+            "gain margin down": unless_unstable(
+                limits.gain_down / margins_found.gain_down - 1.0, limits.gain_down - 1.0
+            ),
+            "phase margin": unless_unstable(
+                jnp.where(jnp.isinf(margins_found.phase), -1.0, 1.0 - margins_found.phase / limits.phase), 1.0
+            ),
         }
         if limits.sensitivity is not None:
-            kept["peak sensitivity"] = asked(1.0 - limits.sensitivity / found.sensitivity, 1.0)
+            constraints["peak sensitivity"] = unless_unstable(1.0 - limits.sensitivity / margins_found.sensitivity, 1.0)
         observer = innovation_load_observer(controller)
         if observer is not None and limits.settling is not None:
-            kept["load estimator"] = self._settling(observer)
-        return kept
+            constraints["load estimator"] = self._settling(observer)
+        return constraints
 
     def _settling(self, observer: KalmanObserver) -> Float[Array, " p"]:
         """Eq. (20) must forget an error within `settling` wherever it is at work (and G be positive for that)."""
@@ -119,18 +125,18 @@ class Constraints(eqx.Module):
         per_step = estimator.gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
         return jnp.where(at_work, 1.0 - per_step * self.limits.settling / self.sampling.period, -1.0)
 
-    def limited(self, signals: LoopSignals) -> dict[str, Float[Array, "lanes n"]]:
+    def limited_signals(self, signals: LoopSignals) -> dict[str, Float[Array, "lanes n"]]:
         """Signals whose RMS is limited, by name, in units of their limits; linear in the signals."""
         limits, found = self.limits, {}
         if limits.command_noise is not None:
-            found["command noise"] = signals.change / limits.command_noise
+            found["command noise"] = signals.command_change / limits.command_noise
         if limits.load_error is not None and signals.load_error is not None:
             found["load error"] = signals.load_error / jnp.reshape(limits.load_error, (-1, 1))
         return found
 
-    def of_signals(self, signals: LoopSignals) -> dict[str, Float[Array, " lanes"]]:
+    def signal_constraints(self, signals: LoopSignals) -> dict[str, Float[Array, " lanes"]]:
         """Requirements on the simulated signals, by name."""
-        kept = {name: rms(signal) - 1.0 for name, signal in self.limited(signals).items()}
-        if signals.excess is not None:
-            kept["force limit"] = rms(signals.excess)  # N: any is too much
-        return kept
+        constraints = {name: rms(signal) - 1.0 for name, signal in self.limited_signals(signals).items()}
+        if signals.force_excess is not None:
+            constraints["force limit"] = rms(signals.force_excess)  # N: any is too much
+        return constraints

@@ -13,16 +13,19 @@ RELAXATIONS = (1.0, 0.5, 0.25, 0.1)  # share of what is missed that one step is 
 
 def is_simulable(point: DesignPoint) -> bool:
     """Whether the loop is stable and its simulation stays finite, so that an objective means something."""
-    return bool(np.isfinite(float(point.objective)) and float(jnp.max(point.kept["stability"])) <= 0.0)
+    return bool(np.isfinite(float(point.objective)) and float(jnp.max(point.constraints["stability"])) <= 0.0)
 
 
-def stabilising_step(at: LinearisedPoint, radius: float) -> Float[np.ndarray, " k"] | None:
+def stabilising_step(linearised: LinearisedPoint, radius: float) -> Float[np.ndarray, " k"] | None:
     """The shortest step within the radius that takes every growth rate below zero, or as far as one step can.
 
     None where the loop is as stable as it gets: its growth rates have no slope, or the linearised loop is stable and
     it is the simulation that diverges.
     """
-    values, slopes = np.asarray(at.point.kept["stability"]), np.asarray(at.kept_slopes["stability"])
+    values, slopes = (
+        np.asarray(linearised.point.constraints["stability"]),
+        np.asarray(linearised.constraint_jacobians["stability"]),
+    )
     known = np.isfinite(values) & np.isfinite(slopes).all(axis=1) & (slopes != 0.0).any(axis=1)
     values, slopes, count = values[known], slopes[known], slopes.shape[1]
     if not (values > 0.0).any():

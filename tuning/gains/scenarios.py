@@ -34,8 +34,8 @@ class LoopSignals(NamedTuple):
     """What a roll-out shows after it has settled, [lanes, n] each; all of them are better when smaller."""
 
     error: Float[Array, "lanes n"]  # m, tracking error
-    change: Float[Array, "lanes n"]  # N, of the command from sample to sample, over sqrt 2
-    excess: Float[Array, "lanes n"] | None  # N, of the command over the force limit; None where there is none
+    command_change: Float[Array, "lanes n"]  # N, of the command from sample to sample, over sqrt 2
+    force_excess: Float[Array, "lanes n"] | None  # N, of the command over the force limit; None where there is none
     load_error: Float[Array, "lanes n"] | None  # N; None where no load is estimated
 
 
@@ -46,24 +46,24 @@ class Ensemble(eqx.Module):
     inputs: Inputs  # every signal [lanes, n]
     seeds: Array  # [lanes]
     sampling: Sampling = eqx.field(static=True)
-    settled: int = eqx.field(static=True)
+    first_counted: int = eqx.field(static=True)
 
     def signals(self, controller: Controller) -> LoopSignals:
         """Roll every lane. Pure: for use under `jit`, `vmap` and `jacfwd`."""
 
-        def one(drive: Drive, inputs: Inputs, seed: Array) -> LoopSignals:
+        def lane_signals(drive: Drive, inputs: Inputs, seed: Array) -> LoopSignals:
             frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
-            late, before = slice(self.settled, None), slice(self.settled - 1, None)
+            late, before = slice(self.first_counted, None), slice(self.first_counted - 1, None)
             limit = force_limit(drive)
             known = frame.estimate is not None and frame.estimate.load is not None
             return LoopSignals(
                 error=(inputs.reference.position - frame.position)[late],
-                change=jnp.diff(frame.command[before]) / np.sqrt(2.0),
-                excess=None if limit is None else jnp.maximum(jnp.abs(frame.command[late]) - limit, 0.0),
+                command_change=jnp.diff(frame.command[before]) / np.sqrt(2.0),
+                force_excess=None if limit is None else jnp.maximum(jnp.abs(frame.command[late]) - limit, 0.0),
                 load_error=(frame.estimate.load - inputs.load)[late] if known else None,
             )
 
-        return jax.vmap(one)(self.drives, self.inputs, self.seeds)
+        return jax.vmap(lane_signals)(self.drives, self.inputs, self.seeds)
 
 
 def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float) -> Ensemble:
@@ -76,29 +76,30 @@ def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float
     if not scenarios:
         raise ParameterError("no scenario to tune on")
     first = scenarios[0].motion
-    for one in scenarios:
-        if len(one.motion.time) != len(first.time) or abs(one.motion.rate / sampling.rate - 1) > 1e-6:
+    for scenario in scenarios:
+        if len(scenario.motion.time) != len(first.time) or abs(scenario.motion.rate / sampling.rate - 1) > 1e-6:
             raise MotionError(
-                f"{one.name}: {len(one.motion.time)} samples at {one.motion.rate:g} Hz beside {len(first.time)} at "
-                f"{sampling.rate:g} Hz: scenarios are simulated side by side, so make their motions equally long"
+                f"{scenario.name}: {len(scenario.motion.time)} samples at {scenario.motion.rate:g} Hz beside "
+                f"{len(first.time)} at {sampling.rate:g} Hz: scenarios are simulated side by side, so make their "
+                "motions equally long"
             )
     settled = max(1, round(settle * sampling.rate))
     if settled >= len(first.time) - 1:
         raise MotionError(f"nothing is left of {first.time[-1]:g} s of motion after {settle:g} s to settle")
-    drives = [as_arrays(smooth(_with_quantisation_noise(one.drive))) for one in scenarios]
+    drives = [as_arrays(smooth(_with_quantisation_noise(scenario.drive))) for scenario in scenarios]
     if len({jax.tree.structure(drive) for drive in drives}) > 1:
         raise ParameterError(
             "the machines of the scenarios differ in kind (delay samples, force limit, resolution, Stribeck exponent): "
             "tune on machines that differ in numbers alone"
         )
-    loads = [np.broadcast_to(np.asarray(one.load, float), first.time.shape) for one in scenarios]
-    inputs = [loop_inputs(one.motion, load) for one, load in zip(scenarios, loads, strict=True)]
+    loads = [np.broadcast_to(np.asarray(scenario.load, float), first.time.shape) for scenario in scenarios]
+    inputs = [loop_inputs(scenario.motion, load) for scenario, load in zip(scenarios, loads, strict=True)]
     return Ensemble(
         drives=_stacked(drives),
         inputs=_stacked(inputs),
-        seeds=jnp.asarray([one.seed for one in scenarios]),
+        seeds=jnp.asarray([scenario.seed for scenario in scenarios]),
         sampling=sampling,
-        settled=settled,
+        first_counted=settled,
     )
 
 

@@ -28,7 +28,7 @@ from tuning.optimisation.space import SearchSpace, space_around
 
 FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
 STARTS = 4
-START_STD = 1.0  # units of y
+START_STD = 1.0  # units of theta
 TOLERATED_LOSS = 0.05  # share of the objective
 MAX_TOLERANCE = 1e3  # what is said of a gain that may move as far as it likes
 
@@ -43,7 +43,7 @@ def gain_factors(controller: Controller, *, friction: bool = False) -> dict[str,
 
     `friction` frees the friction parameters that an observer believes in as well, in each direction.
     """
-    factors = {one.path: one.factor for one in controller.tunables.values()}
+    factors = {gain.path: gain.factor for gain in controller.tunables.values()}
     if friction and isinstance(controller, FrictionCompensation):
         factors |= {
                 f"observer.friction.{name}.{side}": FRICTION_FACTOR
@@ -61,7 +61,7 @@ class BindingRequirement:
     """A requirement that holds the objective back: what a relaxation of 1 % would gain, in percent of the objective."""
 
     name: str
-    worth: float
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -74,30 +74,32 @@ class GainSearch:
     after: Float[np.ndarray, " k"]
     at_bound: list[str]
     point: DesignPoint  # the objective, and every requirement
-    began: DesignPoint  # the same where the controller was given
+    initial_point: DesignPoint  # the same where the controller was given
     binding: list[BindingRequirement]
     tolerance: Float[np.ndarray, " k"]  # factor by which each alone may move for 5 % more of the objective; 1000: any
-    found: SearchResult
+    best: SearchResult
     searches: list[SearchResult]  # one from each start, in the order in which they were made
-    starts: Float[np.ndarray, " s"]  # objective where each start ended; infinite where it kept not what is required
-    screening: float  # s, in which the starts were looked at
+    start_objectives: Float[
+        np.ndarray, " s"
+    ]  # objective where each start ended; infinite where it kept not what is required
+    screening_seconds: float  # s, in which the starts were looked at
 
     @property
     def status(self) -> str:
         """Why the search ended; whether the requirements are kept is `feasible`."""
-        return self.found.standing.status
+        return self.best.state.status
 
     @property
     def feasible(self) -> bool:
         """Whether every requirement is kept."""
-        return bool(self.point.missed <= FEASIBILITY_TOLERANCE)
+        return bool(self.point.violation <= FEASIBILITY_TOLERANCE)
 
     @property
-    def missed(self) -> dict[str, float]:
+    def violated(self) -> dict[str, float]:
         """The requirements that are not kept, and by which share."""
         return {
             name: float(jnp.max(v))
-            for name, v in self.point.kept.items()
+            for name, v in self.point.constraints.items()
             if not float(jnp.max(v)) <= FEASIBILITY_TOLERANCE
         }
 
@@ -129,30 +131,34 @@ def tune(
     space = default_space(controller) if space is None else space
     gains = ConstrainedGains(space.free, objective)
     problem = tuning_problem(as_arrays(smooth(controller)), space, scenarios, requirements)
-    scattered = _start_points(len(space.free), starts, seed)
-    kept = Checkpoint(checkpoint, (space, problem, objective, scattered))
-    clock = time.perf_counter()
-    worths = [jax.block_until_ready(evaluate(gains, jnp.asarray(point), problem)) for point in scattered]
-    screening = time.perf_counter() - clock
-    order = np.argsort([float(one.penalised) for one in worths])
+    points = _start_points(len(space.free), starts, seed)
+    checkpoints = Checkpoint(checkpoint, (space, problem, objective, points))
+    started = time.perf_counter()
+    start_points = [jax.block_until_ready(evaluate(gains, jnp.asarray(point), problem)) for point in points]
+    screening = time.perf_counter() - started
+    order = np.argsort([float(point.penalised_objective) for point in start_points])
     results: list[SearchResult] = []
-    ends = np.full(starts, np.inf)
+    objectives = np.full(starts, np.inf)
     for k in order:
-        standing = kept.standing(int(k)) or SearchState(tuple(float(one) for one in scattered[k]))
-        found = search(
+        start = checkpoints.state_of(int(k)) or SearchState(tuple(float(value) for value in points[k]))
+        result = search(
             gains,
             problem,
-            standing,
+            start,
             max_steps=max_steps,
             progress=progress,
-            keep=lambda now, k=k: kept.keep(int(k), now),
+            keep=lambda state, k=k: checkpoints.save(int(k), state),
         )
-        results.append(found)
-        ends[k] = float(found.at.point.objective) if found.at.point.missed <= FEASIBILITY_TOLERANCE else np.inf
-        if found.standing.status.startswith("interrupted"):
+        results.append(result)
+        objectives[k] = (
+            float(result.linearised.point.objective)
+            if result.linearised.point.violation <= FEASIBILITY_TOLERANCE
+            else np.inf
+        )
+        if result.state.status.startswith("interrupted"):
             break
-    best = min(results, key=lambda one: float(one.at.point.penalised))
-    return _gain_search(controller, space, best, worths[0], results, ends, screening)
+    best = min(results, key=lambda result: float(result.linearised.point.penalised_objective))
+    return _gain_search(controller, space, best, start_points[0], results, objectives, screening)
 
 
 BYTES_PER_START = 1e4  # bytes: what is known of a start before any is searched from
@@ -169,32 +175,34 @@ def _start_points(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"
 
 
 def _gain_search(
-    controller: Controller, space: SearchSpace, found: SearchResult, began: DesignPoint, searches: list[SearchResult],
-    ends: Float[np.ndarray, " s"], screening: float,
+    controller: Controller, space: SearchSpace, result: SearchResult, initial_point: DesignPoint,
+    searches: list[SearchResult], objectives: Float[np.ndarray, " s"], screening: float,
 ) -> GainSearch:  # fmt: skip
-    objective = float(found.at.point.objective)
+    objective = float(result.linearised.point.objective)
     binding = [
         BindingRequirement(name, float(np.sum(prices)) / objective)
-        for name, prices in found.multipliers.items()
+        for name, prices in result.multipliers.items()
         if float(np.sum(prices)) > 1e-3 * objective
     ]
-    values = np.asarray(space.values(found.y))
-    # a step of y that moves the logarithm of each value by one, and how far that goes for a share of the objective
-    per_log = 1.0 / np.diag(np.asarray(jax.jacobian(lambda y: jnp.log(space.values(y)))(jnp.asarray(found.y))))
-    curvature = np.diag(np.asarray(found.at.curvature)) * per_log**2
+    values = np.asarray(space.values(result.theta))
+    # a step of theta that moves the logarithm of each value by one, and how far that goes for a share of the objective
+    per_log = 1.0 / np.diag(
+        np.asarray(jax.jacobian(lambda theta: jnp.log(space.values(theta)))(jnp.asarray(result.theta)))
+    )
+    curvature = np.diag(np.asarray(result.linearised.hessian)) * per_log**2
     reach = np.sqrt(2.0 * TOLERATED_LOSS * objective / np.maximum(curvature, 1e-300))
     return GainSearch(
-        controller=jax.tree.map(float, space.insert(as_arrays(controller), found.y)),
+        controller=jax.tree.map(float, space.insert(as_arrays(controller), result.theta)),
         names=space.names,
-        before=np.asarray(space.values(np.zeros_like(found.y))),
+        before=np.asarray(space.values(np.zeros_like(result.theta))),
         after=values,
-        at_bound=space.at_bound(found.y),
-        point=found.at.point,
-        began=began,
-        binding=sorted(binding, key=lambda one: -one.worth),
+        at_bound=space.at_bound(result.theta),
+        point=result.linearised.point,
+        initial_point=initial_point,
+        binding=sorted(binding, key=lambda requirement: -requirement.gain),
         tolerance=np.exp(np.minimum(reach, np.log(MAX_TOLERANCE))),
-        found=found,
+        best=result,
         searches=searches,
-        starts=ends,
-        screening=screening,
+        start_objectives=objectives,
+        screening_seconds=screening,
     )

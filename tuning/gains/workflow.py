@@ -52,7 +52,7 @@ class Requirements:
     load_error: float | None = None  # N
     load_settling: float | None = 2.0  # s, in which an estimator as eq. (20) forgets an error of the load to 1/e
 
-    def required(self) -> LoopLimits:
+    def limits(self) -> LoopLimits:
         """As factors and radians; raises `ParameterError` for what no loop can keep."""
         if not 0.0 <= self.gain_margin <= MAX_GAIN_MARGIN:
             raise ParameterError(
@@ -71,10 +71,10 @@ class Requirements:
 class TuningSetup(NamedTuple):
     """A tuning before its search: what it is tuned on and verified on, what is free, and what is required."""
 
-    on: list[Scenario]
-    off: list[Scenario]
+    training: list[Scenario]
+    held_out: list[Scenario]
     lanes: Ensemble
-    required: LoopLimits
+    limits: LoopLimits
     constraints: Constraints
     space: SearchSpace
     speeds: tuple[float, ...]  # m/s, at which margins are looked at
@@ -86,33 +86,37 @@ def set_up(axis: Axis, plan: TuningPlan, required: LoopLimits, *, friction: bool
     check_limits(required)
     if friction and not isinstance(axis.controller, FrictionCompensation):
         raise ParameterError("friction: this controller observes no friction that could be tuned along")
-    on, off = training_scenarios(axis, plan), held_out_scenarios(axis, plan)
+    training, held_out_runs = training_scenarios(axis, plan), held_out_scenarios(axis, plan)
     coarse = Sampling(axis.rate, max(2, -(-axis.sampling.plant_steps // 2)))
-    lanes = ensemble(on, coarse, settle=plan.settle)
-    required, notes = _with_default_limits(axis, required, on, plan.settle)
+    lanes = ensemble(training, coarse, settle=plan.settle)
+    required, notes = _with_default_limits(axis, required, training, plan.settle)
     speeds = margin_speeds(plan)
-    at = operating_points([axis.drive], speeds, (plan.min_load, plan.max_load))
+    grid = operating_points([axis.drive], speeds, (plan.min_load, plan.max_load))
     space = default_space(axis.controller, friction=friction)
-    if left := sorted(gain_factors(axis.controller, friction=friction).keys() - {one.path for one in space.free}):
+    if left := sorted(
+        gain_factors(axis.controller, friction=friction).keys() - {parameter.path for parameter in space.free}
+    ):
         notes.append(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
-    return TuningSetup(on, off, lanes, required, Constraints(required, at, coarse), space, speeds, tuple(notes))
+    return TuningSetup(
+        training, held_out_runs, lanes, required, Constraints(required, grid, coarse), space, speeds, tuple(notes)
+    )
 
 
 def _with_default_limits(
-    axis: Axis, required: LoopLimits, on: Sequence[Scenario], settle: float
+    axis: Axis, required: LoopLimits, training: Sequence[Scenario], settle: float
 ) -> tuple[LoopLimits, list[str]]:
     """Limits that were not given, from what the gains as given do; and what to say of them."""
     notes = []
-    was = [run_scenario(axis.controller, one, axis.sampling, settle) for one in on]
+    before = [run_scenario(axis.controller, scenario, axis.sampling, settle) for scenario in training]
     if required.command_noise is None:
-        noise = DEFAULT_NOISE_FACTOR * max(one.command_noise for one in was)
+        noise = DEFAULT_NOISE_FACTOR * max(result.command_noise for result in before)
         required = required._replace(command_noise=noise)
         notes.append(
             f"Command noise is limited to {DEFAULT_NOISE_FACTOR:g} times that of the gains as given: {noise:.3g} N."
         )
-    if required.load_error is None and was[0].load_error is not None:
+    if required.load_error is None and before[0].load_error is not None:
         errors = np.array(
-            [1e3 * DEFAULT_LOAD_ERROR_FACTOR * one.load_error for one in was if one.load_error is not None]
+            [1e3 * DEFAULT_LOAD_ERROR_FACTOR * result.load_error for result in before if result.load_error is not None]
         )
         required = required._replace(load_error=errors)
         notes.append(
@@ -135,7 +139,7 @@ def _margins(constraints: Constraints, controller: Controller) -> Margins:
 class ControllerMargins(NamedTuple):
     """The margins of one controller, at the operating points that it was tuned at, and at others."""
 
-    as_tuned: Margins
+    training: Margins
     held_out: Margins
 
 
@@ -149,11 +153,11 @@ def margins_at(axis: Axis, controllers: Sequence[Controller], plan: TuningPlan) 
     count = len(tuned_at.velocity)
     everywhere = jax.tree.map(lambda *ends: jnp.concatenate(ends), tuned_at, others)
     constraints = Constraints(LoopLimits(), everywhere, axis.sampling)
-    found = [_margins(constraints, as_arrays(smooth(one))) for one in controllers]
+    found = [_margins(constraints, as_arrays(smooth(controller))) for controller in controllers]
     parts = slice(None, count), slice(count, None)
     return [
-        ControllerMargins(*(jax.tree.map(lambda values, part=part: values[part], one) for part in parts))
-        for one in found
+        ControllerMargins(*(jax.tree.map(lambda values, part=part: values[part], margins) for part in parts))
+        for margins in found
     ]
 
 
@@ -168,16 +172,16 @@ class ScenarioComparison(NamedTuple):
 
 def verify(axis: Axis, after: Controller, prepared: TuningSetup, settle: float) -> list[ScenarioComparison]:
     """Every scenario, tuned on and held out, on the exact simulator."""
-    roles: tuple[tuple[Role, list[Scenario]], ...] = (("tuned on", prepared.on), ("held out", prepared.off))
+    roles: tuple[tuple[Role, list[Scenario]], ...] = (("tuned on", prepared.training), ("held out", prepared.held_out))
     return [
         ScenarioComparison(
-            one,
+            scenario,
             role,
-            run_scenario(axis.controller, one, axis.sampling, settle),
-            run_scenario(after, one, axis.sampling, settle),
+            run_scenario(axis.controller, scenario, axis.sampling, settle),
+            run_scenario(after, scenario, axis.sampling, settle),
         )
         for role, several in roles
-        for one in several
+        for scenario in several
     ]
 
 
@@ -192,7 +196,7 @@ def tuned_axis(axis: Axis, controller: Controller) -> Axis:
 
 def noise_warning(prepared: TuningSetup, runs: Sequence[ScenarioComparison]) -> str:
     """What to say where the exact simulator is noisier than the smooth one on which the limit was kept; "" else."""
-    limit, noisiest = prepared.required.command_noise, max(one.after.command_noise for one in runs)
+    limit, noisiest = prepared.limits.command_noise, max(run.after.command_noise for run in runs)
     if limit is None or noisiest <= NOISE_TOLERANCE * limit:
         return ""
     return (
@@ -204,7 +208,7 @@ def noise_warning(prepared: TuningSetup, runs: Sequence[ScenarioComparison]) -> 
 def is_accepted(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> bool:
     """Whether every requirement is kept, and every verification run ok."""
     done = not tuned.status.startswith("interrupted")
-    return done and tuned.feasible and all(one.after.run.status.ok for one in runs)
+    return done and tuned.feasible and all(run.after.run.status.ok for run in runs)
 
 
 class ErrorComparison(NamedTuple):
@@ -222,10 +226,10 @@ class ErrorComparison(NamedTuple):
         """Of these scenarios."""
 
         def mean(which: str, of: str) -> float:
-            return float(np.mean([getattr(getattr(one, which), of) for one in runs]))
+            return float(np.mean([getattr(getattr(run, which), of) for run in runs]))
 
         def largest(which: str) -> float:
-            return 1e-6 * max(getattr(one, which).peak for one in runs)
+            return 1e-6 * max(getattr(run, which).peak for run in runs)
 
         return cls(
             1e-6 * mean("before", "rms"), 1e-6 * mean("after", "rms"), largest("before"), largest("after"),
@@ -258,7 +262,7 @@ class TuningResult(Result):
     `accepted`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
     `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
     (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
-    after) by name. `found` has the search, `runs` every run; `given` is the axis as it was given, `plan` and `required`
+    after) by name. `search` has the search, `runs` every run; `initial_axis` is the axis before, `plan` and `limits`
     how it was tuned.
     """
 
@@ -268,26 +272,31 @@ class TuningResult(Result):
     tuned_on: ErrorComparison
     held_out: ErrorComparison
     margins: WorstMargins
-    found: GainSearch
+    search: GainSearch
     runs: tuple[ScenarioComparison, ...]
     notes: tuple[str, ...]
-    given: Axis
+    initial_axis: Axis
     plan: TuningPlan
-    required: LoopLimits
+    limits: LoopLimits
     status: Status
 
     schema: ClassVar[str] = "tuning/1"
 
     def headline(self) -> str:
-        told = "accepted" if self.accepted else f"NOT ACCEPTED: {self.status.message}"
+        verdict = "accepted" if self.accepted else f"NOT ACCEPTED: {self.status.message}"
         before, after = self.held_out.rms_before, self.held_out.rms_after
-        return f"{told}; held out {1e6 * before:.3g} -> {1e6 * after:.3g} um RMS, {self.margins.phase_margin:.3g} deg"
+        return (
+            f"{verdict}; held out {1e6 * before:.3g} -> {1e6 * after:.3g} um RMS, {self.margins.phase_margin:.3g} deg"
+        )
 
     def summary(self) -> str:
         rows = [f"{'':<10}{'RMS um':>18}{'peak um':>18}{'command noise N':>20}"]
-        for name, one in (("tuned on", self.tuned_on), ("held out", self.held_out)):
-            rms, peak = f"{1e6 * one[0]:.3g} -> {1e6 * one[1]:.3g}", f"{1e6 * one[2]:.3g} -> {1e6 * one[3]:.3g}"
-            noise = f"{one[4]:.3g} -> {one[5]:.3g}"
+        for name, comparison in (("tuned on", self.tuned_on), ("held out", self.held_out)):
+            rms, peak = (
+                f"{1e6 * comparison[0]:.3g} -> {1e6 * comparison[1]:.3g}",
+                f"{1e6 * comparison[2]:.3g} -> {1e6 * comparison[3]:.3g}",
+            )
+            noise = f"{comparison[4]:.3g} -> {comparison[5]:.3g}"
             rows.append(f"{name:<10}{rms:>18}{peak:>18}{noise:>20}")
         margins = self.margins
         rows.append(
@@ -368,7 +377,7 @@ def tune(
         plan = replace(plan, settle=min(plan.settle, third) if settle is None else settle)
     require_starts(starts)
     with reporting(progress) as tell:
-        prepared = set_up(axis, plan, requirements.required(), friction=friction)
+        prepared = set_up(axis, plan, requirements.limits(), friction=friction)
         tuned = search_gains(
             axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective, starts=starts,
             seed=seed, max_steps=max_steps, checkpoint=checkpoint,
@@ -393,8 +402,8 @@ def tuning_result(
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)
     notes = [*prepared.notes, *(note for note in [noise_warning(prepared, runs)] if note), *remarks(tuned)]
-    bad = [f"{one.scenario.name}: {one.after.run.status.message}" for one in runs if not one.after.run.status.ok]
-    names = {one.path: name for name, one in axis.controller.tunables.items()}
+    bad = [f"{run.scenario.name}: {run.after.run.status.message}" for run in runs if not run.after.run.status.ok]
+    names = {gain.path: name for name, gain in axis.controller.tunables.items()}
     gains = {
         names.get(free.path, free.path): (float(was), float(now))
         for free, was, now in zip(prepared.space.free, tuned.before, tuned.after, strict=True)
@@ -405,15 +414,15 @@ def tuning_result(
         axis=replace(tuned_axis(axis, tuned.controller), name="tuned"),
         accepted=accepted,
         gains=gains,
-        tuned_on=ErrorComparison.of([one for one in runs if one.role == "tuned on"]),
-        held_out=ErrorComparison.of([one for one in runs if one.role == "held out"]),
-        margins=WorstMargins.of(margins.as_tuned),
-        found=tuned,
+        tuned_on=ErrorComparison.of([run for run in runs if run.role == "tuned on"]),
+        held_out=ErrorComparison.of([run for run in runs if run.role == "held out"]),
+        margins=WorstMargins.of(margins.training),
+        search=tuned,
         runs=tuple(runs),
         notes=(*notes, *bad),
-        given=axis,
+        initial_axis=axis,
         plan=plan,
-        required=prepared.required,
+        limits=prepared.limits,
         status=Status(accepted, message, code=code),
     )
 
@@ -422,9 +431,9 @@ def remarks(tuned: GainSearch) -> list[str]:
     """What stood in the way of better gains."""
     found = [f"At the bound of its range: {', '.join(tuned.at_bound)}."] if tuned.at_bound else []
     found += [
-        f"Held back by the {one.name}: 1 % more of it would gain {one.worth:.2g} % of the objective."
-        for one in tuned.binding
+        f"Held back by the {requirement.name}: 1 % more of it would gain {requirement.gain:.2g} % of the objective."
+        for requirement in tuned.binding
     ]
     mend = "no gains near these keep it: relax it" if tuned.status.startswith("infeasible") else "search on"
-    found += [f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}." for name, share in tuned.missed.items()]
+    found += [f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}." for name, share in tuned.violated.items()]
     return found

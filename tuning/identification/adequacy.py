@@ -29,17 +29,17 @@ class Adequacy(NamedTuple):
     gain: float  # in deviance, by letting the filter invent it
 
     @property
-    def structured(self) -> bool:
+    def has_structure(self) -> bool:
         """Structure beyond doubt and large enough to matter."""
-        return self.coloured or self.lacking
+        return self.is_coloured or self.lacks_force
 
     @property
-    def coloured(self) -> bool:
+    def is_coloured(self) -> bool:
         """Innovations that their past foretells."""
         return not self.p_value >= IMPROBABLE and self.foretold > PREDICTABLE
 
     @property
-    def lacking(self) -> bool:
+    def lacks_force(self) -> bool:
         """A force that the filter had to invent; also where nothing could be judged."""
         return not self.gain <= DEVIANCE and not self.share <= MISSING_SHARE
 
@@ -49,13 +49,13 @@ class Adequacy(NamedTuple):
         if np.isnan(self.missing):
             return "the logs are too short, or too torn, to say whether a force is missing"
         force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
-        if self.coloured and not self.lacking:
+        if self.is_coloured and not self.lacks_force:
             return (
                 f"structure remains, though no force is missing ({force}): {100 * self.foretold:.2g} % of the "
                 f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
                 "measuring noise is coloured, as after a filter or between the counts of a coarse scale"
             )
-        if self.lacking:
+        if self.lacks_force:
             return (
                 f"structure remains: the model lacks a force of {force}, and {100 * self.foretold:.2g} % of the "
                 f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "

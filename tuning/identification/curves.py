@@ -85,10 +85,12 @@ def stribeck_curves(
     with ten per decade, on the preferred numbers 1, 1.25, 1.6, 2 ... at which machines run. Raises `LogError` as
     `tuning.identification.stretches` does.
     """
-    found, notes = measured_friction(logs, drive, dynamics)
-    cruises = [_cruise(along, drive, dynamics, max_acceleration, min_speed) for along in found]
+    measurements, notes = measured_friction(logs, drive, dynamics)
+    cruises = [_cruise(measured, drive, dynamics, max_acceleration, min_speed) for measured in measurements]
     velocity, friction, load = (
-        np.concatenate([getattr(along, name)[kept] for along, (kept, _) in zip(found, cruises, strict=True)])
+        np.concatenate(
+            [getattr(measured, name)[cruising] for measured, (cruising, _) in zip(measurements, cruises, strict=True)]
+        )
         for name in ("velocity", "friction", "load")
     )
     if not len(velocity):
@@ -97,10 +99,10 @@ def stribeck_curves(
         )
         return StribeckCurves((), (*notes, why))
     numbers, before = [], 0
-    for kept, number in cruises:  # passes of all logs, numbered through
-        numbers.append(number[kept] + before)
+    for cruising, number in cruises:  # passes of all logs, numbered through
+        numbers.append(number[cruising] + before)
         before += int(number[-1]) + 1
-    owner = np.concatenate(numbers)
+    pass_number = np.concatenate(numbers)
     model = np.asarray(
         steady_friction(drive.friction, jnp.asarray(velocity), jnp.asarray(load))
         + drive.plant.damping.towards(jnp.asarray(velocity)) * velocity
@@ -108,31 +110,33 @@ def stribeck_curves(
     group = load_groups(load)
     curves = []
     for k in range(group.max() + 1):
-        at = group == k
-        curves.append(_binned(velocity[at], friction[at], model[at], load[at], owner[at], bins_per_decade))
+        mask = group == k
+        curves.append(
+            _binned(velocity[mask], friction[mask], model[mask], load[mask], pass_number[mask], bins_per_decade)
+        )
     return StribeckCurves(tuple(curves), notes)
 
 
 def _cruise(
-    along: MeasuredFriction, drive: Drive, dynamics: float, max_acceleration: float | None, min_speed: float | None
+    measured: MeasuredFriction, drive: Drive, dynamics: float, max_acceleration: float | None, min_speed: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which samples cruise, and the number of the pass to which each belongs."""
-    bristle = _bristle(drive, along.velocity, along.load)
+    bristle = _bristle(drive, measured.velocity, measured.load)
     if max_acceleration is None:
-        level = np.asarray(coulomb(drive.friction, along.velocity, along.load))
+        level = np.asarray(coulomb(drive.friction, measured.velocity, measured.load))
         light = INERTIA_SHARE * level / float(drive.plant.mass)
-        limit = np.minimum(light, SPEED_CHANGE * along.velocity**2 / bristle)
+        limit = np.minimum(light, SPEED_CHANGE * measured.velocity**2 / bristle)
     else:
-        limit = np.full_like(along.velocity, max_acceleration)
-    behind = np.empty_like(along.velocity)
-    number = np.empty(len(along.velocity), dtype=int)
-    for k, one in enumerate(passes(along)):
-        behind[one] = np.abs(along.position[one] - along.position[one.start])
-        number[one] = k
+        limit = np.full_like(measured.velocity, max_acceleration)
+    behind = np.empty_like(measured.velocity)
+    number = np.empty(len(measured.velocity), dtype=int)
+    for k, stroke in enumerate(passes(measured)):
+        behind[stroke] = np.abs(measured.position[stroke] - measured.position[stroke.start])
+        number[stroke] = k
     slowest = bristle if min_speed is None else min_speed
-    moving = (along.velocity != 0) & (np.abs(along.velocity) >= slowest)
-    steady = moving & (np.abs(along.acceleration) <= limit) & (behind >= SETTLED * bristle)
-    reach = 2 * round(along.rate / (5 * dynamics)) + 1  # what is not steady reaches so far through the filter
+    moving = (measured.velocity != 0) & (np.abs(measured.velocity) >= slowest)
+    steady = moving & (np.abs(measured.acceleration) <= limit) & (behind >= SETTLED * bristle)
+    reach = 2 * round(measured.rate / (5 * dynamics)) + 1  # what is not steady reaches so far through the filter
     return minimum_filter1d(steady.astype(np.uint8), reach) > 0, number
 
 
@@ -144,7 +148,12 @@ def _bristle(drive: Drive, direction: np.ndarray, load: np.ndarray) -> np.ndarra
 
 
 def _binned(
-    velocity: np.ndarray, friction: np.ndarray, model: np.ndarray, load: np.ndarray, owner: np.ndarray, per_decade: int
+    velocity: np.ndarray,
+    friction: np.ndarray,
+    model: np.ndarray,
+    load: np.ndarray,
+    pass_number: np.ndarray,
+    per_decade: int,
 ) -> StribeckCurve:
     step = np.round(per_decade * np.log10(np.abs(velocity)))
     _, label = np.unique(np.stack([np.sign(velocity), step]), axis=1, return_inverse=True)
@@ -155,7 +164,7 @@ def _binned(
         return np.bincount(label, signal) / count
 
     average = mean(friction)
-    both, cluster = np.unique(np.stack([label, owner]), axis=1, return_inverse=True)
+    both, cluster = np.unique(np.stack([label, pass_number]), axis=1, return_inverse=True)
     excess = np.bincount(cluster.ravel(), friction - average[label])
     clusters = np.bincount(both[0])
     spread = np.bincount(both[0], excess**2)
@@ -188,55 +197,55 @@ def hysteresis_curves(
     blurs what happens within a / (2 f^2) of the reversal at an acceleration a and f = 5 x `dynamics`: give higher
     dynamics where the log is fast and clean enough. Raises `LogError` as `tuning.identification.stretches` does.
     """
-    found, notes = measured_friction(logs, drive, dynamics)
-    travelled = [[_travel(along, one) for one in passes(along)] for along in found]
+    measurements, notes = measured_friction(logs, drive, dynamics)
+    travelled = [[_travel(measured, stroke) for stroke in passes(measured)] for measured in measurements]
     if reach is None:
         bristle = max(float(np.max(_bristle(drive, np.array([v]), np.zeros(1)))) for v in (1.0, -1.0))
         reach = max(0.1 * max(max(travels) for travels in travelled), bristle)
-    begun = [
-        (along, one)
-        for along, travels in zip(found, travelled, strict=True)
-        for one in _passes_after_reversals(along, travels, reach)
+    reversals = [
+        (measured, stroke)
+        for measured, travels in zip(measurements, travelled, strict=True)
+        for stroke in _passes_after_reversals(measured, travels, reach)
     ]
-    if not begun:
+    if not reversals:
         why = f"no hysteresis curve: the table nowhere reverses with {reach:.3g} m of travel before and after"
         return HysteresisCurves((), (*notes, why))
     displacement = np.concatenate([[0.0], np.geomspace(reach * 10**-HYSTERESIS_DECADES, reach, points - 1)])
-    force = np.stack([_resampled(along, one, displacement) for along, one in begun])
-    direction = np.array([1 if along.velocity[one.start] > 0 else -1 for along, one in begun])
-    load = np.array([along.load[one].mean() for along, one in begun])
+    force = np.stack([_resampled(measured, stroke, displacement) for measured, stroke in reversals])
+    direction = np.array([1 if measured.velocity[stroke.start] > 0 else -1 for measured, stroke in reversals])
+    load = np.array([measured.load[stroke].mean() for measured, stroke in reversals])
     group = load_groups(load)
     curves = []
     for k in range(group.max() + 1):
         for side in (1, -1):
-            at = (group == k) & (direction == side)
-            if at.any():
-                lower, median, upper = np.quantile(force[at], [0.25, 0.5, 0.75], axis=0)
+            mask = (group == k) & (direction == side)
+            if mask.any():
+                lower, median, upper = np.quantile(force[mask], [0.25, 0.5, 0.75], axis=0)
                 curves.append(
-                    HysteresisCurve(float(load[at].mean()), side, displacement, median, lower, upper, int(at.sum()))
+                    HysteresisCurve(float(load[mask].mean()), side, displacement, median, lower, upper, int(mask.sum()))
                 )
     return HysteresisCurves(tuple(curves), notes)
 
 
-def _travel(along: MeasuredFriction, one: slice) -> float:
-    return float(np.ptp(along.position[one]))
+def _travel(measured: MeasuredFriction, stroke: slice) -> float:
+    return float(np.ptp(measured.position[stroke]))
 
 
-def _passes_after_reversals(along: MeasuredFriction, travels: list[float], reach: float) -> list[slice]:
+def _passes_after_reversals(measured: MeasuredFriction, travels: list[float], reach: float) -> list[slice]:
     """The passes of `reach` and more whose last such predecessor went the other way."""
-    found: list[slice] = []
+    reversed_passes: list[slice] = []
     before: bool | None = None
-    for one, travel in zip(passes(along), travels, strict=True):
+    for stroke, travel in zip(passes(measured), travels, strict=True):
         if travel < reach:
             continue
-        forwards = bool(along.velocity[one.start] > 0)
+        forwards = bool(measured.velocity[stroke.start] > 0)
         if before is not None and forwards != before:
-            found.append(one)
+            reversed_passes.append(stroke)
         before = forwards
-    return found
+    return reversed_passes
 
 
-def _resampled(along: MeasuredFriction, one: slice, displacement: np.ndarray) -> np.ndarray:
+def _resampled(measured: MeasuredFriction, stroke: slice, displacement: np.ndarray) -> np.ndarray:
     """Friction at these displacements since the pass began."""
-    way = np.maximum.accumulate(np.abs(along.position[one] - along.position[one.start]))
-    return np.interp(displacement, way, along.friction[one])
+    way = np.maximum.accumulate(np.abs(measured.position[stroke] - measured.position[stroke.start]))
+    return np.interp(displacement, way, measured.friction[stroke])

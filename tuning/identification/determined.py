@@ -22,7 +22,7 @@ class Solution:
     covariance: Float[np.ndarray, "p p"]
     residuals: Float[np.ndarray, " n"]
     condition: float
-    open_groups: tuple[tuple[int, ...], ...]
+    undetermined_groups: tuple[tuple[int, ...], ...]
 
 
 def solve(columns: Float[np.ndarray, "n p"], target: Float[np.ndarray, " n"], lengths: Sequence[int]) -> Solution:
@@ -34,22 +34,22 @@ def solve(columns: Float[np.ndarray, "n p"], target: Float[np.ndarray, " n"], le
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     unit = columns / scale
-    left, sizes, right = np.linalg.svd(unit, full_matrices=False)
-    held = sizes > sizes[0] / CONDITION_LIMIT
-    inverse = right[held].T / sizes[held]
-    coefficients = inverse @ (left[:, held].T @ target)
+    left, singular_values, right = np.linalg.svd(unit, full_matrices=False)
+    determined = singular_values > singular_values[0] / CONDITION_LIMIT
+    inverse = right[determined].T / singular_values[determined]
+    coefficients = inverse @ (left[:, determined].T @ target)
     residuals = target - unit @ coefficients
     bread = inverse @ inverse.T
     scores = np.split(unit * residuals[:, None], np.cumsum(lengths)[:-1])
     count = int(np.count_nonzero(np.any(columns != 0, axis=1)))
-    freedom = count / max(count - len(sizes), 1)
+    freedom = count / max(count - len(singular_values), 1)
     covariance = freedom * bread @ long_run_covariance(scores) @ bread
     return Solution(
         coefficients=coefficients / scale,
         covariance=covariance / np.outer(scale, scale),
         residuals=residuals,
-        condition=float(sizes[0] / sizes[held][-1]),
-        open_groups=_groups(right[~held]),
+        condition=float(singular_values[0] / singular_values[determined][-1]),
+        undetermined_groups=_groups(right[~determined]),
     )
 
 

@@ -57,8 +57,8 @@ OPEN = 50.0  # half-width in the logarithm, beyond which an interval is simply o
 LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
 
 
-def reported_parameters(drive: Drive, unknowns: Unknowns, together: frozenset[str]) -> list[ReportedParameter]:
-    """Every parameter that can be identified; those in `together` have one value for both directions."""
+def reported_parameters(drive: Drive, unknowns: Unknowns, symmetric: frozenset[str]) -> list[ReportedParameter]:
+    """Every parameter that can be identified; those in `symmetric` have one value for both directions."""
     friction = drive.friction
     pairs = (
         ("coulomb_at_no_load", "N", "coulomb", unknowns.coulomb),
@@ -75,7 +75,7 @@ def reported_parameters(drive: Drive, unknowns: Unknowns, together: frozenset[st
         ReportedParameter("constant_force", "", "N", "constant_force", drive.plant.constant_force),
     ]
     for key, unit, unknown, pair in pairs:
-        if unknown in together:
+        if unknown in symmetric:
             rows.append(ReportedParameter(key, "", unit, unknown, pair.positive))
         else:
             rows.append(ReportedParameter(key, "positive", unit, unknown, pair.positive))
@@ -84,33 +84,36 @@ def reported_parameters(drive: Drive, unknowns: Unknowns, together: frozenset[st
 
 
 def estimates(
-    y: Float[np.ndarray, " k"],
+    theta: Float[np.ndarray, " k"],
     innovations: Innovations,
     problem: IdentificationProblem,
     covariance: Covariance,
     undetermined: set[str],
 ) -> tuple[list[ParameterEstimate], Float[np.ndarray, "q q"]]:
-    """The table of estimates at y, and their covariance. Positive parameters get the interval of their logarithm."""
+    """The table of estimates at theta, and their covariance.
 
-    def values(y: Float[Array, " k"]) -> Float[Array, " q"]:
-        drive, unknowns = innovations.unpack(y, problem)
-        return jnp.stack([jnp.asarray(row.value) for row in reported_parameters(drive, unknowns, together)])
+    Positive parameters get the interval of their logarithm.
+    """
 
-    together = frozenset(
+    def values(theta: Float[Array, " k"]) -> Float[Array, " q"]:
+        drive, unknowns = innovations.unpack(theta, problem)
+        return jnp.stack([jnp.asarray(row.value) for row in reported_parameters(drive, unknowns, symmetric)])
+
+    symmetric = frozenset(
         path for path in free_paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping")
     )
-    before = reported_parameters(problem.believed, problem.believed_unknowns, together)
-    point = jnp.asarray(y)
-    found, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
-    scatter = slope @ covariance.matrix @ slope.T
-    widths = covariance.quantile * np.sqrt(np.diag(scatter))
-    ends = _reported_bounds(point, innovations, problem, together)
-    at_bound = set(SearchSpace(innovations.free, problem.origin).near_bound(y))
+    before = reported_parameters(problem.believed, problem.believed_unknowns, symmetric)
+    point = jnp.asarray(theta)
+    estimated, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))
+    covariance_of_values = slope @ covariance.matrix @ slope.T
+    widths = covariance.quantile * np.sqrt(np.diag(covariance_of_values))
+    bounds = _reported_bounds(point, innovations, problem, symmetric)
+    at_bound = set(SearchSpace(innovations.free, problem.origin).near_bound(theta))
     table = []
-    for row, value, width, direction in zip(before, found, widths, slope, strict=True):
+    for row, value, width, direction in zip(before, estimated, widths, slope, strict=True):
         if row.path in undetermined:
             status = "not determined"
-        elif row.path in at_bound or (row.path in ends and not np.any(direction)):
+        elif row.path in at_bound or (row.path in bounds and not np.any(direction)):
             status = "at its bound"  # its own, or that of what a drive file can say (no viscous friction below zero)
         else:
             status = "fitted" if np.any(direction) else "fixed"
@@ -121,29 +124,29 @@ def estimates(
         else:
             factor = np.exp(min(width / value, OPEN))
             low, high = value / factor, value * factor
-        lowest, highest = ends.get(row.path, {}).get(row.name, (value, value))
+        lowest, highest = bounds.get(row.path, {}).get(row.name, (value, value))
         table.append(
             ParameterEstimate(
                 row.name, row.unit, float(row.value), float(value), float(low), float(high), lowest, highest, status
             )
         )
-    return table, scatter * (covariance.quantile / NORMAL) ** 2
+    return table, covariance_of_values * (covariance.quantile / NORMAL) ** 2
 
 
 def _reported_bounds(
-    y: Float[Array, " k"], innovations: Innovations, problem: IdentificationProblem, together: frozenset[str]
+    theta: Float[Array, " k"], innovations: Innovations, problem: IdentificationProblem, symmetric: frozenset[str]
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """For each free path the bounds of what is reported of it, by name, the other unknowns as found."""
-    unknowns = innovations.unpack(y, problem)[1]
+    unknowns = innovations.unpack(theta, problem)[1]
 
-    def at(path: str, end: float) -> dict[str, float]:
-        there = with_value(unknowns, path, end)
+    def values_at(path: str, end: float) -> dict[str, float]:
+        moved = with_value(unknowns, path, end)
         return {
-            row.name: float(row.value) for row in reported_parameters(there.drive(problem.believed), there, together)
+            row.name: float(row.value) for row in reported_parameters(moved.drive(problem.believed), moved, symmetric)
         }
 
     found = {}
     for path, low, high in innovations.free:
-        lowest, highest = at(path, low), at(path, high)
+        lowest, highest = values_at(path, low), values_at(path, high)
         found[path] = {name: (lowest[name], highest[name]) for name in lowest}
     return found

@@ -42,13 +42,13 @@ def _linearised_period(drive: Drive, sampling: Sampling) -> Any:
 
     def both(state: plant.PlantState, force: Scalar, load: Scalar) -> tuple[plant.PlantState, Matrix]:
         _, velocity, bristle = state
-        one, none = jnp.ones_like(velocity), jnp.zeros_like(velocity)
+        unit, zero = jnp.ones_like(velocity), jnp.zeros_like(velocity)
 
         def along(direction: tuple[Scalar, Scalar]) -> Any:
             return jax.jvp(lambda v, z: ahead(v, z, force, load), (velocity, bristle), direction)
 
-        moved, by_velocity = along((one, none))
-        _, by_bristle = along((none, one))
+        moved, by_velocity = along((unit, zero))
+        _, by_bristle = along((zero, unit))
         rows = zip((1.0, 0.0, 0.0), by_velocity, by_bristle, strict=True)  # nothing depends on the position
         return moved._replace(position=state.position + moved.position), tuple(rows)
 
@@ -60,36 +60,38 @@ def run_filter(
 ) -> FilterResult:
     """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's."""
     period = _linearised_period(drive, sampling)
-    jolt = (process * sampling.period / drive.plant.mass) ** 2
+    velocity_variance = (process * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
-    def body(carry: tuple[plant.PlantState, Triangle], at: tuple[Scalar, Scalar, Scalar]) -> Any:
+    def body(carry: tuple[plant.PlantState, Triangle], sample: tuple[Scalar, Scalar, Scalar]) -> Any:
         state, covariance = carry
-        measured, force, load = at
+        measured, force, load = sample
         innovation = measured - state.position
-        scatter = jnp.sqrt(covariance[0][0] + measured_variance)
+        innovation_std = jnp.sqrt(covariance[0][0] + measured_variance)
         pull = kalman_gain(covariance, measured_variance)
         state = plant.PlantState(*(value + k * innovation for value, k in zip(state, pull, strict=True)))
         covariance = update_covariance(covariance, pull, measured_variance)
         state, covariance = once((state, covariance))
         state, moved = period(state, force, load)
-        covariance = predict_covariance(covariance, moved, (0.0, jolt, 0.0))
-        return (state, covariance), (FilterGains(*pull, scatter), innovation)
+        covariance = predict_covariance(covariance, moved, (0.0, velocity_variance, 0.0))
+        return (state, covariance), (FilterGains(*pull, innovation_std), innovation)
 
-    def one(lane: Lanes) -> Any:
+    def filter_lane(lane: Lanes) -> Any:
         begin = initial_state(drive, lane)
         level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
             drive.friction.initial_load + lane.load[0]
         )
-        bent = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off at the start
-        spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bent**2))
+        bristle_std = (
+            0.5 * level / drive.friction.bristle_stiffness.positive
+        )  # how far the bristle may be off at the start
+        spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
         force = applied_force(drive, lane, delay)
         return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
 
-    gains, innovation = lax.map(one, lanes)
-    counts = lanes.counts
-    weighed = jnp.sum(counts * (innovation / gains.scatter) ** 2) / jnp.sum(counts)
-    deviance = jnp.sum(counts) * jnp.log(weighed) + 2.0 * jnp.sum(counts * jnp.log(gains.scatter))
+    gains, innovation = lax.map(filter_lane, lanes)
+    mask = lanes.counts
+    mean_square = jnp.sum(mask * (innovation / gains.innovation_std) ** 2) / jnp.sum(mask)
+    deviance = jnp.sum(mask) * jnp.log(mean_square) + 2.0 * jnp.sum(mask * jnp.log(gains.innovation_std))
     return FilterResult(gains, innovation, deviance)
 
 
@@ -97,7 +99,7 @@ def run_filter(
 def _deviances(
     drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
 ) -> Any:
-    return jax.vmap(lambda one: run_filter(drive, delay, one, noise, lanes, sampling).deviance)(processes)
+    return jax.vmap(lambda process: run_filter(drive, delay, process, noise, lanes, sampling).deviance)(processes)
 
 
 @eqx.filter_jit
@@ -108,10 +110,12 @@ def _run_filter(*arguments: Any) -> FilterResult:
 class MostLikely(NamedTuple):
     """The process force under which a log is likeliest, and what that says about the model."""
 
-    process: float  # N, standard deviation of a white force, one value per control period
+    process_force: float  # N, standard deviation of a white force, one value per control period
     deviance: float
-    gain: float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
-    track: FilterResult
+    deviance_gain: (
+        float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
+    )
+    filter_result: FilterResult
 
 
 def most_likely(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> MostLikely:

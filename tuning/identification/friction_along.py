@@ -32,8 +32,8 @@ def friction_along(
     friction.
     """
 
-    def body(deflection: Scalar, at: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, FrictionAlong]:
-        now, ahead, applied, acts = at
+    def body(deflection: Scalar, sample: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, FrictionAlong]:
+        now, ahead, applied, acts = sample
         friction = with_friction_offset(drive, acts).friction
         force = friction_force(lugre_coefficients(friction, now, deflection, applied), now, deflection)
         mean = 0.5 * (now + ahead)

@@ -51,28 +51,28 @@ class Identification:
 
     drive: Drive
     estimates: list[ParameterEstimate]
-    scatter: Float[np.ndarray, "q q"]  # their covariance, as wide as their intervals are
+    estimate_covariance: Float[np.ndarray, "q q"]  # their covariance, as wide as their intervals are
     adequacy: Adequacy
     covariance: Covariance
     correlated: list[tuple[str, str, float]]  # pairs that the logs hardly tell apart
     noise: float  # m
-    process: float  # N, standard deviation of the force that the model lacks, were it white
+    process_force: float  # N, standard deviation of the force that the model lacks, were it white
     innovation: Float[np.ndarray, "lanes n"]  # m
-    missing: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
+    missing_force: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
     velocity: Float[np.ndarray, "lanes n"]  # m/s, as predicted
     search: LeastSquaresResult
-    starts: Float[np.ndarray, " s"]  # cost of each start, over the best
+    start_costs: Float[np.ndarray, " s"]  # cost of each start, over the best
     simulations: int  # of all logs, forward and with derivatives
     notes: tuple[str, ...]
     undetermined: frozenset[str]  # paths in the search space
-    wide: RefinedFit  # with every parameter free, before the undetermined ones were put back
+    full_fit: RefinedFit  # with every parameter free, before the undetermined ones were put back
 
     @property
     def status(self) -> str:
         """What to make of it; never just "converged" over structured innovations."""
         if self.search.status != "converged":
             return self.search.status
-        return "converged, but structure remains" if self.adequacy.structured else "converged"
+        return "converged, but structure remains" if self.adequacy.has_structure else "converged"
 
 
 def identify(
@@ -94,50 +94,55 @@ def identify(
     """
     require_double_precision()
     check_drive(drive)
-    question = build_problem(logs, drive, fixed, bounded or {})
-    problem, free, rate = question.problem, question.free, question.rate
+    setup = build_problem(logs, drive, fixed, bounded or {})
+    problem, free, rate = setup.problem, setup.free, setup.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
-    y, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
+    theta, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
     progress = _interrupt if stopped else progress
-    wide = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), y, problem, question.noise, progress, store)
-    lost = _undetermined(wide)
-    fit = wide
-    if lost and not was_interrupted(wide.search):
-        fit = refine(*without_undetermined(wide, lost), question.noise, progress, store)
+    full_fit = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
+    undetermined = _undetermined(full_fit)
+    fit = full_fit
+    if undetermined and not was_interrupted(full_fit.search):
+        fit = refine(*without_undetermined(full_fit, undetermined), setup.noise, progress, store)
     if not was_interrupted(fit.search):
-        fit = _with_repetition(refine_substeps(fit, question.noise, progress, store), rate)
-    found, remark = _file_drive(fit)
+        fit = _with_repetition(refine_substeps(fit, setup.noise, progress, store), rate)
+    drive_found, remark = _file_drive(fit)
     missing = missing_force(fit)
-    table, scatter = estimates(fit.search.y, fit.residuals, fit.problem, fit.covariance, lost | question.unasked)
+    table, scatter = estimates(
+        fit.search.theta, fit.residuals, fit.problem, fit.covariance, undetermined | setup.unexcited
+    )
     return Identification(
-        drive=found,
+        drive=drive_found,
         estimates=table,
-        scatter=scatter,
+        estimate_covariance=scatter,
         adequacy=adequacy(
-            fit.innovation / np.asarray(fit.problem.gains.scatter), fit.gain, missing, coulomb_level(fit)
+            fit.innovation / np.asarray(fit.problem.gains.innovation_std),
+            fit.deviance_gain,
+            missing,
+            coulomb_level(fit),
         ),
         covariance=fit.covariance,
         correlated=_correlated(fit.residuals.free, fit.covariance),
-        noise=question.noise,
-        process=fit.process,
+        noise=setup.noise,
+        process_force=fit.process_force,
         innovation=fit.innovation,
-        missing=missing,
+        missing_force=missing,
         velocity=fit.velocity,
         search=fit.search,
-        starts=costs / costs.min(),
+        start_costs=costs / costs.min(),
         simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)) + DELAYS,
-        notes=(*question.notes, *remark),
-        wide=wide,
-        undetermined=frozenset(lost | question.unasked),
+        notes=(*setup.notes, *remark),
+        full_fit=full_fit,
+        undetermined=frozenset(undetermined | setup.unexcited),
     )
 
 
 def start_points(free: Sequence[FreeParameter], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
     require_memory(ParameterError, f"{format_count(starts)} starts", 8.0 * starts * len(free), "give fewer")
-    loose = np.array([one.path.split(".")[0] in MULTIMODAL for one in free])
-    noise = np.random.default_rng(seed).normal(size=(starts - 1, len(loose))) * loose
-    return np.vstack([np.zeros(len(loose)), noise])
+    is_multimodal = np.array([parameter.path.split(".")[0] in MULTIMODAL for parameter in free])
+    noise = np.random.default_rng(seed).normal(size=(starts - 1, len(is_multimodal))) * is_multimodal
+    return np.vstack([np.zeros(len(is_multimodal)), noise])
 
 
 def _many_starts(
@@ -154,20 +159,20 @@ def _many_starts(
     """
     points = start_points(coarse.free, starts, seed)
     key = "" if store is None else digest("starts", coarse, problem, points)
-    kept = None if store is None else store.read(key)
-    if kept is not None:
-        return kept["y"], kept["costs"], False
+    stored = None if store is None else store.read(key)
+    if stored is not None:
+        return stored["theta"], stored["costs"], False
     points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
-    found, costs, stopped = multistart(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
-    best = found[int(np.argmin(costs))]
+    points_found, costs, stopped = multistart(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
+    best = points_found[int(np.argmin(costs))]
     if store is not None and not stopped:
-        store.write(key, {"y": best, "costs": costs})
+        store.write(key, {"theta": best, "costs": costs})
     return best, costs, stopped
 
 
 def _with_repetition(fit: RefinedFit, rate: float) -> RefinedFit:
     """The fit with the covariance of laps that are no new ones where residuals repeat from lap to lap."""
-    again = repetition_inflation(fit.innovation / np.asarray(fit.problem.gains.scatter), rate)
+    again = repetition_inflation(fit.innovation / np.asarray(fit.problem.gains.innovation_std), rate)
     return fit._replace(covariance=fit.covariance._replace(matrix=again * fit.covariance.matrix))
 
 
@@ -178,7 +183,7 @@ def _interrupt(*_: object) -> None:
 
 @eqx.filter_jit
 def _costs(residuals: Innovations, points: Float[Array, "s k"], problem: IdentificationProblem) -> Float[Array, " s"]:
-    return jax.vmap(lambda y: jnp.linalg.norm(residuals(y, problem)))(points)
+    return jax.vmap(lambda theta: jnp.linalg.norm(residuals(theta, problem)))(points)
 
 
 def _best_delay(coarse: Innovations, problem: IdentificationProblem) -> Float[np.ndarray, " k"]:
@@ -198,8 +203,8 @@ def _best_delay(coarse: Innovations, problem: IdentificationProblem) -> Float[np
 def _undetermined(fit: RefinedFit) -> set[str]:
     """What the logs hardly narrow; not what they push against its bound, where the search vector has no more effect."""
     free, errors = fit.residuals.free, fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
-    pushed = SearchSpace(free, fit.problem.origin).near_bound(fit.search.y)
-    return {one.path for one, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
+    pushed = SearchSpace(free, fit.problem.origin).near_bound(fit.search.theta)
+    return {parameter.path for parameter, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
 
 
 def _correlated(free: tuple[FreeParameter, ...], covariance: Covariance) -> list[tuple[str, str, float]]:
@@ -213,17 +218,17 @@ def _correlated(free: tuple[FreeParameter, ...], covariance: Covariance) -> list
 
 def _file_drive(fit: RefinedFit) -> tuple[Drive, tuple[str, ...]]:
     """The drive found, as a drive file can say it, and what had to be bent for that."""
-    drive, unknowns = jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem))
+    drive, unknowns = jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.theta), fit.problem))
     remarks = []
     delay = unknowns.delay
     if delay < -MIN_DELAY:
         remarks.append(f"the command seems logged {-delay:.3g} samples late; the drive is written without a delay")
     delay = delay if delay > MIN_DELAY else 0.0
-    whole = int(delay)
-    fraction = delay - whole
-    actuator = replace(drive.actuator, delay_samples=whole, delay_fraction=fraction or None)
+    samples = int(delay)
+    fraction = delay - samples
+    actuator = replace(drive.actuator, delay_samples=samples, delay_fraction=fraction or None)
     for side in ("positive", "negative"):
-        damping, believed = (getattr(one.plant.damping, side) for one in (drive, fit.problem.believed))
+        damping, believed = (getattr(model.plant.damping, side) for model in (drive, fit.problem.believed))
         if damping < believed:
             remarks.append(
                 f"damping.{side} lowered from {float(believed):.4g} to {damping:.4g} N s/m: the friction found grows "

@@ -145,7 +145,7 @@ def identify(
         regressors = regressors.with_load()
     tables = [_table(source, regressors, dynamics, min_speed, borders) for source in sources]
     used = np.concatenate([table.used for table in tables])
-    speed = max(float(np.max(np.abs(table.at.velocity))) for table in tables)
+    speed = max(float(np.max(np.abs(table.kinematics.velocity))) for table in tables)
     if not used.any() or speed <= 0:
         names = ", ".join(dict.fromkeys(source.log for source in sources))
         raise LogError(
@@ -160,11 +160,11 @@ def identify(
     names = list(tables[0].names)
     values = dict(zip(names, found.coefficients.tolist(), strict=True))
     errors = dict(zip(names, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
-    for group in found.open_groups:
+    for group in found.undetermined_groups:
         for k in group:
             values[names[k]] = errors[names[k]] = float("nan")
         notes = (*notes, _undetermined([names[k] for k in group]))
-    load = np.concatenate([table.at.load for table in tables])[used]
+    load = np.concatenate([table.kinematics.load for table in tables])[used]
     return InverseDynamics(
         regressors=regressors,
         values=values,
@@ -194,7 +194,7 @@ class _RegressorTable(NamedTuple):
 
     log: str
     time: Signal
-    at: Kinematics
+    kinematics: Kinematics
     names: tuple[str, ...]
     columns: Float[np.ndarray, "n p"]
     force: Signal
@@ -208,18 +208,18 @@ def _table(
     velocity, acceleration = differentiate(source.position, source.rate, 5 * dynamics)
     begin, end = (round(share * source.border) for share in borders)
     border = slice(begin, len(velocity) - end)
-    at = Kinematics(velocity[border], acceleration[border], source.load[border])
+    kinematics = Kinematics(velocity[border], acceleration[border], source.load[border])
     ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
-    columns = regressors.columns(at)
-    slowest = minimum_filter1d(np.abs(at.velocity), 2 * ratio + 1)
+    columns = regressors.columns(kinematics)
+    slowest = minimum_filter1d(np.abs(kinematics.velocity), 2 * ratio + 1)
     return _RegressorTable(
         log=source.log,
-        time=source.time[border][decimation_slice(len(at.velocity), ratio)],
-        at=Kinematics(*(decimate(signal, ratio) for signal in at)),
+        time=source.time[border][decimation_slice(len(kinematics.velocity), ratio)],
+        kinematics=Kinematics(*(decimate(signal, ratio) for signal in kinematics)),
         names=tuple(columns),
         columns=np.stack([decimate(column, ratio) for column in columns.values()], axis=1),
         force=decimate(source.force[border], ratio),
-        used=slowest[decimation_slice(len(at.velocity), ratio)] >= min_speed,
+        used=slowest[decimation_slice(len(kinematics.velocity), ratio)] >= min_speed,
     )
 
 
@@ -227,7 +227,7 @@ def _evaluation(
     tables: Sequence[_RegressorTable], coefficients: Float[np.ndarray, " p"], notes: tuple[str, ...]
 ) -> Evaluation:
     pieces = tuple(
-        Piece(t.log, t.time, *t.at, force=t.force, model=t.columns @ coefficients, used=t.used) for t in tables
+        Piece(t.log, t.time, *t.kinematics, force=t.force, model=t.columns @ coefficients, used=t.used) for t in tables
     )
     miss = np.concatenate([(piece.force - piece.model)[piece.used] for piece in pieces])
     size = np.linalg.norm(np.concatenate([piece.force[piece.used] for piece in pieces]))

@@ -38,23 +38,23 @@ def measured_friction(
 ) -> tuple[list[MeasuredFriction], tuple[str, ...]]:
     """Friction along each stretch of `logs`, low-passed at 5 x `dynamics` (Hz), and notes on the pieces left out."""
     found, notes = stretches(logs, dynamics)
-    return [_along(one, drive, 5 * dynamics) for one in found], notes
+    return [_along(stretch, drive, 5 * dynamics) for stretch in found], notes
 
 
-def _along(one: Stretch, drive: Drive, cutoff: float) -> MeasuredFriction:
-    velocity, acceleration = differentiate(one.position, one.rate, cutoff)
-    force = lowpass(one.force, one.rate, cutoff)
+def _along(stretch: Stretch, drive: Drive, cutoff: float) -> MeasuredFriction:
+    velocity, acceleration = differentiate(stretch.position, stretch.rate, cutoff)
+    force = lowpass(stretch.force, stretch.rate, cutoff)
     friction = force + float(drive.plant.constant_force) - float(drive.plant.mass) * acceleration
-    inner = slice(one.border, len(one.time) - one.border)
+    inner = slice(stretch.border, len(stretch.time) - stretch.border)
     return MeasuredFriction(
-        log=one.log,
-        rate=one.rate,
-        time=one.time[inner],
-        position=lowpass(one.position, one.rate, cutoff)[inner],
+        log=stretch.log,
+        rate=stretch.rate,
+        time=stretch.time[inner],
+        position=lowpass(stretch.position, stretch.rate, cutoff)[inner],
         velocity=velocity[inner],
         acceleration=acceleration[inner],
         friction=friction[inner],
-        load=one.load[inner],
+        load=stretch.load[inner],
     )
 
 

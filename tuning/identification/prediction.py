@@ -41,7 +41,9 @@ class Lanes(NamedTuple):
     load: Float[Array, "lanes n"]  # N
     counts: Float[Array, "lanes n"]
     velocity: Float[Array, " lanes"]  # m/s, at the first sample
-    asked: Float[Array, "lanes n k"] | None = None  # N, the command of each control period where a sample has several
+    period_commands: Float[Array, "lanes n k"] | None = (
+        None  # N, the command of each control period where a sample has several
+    )
 
     @property
     def lanes(self) -> int:
@@ -55,13 +57,13 @@ class FilterGains(NamedTuple):
     position: Float[Array, "lanes n"]  # 1
     velocity: Float[Array, "lanes n"]  # 1/s
     bristle: Float[Array, "lanes n"]  # 1
-    scatter: Float[Array, "lanes n"]  # m
+    innovation_std: Float[Array, "lanes n"]  # m
 
 
 def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) -> FilterGains:
     """Gains that put both poles of a free mass at exp(-bandwidth T), bandwidth in rad/s; the bristle is left alone."""
-    fade = float(np.exp(-bandwidth * period))
-    values = (1.0 - fade**2, (1.0 - fade) ** 2 / period, 0.0, noise)
+    pole = float(np.exp(-bandwidth * period))
+    values = (1.0 - pole**2, (1.0 - pole) ** 2 / period, 0.0, noise)
     return FilterGains(*(jnp.full(lanes.position.shape, value) for value in values))
 
 
@@ -69,10 +71,10 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     """The command `delay` periods later, linear between samples; before the log its first value."""
     shifted = jnp.zeros_like(command)
     # not 1 - |delay - periods|: at whole delays, where searches start, its derivative is none of this one's
-    whole = lax.stop_gradient(jnp.clip(jnp.floor(delay), MIN_DELAY, MAX_DELAY - 1))
-    later = delay - whole
+    samples = lax.stop_gradient(jnp.clip(jnp.floor(delay), MIN_DELAY, MAX_DELAY - 1))
+    fraction = delay - samples
     for periods in range(MIN_DELAY, MAX_DELAY + 1):
-        share = jnp.where(periods == whole, 1.0 - later, jnp.where(periods == whole + 1, later, 0.0))
+        share = jnp.where(periods == samples, 1.0 - fraction, jnp.where(periods == samples + 1, fraction, 0.0))
         if periods >= 0:
             past = jnp.concatenate([jnp.full(periods, command[0]), command[: len(command) - periods]])
         else:
@@ -121,17 +123,17 @@ def predict(drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampl
     """
     require_double_precision()
 
-    def body(state: plant.PlantState, at: tuple[Scalar, ...]) -> tuple[plant.PlantState, Prediction]:
-        measured, force, load, *pull = at
+    def body(state: plant.PlantState, sample: tuple[Scalar, ...]) -> tuple[plant.PlantState, Prediction]:
+        measured, force, load, *pull = sample
         innovation = measured - state.position
         state = plant.PlantState(*(value + gain * innovation for value, gain in zip(state, pull, strict=True)))
         state = once(state)
         ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
         return ahead, Prediction(innovation, state.velocity)
 
-    def one(lane: Lanes, gains: FilterGains) -> Prediction:
+    def predict_lane(lane: Lanes, gains: FilterGains) -> Prediction:
         force = applied_force(drive, lane, delay)
         return lax.scan(body, initial_state(drive, lane), (lane.position, force, lane.load, *gains[:3]))[1]
 
     # one lane after the other: batched derivatives then lie side by side in memory, which is four times faster
-    return lax.map(lambda pair: one(*pair), (lanes, gains))
+    return lax.map(lambda pair: predict_lane(*pair), (lanes, gains))

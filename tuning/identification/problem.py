@@ -40,7 +40,7 @@ def lanes_of(logs: list[Log]) -> Lanes:
     counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
     begins = [initial_velocity(log.position[piece], log.rate) for log, piece in stretches]
     arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
-    return Lanes(*(jnp.asarray(one) for one in arrays))
+    return Lanes(*(jnp.asarray(array) for array in arrays))
 
 
 def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:
@@ -69,38 +69,42 @@ class IdentificationProblem(NamedTuple):
     lanes: Lanes
     gains: FilterGains
     origin: Float[np.ndarray, " free"]  # of the search space
-    prior: Float[np.ndarray, " free"]  # how many units of belief (a factor of five) one unit of y is; 1 in usual bounds
+    prior: Float[
+        np.ndarray, " free"
+    ]  # how many units of belief (a factor of five) one unit of theta is; 1 in usual bounds
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """Residuals of an `IdentificationProblem` as a function of y.
+    """Residuals of an `IdentificationProblem` as a function of theta.
 
     Hashed by value, so that the same question is compiled once.
 
-    Innovations over their expected scatter, each `every`-th, then the distance of y from its start in units of belief.
-    That is a prior of a factor of five: next to nothing where the log says something about a parameter, and what keeps
-    it at its start where the log says nothing.
+    Innovations over their expected scatter, each `stride`-th, then the distance of theta from its start in units of
+    belief. That is a prior of a factor of five: next to nothing where the log says something about a parameter, and
+    what keeps it at its start where the log says nothing.
     """
 
     free: tuple[FreeParameter, ...]
     sampling: Sampling
-    every: int = 1
+    stride: int = 1
 
-    def unpack(self, y: Float[Array, " k"], problem: IdentificationProblem) -> tuple[Drive, Unknowns]:
-        """The drive and the unknowns at y."""
-        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, y)
+    def unpack(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> tuple[Drive, Unknowns]:
+        """The drive and the unknowns at theta."""
+        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, theta)
         return unknowns.drive(problem.believed), unknowns
 
-    def predict(self, y: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
-        """What the drive at y predicts."""
-        drive, unknowns = self.unpack(y, problem)
+    def predict(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
+        """What the drive at theta predicts."""
+        drive, unknowns = self.unpack(theta, problem)
         return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
 
-    def __call__(self, y: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
-        innovation = self.predict(y, problem).innovation
-        weighed = (innovation * problem.lanes.counts / problem.gains.scatter)[:, :: self.every] * np.sqrt(self.every)
-        return jnp.concatenate([weighed.ravel(), problem.prior * y])
+    def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
+        innovation = self.predict(theta, problem).innovation
+        weighed = (innovation * problem.lanes.counts / problem.gains.innovation_std)[:, :: self.stride] * np.sqrt(
+            self.stride
+        )
+        return jnp.concatenate([weighed.ravel(), problem.prior * theta])
 
 
 def sampling_of(rate: float, substep: float) -> Sampling:

@@ -26,16 +26,16 @@ MARGIN = 0.02  # of its range (of its decades, where it is positive), by which a
 
 
 def free_space(
-    problem: IdentificationProblem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+    problem: IdentificationProblem, fixed: set[str], bounded: Mapping[str, tuple[float, float]]
 ) -> tuple[IdentificationProblem, tuple[FreeParameter, ...], list[str]]:
     """What is free, within bounds about what was believed; the problem with its starts inside them; notes."""
-    given, notes = _user_bounds(problem, held, bounded)
+    user_bounds, notes = _user_bounds(problem, fixed, bounded)
     unknowns, free = problem.unknowns, []
     for path in free_paths(unknowns):
         stem = path.split(".")[0]
-        if stem in held:
+        if stem in fixed:
             continue
-        limits = given.get(path) or _default_bounds(problem, path)
+        limits = user_bounds.get(path) or _default_bounds(problem, path)
         possible = np.isfinite([limits.low, limits.high]).all() and limits.low < limits.high
         if not possible or limits.low <= 0 < _default_bounds(problem, path).low:
             raise ParameterError(
@@ -45,7 +45,7 @@ def free_space(
         free.append(limits)
     if not free:
         raise ParameterError("every parameter is fixed: leave at least one free")
-    prior = np.array([_width(one) / _width(_default_bounds(problem, one.path)) for one in free])
+    prior = np.array([_width(parameter) / _width(_default_bounds(problem, parameter.path)) for parameter in free])
     within = problem._replace(unknowns=unknowns, origin=search_space(unknowns, free).origin, prior=prior)
     return within, tuple(free), notes
 
@@ -63,7 +63,7 @@ def _default_bounds(problem: IdentificationProblem, path: str) -> FreeParameter:
 
 
 def _user_bounds(
-    problem: IdentificationProblem, held: set[str], bounded: Mapping[str, tuple[float, float]]
+    problem: IdentificationProblem, fixed: set[str], bounded: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, FreeParameter], list[str]]:
     """The user's bounds as bounds of the unknowns, by path, and notes on what that took."""
     before, friction, found, notes = (
@@ -76,28 +76,28 @@ def _user_bounds(
         if name not in BOUNDABLE:
             raise ParameterError(f"cannot bound '{name}'; known: {', '.join(BOUNDABLE)}")
         stem = BOUNDABLE[name]
-        if stem in held:
+        if stem in fixed:
             raise ParameterError(f"{name} is both bounded and held at the drive file's value: leave out one of the two")
-        if name == "coulomb_screw" and "load_coefficient" not in held and float(friction.initial_load) > 0:
+        if name == "coulomb_screw" and "load_coefficient" not in fixed and float(friction.initial_load) > 0:
             raise ParameterError(
                 "cannot bound coulomb_screw while load_coefficient is free, since it is what that leaves of the "
                 "friction at no load: bound coulomb_at_no_load"
             )
-        if any(one.split(".")[0] == stem for one in found):
+        if any(path.split(".")[0] == stem for path in found):
             raise ParameterError(f"{name} is bounded twice, under two names")
         for path in free_paths(before):
             if path.split(".")[0] != stem:
                 continue
-            shift, unit = 0.0, 1.0
+            offset, unit = 0.0, 1.0
             if name == "viscous":  # only the sum with the damping acts
-                shift = value_at(problem.believed.plant, path.replace("viscous", "damping"))
+                offset = value_at(problem.believed.plant, path.replace("viscous", "damping"))
             if name == "coulomb_screw":
                 slope = value_at(before, path.replace("coulomb", "load_coefficient"))
-                shift = slope * float(friction.initial_load)
+                offset = slope * float(friction.initial_load)
             if name == "breakaway_gap":  # searched as the ratio F_S / F_C
-                shift, unit = 1.0, value_at(before, path.replace("breakaway", "coulomb"))
-            found[path] = FreeParameter(path, low / unit + shift, high / unit + shift)
-        if name == "breakaway_gap" and "coulomb" not in held:
+                offset, unit = 1.0, value_at(before, path.replace("breakaway", "coulomb"))
+            found[path] = FreeParameter(path, low / unit + offset, high / unit + offset)
+        if name == "breakaway_gap" and "coulomb" not in fixed:
             notes.append(
                 "the bounds of breakaway_gap are those of F_S / F_C at the drive file's Coulomb friction: they scale "
                 "with the Coulomb friction found"

@@ -39,14 +39,14 @@ class RefinedFit(NamedTuple):
     covariance: Covariance
     innovation: Float[np.ndarray, "lanes n"]  # m; zero where nothing was measured
     velocity: Float[np.ndarray, "lanes n"]  # m/s
-    process: float = np.inf  # N
-    gain: float = 0.0  # in deviance, of that process over none
+    process_force: float = np.inf  # N
+    deviance_gain: float = 0.0  # in deviance, of that process over none
     steps: int = 0
 
 
 def refine(
-    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float, progress: StepProgress,
-    store: Store | None = None,
+    fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float,
+    progress: StepProgress, store: Store | None = None,
 ) -> RefinedFit:  # fmt: skip
     """Search and filter in turn, until neither changes the other.
 
@@ -54,10 +54,10 @@ def refine(
     truth the filter blames the model and forgives it too much, which makes the next search timid. So each search trusts
     the model `TRUST` times more than the filter would, as long as that makes the log likelier.
     """
-    rough = search_once(fine, y, problem, progress, ROUGH_GAIN, MAX_ROUGH_STEPS, store)
+    rough = search_once(fine, theta, problem, progress, ROUGH_GAIN, MAX_ROUGH_STEPS, store)
     if was_interrupted(rough.search):
-        return rough._replace(process=float(PROCESS_FORCES[-1]), steps=rough.search.steps)
-    fit = _alternate(fine, rough.search.y, problem, noise, progress, ROUGH_GAIN, store)
+        return rough._replace(process_force=float(PROCESS_FORCES[-1]), steps=rough.search.steps)
+    fit = _alternate(fine, rough.search.theta, problem, noise, progress, ROUGH_GAIN, store)
     return fit._replace(steps=rough.search.steps + fit.steps)
 
 
@@ -67,52 +67,52 @@ def refine_substeps(fit: RefinedFit, noise: float, progress: StepProgress, store
     The integrator is of second order, so a sixteenth of its error is left, a fifteenth of how far the estimates moved.
     A model that lacks more force than the integrator errs stays as it is.
     """
-    if fit.process > INTEGRATOR_ERROR:
+    if fit.process_force > INTEGRATOR_ERROR:
         return fit
     finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
-    sharp = _alternate(finest, fit.search.y, fit.problem, noise, progress, FINE_GAIN, store)
-    left = (sharp.search.y - fit.search.y) / 15.0
+    sharp = _alternate(finest, fit.search.theta, fit.problem, noise, progress, FINE_GAIN, store)
+    left = (sharp.search.theta - fit.search.theta) / 15.0
     covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
     return sharp._replace(covariance=covariance, steps=fit.steps + sharp.steps)
 
 
 def _alternate(
     fine: Innovations,
-    y: Float[np.ndarray, " k"],
+    theta: Float[np.ndarray, " k"],
     problem: IdentificationProblem,
     noise: float,
     progress: StepProgress,
-    enough: float,
+    min_gain: float,
     store: Store | None,
 ) -> RefinedFit:
     """Searches under the filter's gains and gains at the search's end, as long as the log becomes likelier."""
-    best, kept, steps, boldness = _most_likely_at(fine, y, problem, noise), None, 0, TRUST
+    best, final, steps, trust = _most_likely_at(fine, theta, problem, noise), None, 0, TRUST
     for _ in range(MAX_ROUNDS):
-        process = max(best.process / boldness, float(PROCESS_FORCES[0]))
-        gains = best.track.gains
-        if process != best.process:
+        process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
+        gains = best.filter_result.gains
+        if process != best.process_force:
             gains = filter_lanes(
-                *_drive_and_delay(fine, y, problem), process, noise, problem.lanes, fine.sampling
+                *_drive_and_delay(fine, theta, problem), process, noise, problem.lanes, fine.sampling
             ).gains
-        given = problem._replace(gains=jax.tree.map(np.asarray, gains))
-        fit = search_once(fine, y, given, progress, enough, store=store)
-        then, steps = _most_likely_at(fine, fit.search.y, problem, noise), steps + fit.search.steps
-        likelier = then.deviance < best.deviance - MIN_DEVIANCE_GAIN
+        filtered = problem._replace(gains=jax.tree.map(np.asarray, gains))
+        fit = search_once(fine, theta, filtered, progress, min_gain, store=store)
+        new, steps = _most_likely_at(fine, fit.search.theta, problem, noise), steps + fit.search.steps
+        likelier = new.deviance < best.deviance - MIN_DEVIANCE_GAIN
         if likelier:
-            y, best = fit.search.y, then
-        if likelier or process == best.process or kept is None:
-            kept = fit  # in the end the one whose gains are those of the likeliest process
+            theta, best = fit.search.theta, new
+        if likelier or process == best.process_force or final is None:
+            final = fit  # in the end the one whose gains are those of the likeliest process
         if was_interrupted(fit.search):
-            kept = _with_status(kept, fit.search.status)
+            final = _with_status(final, fit.search.status)
             break
-        if not likelier and process == best.process:
+        if not likelier and process == best.process_force:
             break
         if not likelier:
-            boldness = 1.0  # it was too bold: not again
+            trust = 1.0  # it was too bold: not again
     else:
-        kept = _with_status(kept, f"stopped after {MAX_ROUNDS} rounds of filtering")
-    assert kept is not None
-    return kept._replace(process=best.process, gain=best.gain, steps=steps)
+        final = _with_status(final, f"stopped after {MAX_ROUNDS} rounds of filtering")
+    assert final is not None
+    return final._replace(process_force=best.process_force, deviance_gain=best.deviance_gain, steps=steps)
 
 
 def _with_status(fit: RefinedFit | None, status: str) -> RefinedFit:
@@ -126,95 +126,95 @@ def was_interrupted(search: LeastSquaresResult) -> bool:
 
 
 def _drive_and_delay(
-    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem
+    fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem
 ) -> tuple[Drive, float]:
-    drive, unknowns = fine.unpack(jnp.asarray(y), problem)
+    drive, unknowns = fine.unpack(jnp.asarray(theta), problem)
     return drive, unknowns.delay
 
 
 def _most_likely_at(
-    fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float
+    fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float
 ) -> MostLikely:
-    return most_likely(*_drive_and_delay(fine, y, problem), noise, problem.lanes, fine.sampling)
+    return most_likely(*_drive_and_delay(fine, theta, problem), noise, problem.lanes, fine.sampling)
 
 
 def search_once(
     fine: Innovations,
-    y: Float[np.ndarray, " k"],
+    theta: Float[np.ndarray, " k"],
     problem: IdentificationProblem,
     progress: StepProgress,
-    enough: float,
-    most: int = MAX_STEPS,
+    min_gain: float,
+    max_steps: int = MAX_STEPS,
     store: Store | None = None,
 ) -> RefinedFit:
     """One search under given gains; a finished one is kept in the `store`, or taken from there."""
-    given = as_arrays(problem)
-    key = "" if store is None else digest("searched", fine, y, problem, enough, most)
-    kept = None if store is None else store.read(key)
-    if kept is None:
+    arrays = as_arrays(problem)
+    key = "" if store is None else digest("searched", fine, theta, problem, min_gain, max_steps)
+    stored = None if store is None else store.read(key)
+    if stored is None:
         search = levenberg_marquardt(
-            fine, y, given, max_steps=most, tolerance=TOLERANCE, enough=enough, progress=progress
+            fine, theta, arrays, max_steps=max_steps, tolerance=TOLERANCE, min_gain=min_gain, progress=progress
         )
         if store is not None and not was_interrupted(search):
-            store.write(key, {name: np.asarray(one) for name, one in dataclasses.asdict(search).items()})
+            store.write(key, {name: np.asarray(array) for name, array in dataclasses.asdict(search).items()})
     else:
-        values = {name: one if name == "y" else one.tolist() for name, one in kept.items()}
+        values = {name: array if name == "theta" else array.tolist() for name, array in stored.items()}
         search = LeastSquaresResult(**values)
         try:
-            progress(search.steps, most, search.cost)
+            progress(search.steps, max_steps, search.cost)
         except KeyboardInterrupt:  # as in the search itself
             search = dataclasses.replace(search, status=f"interrupted after {search.steps} steps")
-    predicted, covariance = _predict(fine, jnp.asarray(search.y), given), _covariance(fine, search.y, problem)
+    predicted, covariance = _predict(fine, jnp.asarray(search.theta), arrays), _covariance(fine, search.theta, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return RefinedFit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
 
 
 @eqx.filter_jit
-def _predict(fine: Innovations, y: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
-    return fine.predict(y, problem)
+def _predict(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
+    return fine.predict(theta, problem)
 
 
 @eqx.filter_jit
-def linearised(fine: Innovations, y: Float[Array, " k"], problem: IdentificationProblem) -> Any:
-    """The residuals at y, [m], and their derivative, [m, k]."""
+def linearised(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Any:
+    """The residuals at theta, [m], and their derivative, [m, k]."""
 
     def along(direction: Float[Array, " k"]) -> Any:
-        return jax.jvp(lambda y: fine(y, problem), (y,), (direction,))
+        return jax.jvp(lambda theta: fine(theta, problem), (theta,), (direction,))
 
-    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(y)))
+    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))
 
 
-def _covariance(fine: Innovations, y: Float[np.ndarray, " k"], problem: IdentificationProblem) -> Covariance:
+def _covariance(fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem) -> Covariance:
     shape = problem.lanes.position.shape
-    value, slope = (np.asarray(one) for one in linearised(fine, jnp.asarray(y), as_arrays(problem)))
+    value, slope = (np.asarray(array) for array in linearised(fine, jnp.asarray(theta), as_arrays(problem)))
     samples = shape[0] * shape[1]
     residual, jacobian = value[:samples].reshape(shape), slope[:samples].reshape(*shape, -1)
     return sandwich(residual, jacobian, fine.sampling.rate, np.asarray(problem.prior))
 
 
 def without_undetermined(
-    fit: RefinedFit, lost: set[str]
+    fit: RefinedFit, undetermined: set[str]
 ) -> tuple[Innovations, Float[np.ndarray, " k"], IdentificationProblem]:
-    """The problem without the parameters in `lost`, which go back to what was believed, and y of the others.
+    """The problem without the `undetermined` parameters, which go back to what was believed, and theta of the others.
 
     A believed value outside the bounds goes to the nearer one.
     """
     free, problem = fit.residuals.free, fit.problem
-    kept = np.array([one.path not in lost for one in free])
-    unknowns, found = problem.unknowns, fit.residuals.unpack(jnp.asarray(fit.search.y), problem)[1]
+    is_free = np.array([parameter.path not in undetermined for parameter in free])
+    unknowns, found = problem.unknowns, fit.residuals.unpack(jnp.asarray(fit.search.theta), problem)[1]
     for path, low, high in free:
-        if path not in lost:
+        if path not in undetermined:
             continue
         believed = value_at(problem.believed_unknowns, path)
         stem, _, side = path.partition(".")
         if stem == "breakaway":  # the gap stays, not its ratio to a Coulomb friction that was found to be another
             gap = getattr(problem.believed.friction.breakaway_gap, side)
-            level = problem.believed_unknowns if f"coulomb.{side}" in lost else found
+            level = problem.believed_unknowns if f"coulomb.{side}" in undetermined else found
             believed = 1.0 + float(gap) / value_at(level, f"coulomb.{side}")
         unknowns = with_value(unknowns, path, float(np.clip(believed, low, high)))
-    smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, kept)))
-    origin, prior = np.asarray(problem.origin)[kept], np.asarray(problem.prior)[kept]
-    return smaller, fit.search.y[kept], problem._replace(unknowns=unknowns, origin=origin, prior=prior)
+    smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, is_free)))
+    origin, prior = np.asarray(problem.origin)[is_free], np.asarray(problem.prior)[is_free]
+    return smaller, fit.search.theta[is_free], problem._replace(unknowns=unknowns, origin=origin, prior=prior)
 
 
 def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
@@ -223,16 +223,16 @@ def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
     NaN where there is no log, and during `SETTLING`, while the filter finds the velocity and the bristle that the log
     began with.
     """
-    drive, _ = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)
+    drive, _ = fit.residuals.unpack(jnp.asarray(fit.search.theta), fit.problem)
     sampling = fit.residuals.sampling
     force = float(drive.plant.mass) * sampling.rate * np.asarray(fit.problem.gains.velocity) * fit.innovation
     width = max(1, round(SMOOTHING * sampling.rate))
-    smooth = scipy.ndimage.uniform_filter1d(force, width, axis=1)
-    smooth[:, : round(SETTLING * sampling.rate)] = np.nan
-    return np.where(np.asarray(fit.problem.lanes.counts) > 0, smooth, np.nan)
+    smoothed = scipy.ndimage.uniform_filter1d(force, width, axis=1)
+    smoothed[:, : round(SETTLING * sampling.rate)] = np.nan
+    return np.where(np.asarray(fit.problem.lanes.counts) > 0, smoothed, np.nan)
 
 
 def coulomb_level(fit: RefinedFit) -> float:
     """Coulomb friction (N) at no load, the scale against which missing forces count."""
-    unknowns = fit.residuals.unpack(jnp.asarray(fit.search.y), fit.problem)[1]
+    unknowns = fit.residuals.unpack(jnp.asarray(fit.search.theta), fit.problem)[1]
     return 0.5 * float(unknowns.coulomb.positive + unknowns.coulomb.negative)

@@ -37,44 +37,44 @@ def _per_direction(name: str, column: Signal, velocity: Signal) -> Columns:
     }
 
 
-def inertia(at: Kinematics) -> Columns:
+def inertia(kinematics: Kinematics) -> Columns:
     """M a."""
-    return {"mass": at.acceleration}
+    return {"mass": kinematics.acceleration}
 
 
-def viscous(at: Kinematics) -> Columns:
+def viscous(kinematics: Kinematics) -> Columns:
     """Fv v, friction and damping of the system together."""
-    return {"viscous": at.velocity}
+    return {"viscous": kinematics.velocity}
 
 
-def viscous_per_direction(at: Kinematics) -> Columns:
+def viscous_per_direction(kinematics: Kinematics) -> Columns:
     """Fv v, another Fv in each direction."""
-    return _per_direction("viscous", at.velocity, at.velocity)
+    return _per_direction("viscous", kinematics.velocity, kinematics.velocity)
 
 
-def coulomb(at: Kinematics) -> Columns:
+def coulomb(kinematics: Kinematics) -> Columns:
     """Fc sign(v)."""
-    return {"coulomb": np.sign(at.velocity)}
+    return {"coulomb": np.sign(kinematics.velocity)}
 
 
-def coulomb_per_direction(at: Kinematics) -> Columns:
+def coulomb_per_direction(kinematics: Kinematics) -> Columns:
     """Fc sign(v), another Fc in each direction."""
-    return _per_direction("coulomb", np.sign(at.velocity), at.velocity)
+    return _per_direction("coulomb", np.sign(kinematics.velocity), kinematics.velocity)
 
 
-def constant_force(at: Kinematics) -> Columns:
+def constant_force(kinematics: Kinematics) -> Columns:
     """What pulls the table in one direction always; it spares the motor that force."""
-    return {"constant_force": -np.ones_like(at.velocity)}
+    return {"constant_force": -np.ones_like(kinematics.velocity)}
 
 
-def load_slope(at: Kinematics) -> Columns:
+def load_slope(kinematics: Kinematics) -> Columns:
     """Coulomb friction in proportion to the load, mu W sign(v)."""
-    return {"load_coefficient": at.load * np.sign(at.velocity)}
+    return {"load_coefficient": kinematics.load * np.sign(kinematics.velocity)}
 
 
-def load_slope_per_direction(at: Kinematics) -> Columns:
+def load_slope_per_direction(kinematics: Kinematics) -> Columns:
     """Coulomb friction in proportion to the load, another mu in each direction."""
-    return _per_direction("load_coefficient", at.load * np.sign(at.velocity), at.velocity)
+    return _per_direction("load_coefficient", kinematics.load * np.sign(kinematics.velocity), kinematics.velocity)
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ class Regressors:
         """The same with the Coulomb friction's slope over the load among its terms."""
         return Regressors(f"{self.name}, with load", (*self.terms, self.load_term), self.load_term)
 
-    def columns(self, at: Kinematics) -> Columns:
+    def columns(self, kinematics: Kinematics) -> Columns:
         """All columns by the names of their parameters, [n] each."""
-        return {name: column for term in self.terms for name, column in term(at).items()}
+        return {name: column for term in self.terms for name, column in term(kinematics).items()}
 
 
 SYMMETRIC = Regressors("symmetric", (inertia, viscous, coulomb, constant_force), load_slope)

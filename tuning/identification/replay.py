@@ -73,16 +73,20 @@ def _row(log: Log, piece: slice, longest: int) -> tuple[Reference, Reference, np
     # not the log's own times: the controller ran on a uniform clock
     motion = from_array(np.arange(piece.stop - piece.start) / log.rate, log.reference[piece], name=log.name)
     signals = (motion.position, motion.velocity, motion.acceleration)
-    ago = np.arange(-WARM_UP, 0.0) / log.rate
-    at, speed, rising = (signal[0] for signal in signals)
-    past = Reference(at + speed * ago + 0.5 * rising * ago**2, speed + rising * ago, np.full(WARM_UP, rising))
+    past_time = np.arange(-WARM_UP, 0.0) / log.rate
+    position, speed, acceleration = (signal[0] for signal in signals)
+    past = Reference(
+        position + speed * past_time + 0.5 * acceleration * past_time**2,
+        speed + acceleration * past_time,
+        np.full(WARM_UP, acceleration),
+    )
     first = log.position[piece][: max(WARM_UP, round(INITIAL_WINDOW * log.rate))]
     bend, slope, _ = np.polyfit(np.arange(len(first)) / log.rate, first, 2)
     padded = Reference(*(np.pad(signal, (0, longest - len(signal)), mode="edge") for signal in signals))
-    return padded, past, first[0] + slope * ago + bend * ago**2, float(slope)
+    return padded, past, first[0] + slope * past_time + bend * past_time**2, float(slope)
 
 
-def initial_loop_state(drive: Drive, controller: Controller, at: ReplayInputs, period: float) -> LoopState:
+def initial_loop_state(drive: Drive, controller: Controller, lane: ReplayInputs, period: float) -> LoopState:
     """The loop at the first sample of one lane, in motion.
 
     The table is where it was measured, the bristle in the steady state of its velocity. The controller has seen
@@ -90,15 +94,15 @@ def initial_loop_state(drive: Drive, controller: Controller, at: ReplayInputs, p
     quotients and short filters. What a controller remembers for longer, an integral or a slow observer, begins as at
     rest.
     """
-    force = saturate(drive.actuator, at.lanes.command[0])
+    force = saturate(drive.actuator, lane.lanes.command[0])
 
     def before(state: Any, sample: tuple[Reference, Scalar]) -> tuple[Any, None]:
         return controller.step(state, *sample, force, period)[0], None
 
-    warm, _ = lax.scan(before, controller.init(at.past_position[0]), (at.past_reference, at.past_position))
+    warm, _ = lax.scan(before, controller.init(lane.past_position[0]), (lane.past_reference, lane.past_position))
     effects = stages.initial_states(drive.effects, force)
     return LoopState(
-        initial_state(drive, at.lanes), steady_state(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
+        initial_state(drive, lane.lanes), steady_state(drive.actuator, force), warm, jnp.zeros((), jnp.uint32), effects
     )
 
 
@@ -106,13 +110,13 @@ def replay(drive: Drive, controller: Controller, given: ReplayInputs, sampling: 
     """Simulated position and command of each piece in closed loop. Pure: for use under `jit`, `vmap` and `jacfwd`."""
     require_double_precision()
 
-    def one(at: ReplayInputs) -> ReplayOutput:
-        inputs = Inputs(at.reference, at.lanes.load, at.lanes.disturbance)
-        begin = initial_loop_state(drive, controller, at, sampling.period)
+    def replay_lane(lane: ReplayInputs) -> ReplayOutput:
+        inputs = Inputs(lane.reference, lane.lanes.load, lane.lanes.disturbance)
+        begin = initial_loop_state(drive, controller, lane, sampling.period)
         frame = rollout(drive, controller, inputs, sampling, begin=begin)
         return ReplayOutput(frame.position, frame.command)
 
-    return lax.map(one, given)
+    return lax.map(replay_lane, given)
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ class ClosedLoopReplay:
     time: Float[np.ndarray, " n"]  # s
     position: Float[np.ndarray, " n"]  # m, simulated
     command: Float[np.ndarray, " n"]  # N, simulated, without the known disturbance
-    missing: Float[np.ndarray, " n"]  # N, simulated minus logged command
+    command_error: Float[np.ndarray, " n"]  # N, simulated minus logged command
     force_percent: float  # 100 |F_sim - F_log| / |F_log|, F the command and the known disturbance
     command_rms: float  # N, of `missing`
     position_rms: float  # m, of simulated minus measured position
@@ -170,7 +174,7 @@ def replay_closed_loop(
         time=_time(log),
         position=position,
         command=command,
-        missing=missing,
+        command_error=missing,
         force_percent=float(100 * rms / max(np.sqrt(np.mean((logged + added) ** 2)), np.finfo(float).tiny)),
         command_rms=float(rms),
         position_rms=_rms(position - measured, status),
@@ -187,8 +191,8 @@ def replay_open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -
     lanes = lanes_of([log])
     actuator = drive.actuator
     delay = actuator.delay_samples + float(actuator.delay_fraction or 0.0)
-    none = FilterGains(*(jnp.zeros_like(lanes.position) for _ in FilterGains._fields))
-    found = _predict(as_arrays(drive), jnp.asarray(delay), none, lanes, _sampling(log, sampling))
+    no_gains = FilterGains(*(jnp.zeros_like(lanes.position) for _ in FilterGains._fields))
+    found = _predict(as_arrays(drive), jnp.asarray(delay), no_gains, lanes, _sampling(log, sampling))
     counted = np.asarray(lanes.counts) > 0
     measured, missed = np.asarray(lanes.position)[counted], -np.asarray(found.innovation)[counted]
     status = _status(log, missed, "measured position")
@@ -198,14 +202,15 @@ def replay_open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -
 def drift_note(drive: Drive) -> str:
     """Why an open-loop position error says little about this drive."""
     friction, damping = drive.friction, drive.plant.damping
-    fall, held = [], []
+    falls, resistances = [], []
     for side in ("positive", "negative"):
         resistance = float(getattr(friction.viscous, side)) + float(getattr(damping, side))
-        fall.append(steepest_stribeck_slope(friction, side) - resistance)
-        held.append(resistance)
-    drifts = f"a force that is off by 1 N moves the table by {1e3 / np.mean(held):.2g} mm/s, and nothing brings it back"
-    if max(fall) > 0:
-        grows = max(fall) / float(drive.plant.mass)
+        falls.append(steepest_stribeck_slope(friction, side) - resistance)
+        resistances.append(resistance)
+    speed = 1e3 / np.mean(resistances)
+    drifts = f"a force that is off by 1 N moves the table by {speed:.2g} mm/s, and nothing brings it back"
+    if max(falls) > 0:
+        grows = max(falls) / float(drive.plant.mass)
         drifts += f"; on the falling Stribeck curve an error grows by a factor e in {1e3 / grows:.2g} ms"
     return (
         f"open loop: {drifts}. A small figure shows that the errors of the forces cancel over the strokes, a large one "
@@ -232,9 +237,11 @@ def _rms(signal: np.ndarray, status: Status) -> float:
 def _status(log: Log, distance: np.ndarray, off: str) -> Status:
     """Whether the table stayed within ten times the log's travel, and at least 0.1 m, of where it should be."""
     reach = max(10 * float(np.ptp(log.position)), 0.1)
-    away: Bool[np.ndarray, " n"] = ~(np.abs(distance) <= reach)
-    if not away.any():
+    is_away: Bool[np.ndarray, " n"] = ~(np.abs(distance) <= reach)
+    if not is_away.any():
         return Status(True)
-    at = float(_time(log)[int(np.argmax(away))])
-    message = f"diverged: {log.name}: the simulated position leaves the {off} by more than {reach:g} m at t = {at:g} s"
-    return Status(False, message, "position", at, "diverged")
+    time = float(_time(log)[int(np.argmax(is_away))])
+    message = (
+        f"diverged: {log.name}: the simulated position leaves the {off} by more than {reach:g} m at t = {time:g} s"
+    )
+    return Status(False, message, "position", time, "diverged")

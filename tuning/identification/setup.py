@@ -31,7 +31,7 @@ class IdentificationSetup(NamedTuple):
     free: tuple[FreeParameter, ...]
     rate: float  # Hz
     noise: float  # m
-    unasked: frozenset[str]  # paths of parameters that no motion of these logs bears on
+    unexcited: frozenset[str]  # paths of parameters that no motion of these logs bears on
     notes: tuple[str, ...]
 
 
@@ -62,22 +62,22 @@ def build_problem(
         origin=np.zeros(0),
         prior=np.zeros(0),
     )
-    held, unasked = _fixed_unknowns(fixed), frozenset[str]()
-    if "coulomb" in held and "load_coefficient" not in held and not _has_one_load(problem):
+    fixed_names, unexcited = _fixed_unknowns(fixed), frozenset[str]()
+    if "coulomb" in fixed_names and "load_coefficient" not in fixed_names and not _has_one_load(problem):
         raise ParameterError(
             "the loads differ between or within the logs: fix coulomb_screw and load_coefficient together, or neither, "
             "since friction shows only their sum at each load"
         )
-    if "load_coefficient" not in held and _has_one_load(problem):
-        held.add("load_coefficient")
-        unasked = frozenset(path for path in free_paths(believed) if path.startswith("load_coefficient"))
+    if "load_coefficient" not in fixed_names and _has_one_load(problem):
+        fixed_names.add("load_coefficient")
+        unexcited = frozenset(path for path in free_paths(believed) if path.startswith("load_coefficient"))
         notes.append("these logs hold one load: load_coefficient stays as in the drive file")
-    if "load_coefficient" not in held and float(drive.friction.initial_load) > 0:
+    if "load_coefficient" not in fixed_names and float(drive.friction.initial_load) > 0:
         notes.append(
             "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
         )
-    problem, free, said = free_space(_with_fixed(problem, held), held, bounded)
-    return IdentificationSetup(problem, free, rate, noise, unasked, (*notes, *said))
+    problem, free, more_notes = free_space(_with_fixed(problem, fixed_names), fixed_names, bounded)
+    return IdentificationSetup(problem, free, rate, noise, unexcited, (*notes, *more_notes))
 
 
 def _common_rate(logs: Sequence[Log]) -> float:
@@ -123,8 +123,10 @@ def _has_one_load(problem: IdentificationProblem) -> bool:
     return bool(np.ptp(loads) <= LOAD_SPREAD * np.max(np.abs(loads)))
 
 
-def _with_fixed(problem: IdentificationProblem, held: set[str]) -> IdentificationProblem:
+def _with_fixed(problem: IdentificationProblem, fixed_names: set[str]) -> IdentificationProblem:
     """Held parameters at the believed values; a held gap stays a gap, whatever becomes of the Coulomb friction."""
     before = problem.believed_unknowns
-    values = {name: getattr(before, name) for name in held} | ({"breakaway": None} if "breakaway" in held else {})
+    values = {name: getattr(before, name) for name in fixed_names} | (
+        {"breakaway": None} if "breakaway" in fixed_names else {}
+    )
     return problem._replace(unknowns=dataclasses.replace(problem.unknowns, **values))

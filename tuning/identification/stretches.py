@@ -67,6 +67,6 @@ def _stretch(log: Log, piece: slice, border: int) -> Stretch:
     position = np.asarray(log.position[piece], dtype=float)
     for name, signal in (("position", position), ("command + disturbance", force), ("load", load)):
         if not np.all(np.isfinite(signal)):
-            at = log.time[piece][np.flatnonzero(~np.isfinite(signal))[0]]
-            raise LogError(f"{log.name}: {name} is not finite at {at:.6g} s: mark a gap there")
+            time = log.time[piece][np.flatnonzero(~np.isfinite(signal))[0]]
+            raise LogError(f"{log.name}: {name} is not finite at {time:.6g} s: mark a gap there")
     return Stretch(log.name, log.rate, log.time[piece], position, force, load, border)

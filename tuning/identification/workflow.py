@@ -29,15 +29,15 @@ class IdentificationResult(Result):
     """The axis that logs tell, and how sure each of its parameters is.
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
-    `found` has the rest: covariance, residuals, adequacy. Not ok: the search did not converge.
+    `fit` has the rest: covariance, residuals, adequacy. Not ok: the search did not converge.
     """
 
     axis: Axis
     estimates: tuple[ParameterEstimate, ...]
-    found: Identification
+    fit: Identification
     logs: CheckedLogs
     notes: tuple[str, ...]
-    given: Axis  # before
+    initial_axis: Axis  # before
     status: Status
 
     schema: ClassVar[str] = "identification/1"
@@ -49,7 +49,7 @@ class IdentificationResult(Result):
         `ParameterError` for an unknown one.
         """
         stem = name.removeprefix("plant.").removeprefix("friction.").removeprefix("actuator.")
-        known = {one.name: one for one in self.estimates}
+        known = {estimate.name: estimate for estimate in self.estimates}
         both = stem.removesuffix(".positive").removesuffix(".negative")
         if stem not in known and both not in known:
             raise ParameterError(f"{name}: is not identified; known: {', '.join(known)}")
@@ -57,38 +57,40 @@ class IdentificationResult(Result):
 
     def interval(self, name: str) -> tuple[float, float]:
         """The 95 % interval of one parameter; without end (infinite) where the logs do not determine it."""
-        one = self.estimate(name)
-        if one.status in ("not determined", "at its bound"):
+        estimate = self.estimate(name)
+        if estimate.status in ("not determined", "at its bound"):
             return (-np.inf, np.inf)
-        return (one.low, one.high)
+        return (estimate.low, estimate.high)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
         """The parameters that the logs do not determine: they stay as they were."""
-        return tuple(one.name for one in self.estimates if one.status == "not determined")
+        return tuple(estimate.name for estimate in self.estimates if estimate.status == "not determined")
 
     def headline(self) -> str:
-        fitted = [one for one in self.estimates if one.status == "fitted"]
+        fitted = [estimate for estimate in self.estimates if estimate.status == "fitted"]
         mass = self.estimate("mass")
-        told = "" if self.status.ok else "NOT OK: "
+        prefix = "" if self.status.ok else "NOT OK: "
         return (
-            f"{told}{self.status.message}: {len(fitted)} of {len(self.estimates)} parameters from "
+            f"{prefix}{self.status.message}: {len(fitted)} of {len(self.estimates)} parameters from "
             f"{len(self.logs.logs)} logs, mass {mass.value:.4g} kg"
         )
 
     def summary(self) -> str:
         rows = [f"{'parameter':<28}{'unit':<8}{'before':>12}{'identified':>12}  95 % interval"]
-        for one in self.estimates:
-            interval = f"{one.low:.4g} to {one.high:.4g}" if one.status == "fitted" else one.status
-            rows.append(f"{one.name:<28}{one.unit:<8}{one.believed:>12.4g}{one.value:>12.4g}  {interval}")
+        for estimate in self.estimates:
+            interval = f"{estimate.low:.4g} to {estimate.high:.4g}" if estimate.status == "fitted" else estimate.status
+            rows.append(
+                f"{estimate.name:<28}{estimate.unit:<8}{estimate.believed:>12.4g}{estimate.value:>12.4g}  {interval}"
+            )
         return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, Any]:
         return {
-            "estimates": [one._asdict() for one in self.estimates],
-            "adequacy": self.found.adequacy._asdict(),
-            "noise_m": self.found.noise,
-            "white_force_N": self.found.process,
+            "estimates": [estimate._asdict() for estimate in self.estimates],
+            "adequacy": self.fit.adequacy._asdict(),
+            "noise_m": self.fit.noise,
+            "white_force_N": self.fit.process_force,
             "logs": [log.name for log in self.logs.logs],
             "notes": list(self.notes),
         }
@@ -153,7 +155,7 @@ def identification_result(axis: Axis, found: Identification, checked: CheckedLog
     """The result, with what is to be said of it."""
     ok = found.search.status == "converged"
     code = CODES.get(found.status, "interrupted" if was_interrupted(found.search) else "not_converged")
-    notes = [f"{log}: {one.message}; {one.remedy}" for log, one in checked.worth_saying]
+    notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in checked.notable]
     notes += [*found.notes, found.adequacy.says]
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []

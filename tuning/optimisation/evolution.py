@@ -63,27 +63,27 @@ class Evolution:
 
 def evolve(
     costs: Costs,
-    begin: Float[np.ndarray, " k"],
+    start: Float[np.ndarray, " k"],
     budget: Budget,
     *,
     population: int = POPULATION,
-    sample: int = 0,
+    screened: int = 0,
     seed: int = 0,
     progress: Callable[[HistoryEntry], None] = lambda visit: None,
 ) -> Evolution:
-    """Minimise `costs` over the unit cube; `begin` is one member of the first population, the others fill it evenly.
+    """Minimise `costs` over the unit cube; `start` is one member of the first population, the others fill it evenly.
 
-    With `sample` points, the first population is the best of so many that fill the cube evenly, and of `begin`.
+    With `screened` points, the first population is the best of so many that fill the cube evenly, and of `start`.
     Differential evolution with scipy's defaults (best1bin, mutation 0.5 to 1, recombination 0.7), without its final
     gradient polish. Costs that are not finite count as the worst.
     """
-    began, history, status = time.perf_counter(), list[HistoryEntry](), "converged: the population has collapsed"
+    started, history, status = time.perf_counter(), list[HistoryEntry](), "converged: the population has collapsed"
 
     def generation(shares: Float[np.ndarray, "k s"]) -> Float[np.ndarray, " s"]:
         found = np.nan_to_num(costs(shares.T), nan=DIVERGED_COST, posinf=DIVERGED_COST)
-        simulations, _, least = history[-1] if history else HistoryEntry(0, 0.0, np.inf)
-        now = time.perf_counter() - began
-        history.append(HistoryEntry(simulations + len(found), now, min(least, float(found.min()))))
+        simulations, _, lowest = history[-1] if history else HistoryEntry(0, 0.0, np.inf)
+        now = time.perf_counter() - started
+        history.append(HistoryEntry(simulations + len(found), now, min(lowest, float(found.min()))))
         progress(history[-1])
         return found
 
@@ -101,14 +101,14 @@ def evolve(
         raise StopIteration
 
     first: Any = "latinhypercube"
-    if sample:
-        points = np.vstack([begin, scipy.stats.qmc.Sobol(len(begin), seed=seed).random(sample)])
-        sampled = np.concatenate([generation(some.T) for some in np.array_split(points, max(1, sample // BLOCK))])
-        first = np.clip(points[np.argsort(sampled)[: population * len(begin)]], 2 * EDGE, 1.0 - 2 * EDGE)
+    if screened:
+        points = np.vstack([start, scipy.stats.qmc.Sobol(len(start), seed=seed).random(screened)])
+        sampled = np.concatenate([generation(some.T) for some in np.array_split(points, max(1, screened // BLOCK))])
+        first = np.clip(points[np.argsort(sampled)[: population * len(start)]], 2 * EDGE, 1.0 - 2 * EDGE)
     found = scipy.optimize.differential_evolution(
         generation,
-        [(EDGE, 1.0 - EDGE)] * len(begin),
-        x0=np.clip(begin, 2 * EDGE, 1.0 - 2 * EDGE),
+        [(EDGE, 1.0 - EDGE)] * len(start),
+        x0=np.clip(start, 2 * EDGE, 1.0 - 2 * EDGE),
         init=first,
         popsize=population,
         maxiter=max(1, budget.simulations),  # never reached: a generation has several members
@@ -124,11 +124,11 @@ def evolve(
 
 @eqx.filter_jit
 def _norms(residuals: Residuals, points: Float[Array, "s k"], args: Any, block: int) -> Float[Array, " s"]:
-    return lax.map(lambda y: jnp.linalg.norm(residuals(y, args)), points, batch_size=block)
+    return lax.map(lambda theta: jnp.linalg.norm(residuals(theta, args)), points, batch_size=block)
 
 
 def norm_costs(residuals: Residuals, space: SearchSpace, args: Any, block: int = BLOCK) -> Costs:
-    """The root of the sum of squares of `residuals(y, args)`, the cost of `tuning.optimisation.least_squares`, over
+    """The root of the sum of squares of `residuals(theta, args)`, the cost of `tuning.optimisation.least_squares`, over
     `space`.
     """
 
@@ -139,10 +139,10 @@ def norm_costs(residuals: Residuals, space: SearchSpace, args: Any, block: int =
 
 
 def theta_at(space: SearchSpace, shares: Float[np.ndarray, "*s k"]) -> Float[np.ndarray, "*s k"]:
-    """The coordinates y of the gradient search at these shares of each parameter's range."""
+    """The coordinates theta of the gradient search at these shares of each parameter's range."""
     return np.log(shares / (1.0 - shares)) - space.origin
 
 
 def origin_fractions(space: SearchSpace) -> Float[np.ndarray, " k"]:
-    """The shares at y = 0, where a gradient search starts."""
+    """The shares at theta = 0, where a gradient search starts."""
     return np.asarray(jax.nn.sigmoid(jnp.asarray(space.origin)))

@@ -31,9 +31,9 @@ def no_progress(step: int, most: int, cost: float) -> None:
 class LeastSquaresResult:
     """Where a search ended: the best point, why it stopped, and the root of the sum of squares along the way."""
 
-    y: np.ndarray
+    theta: np.ndarray
     status: str
-    cost_before: float
+    initial_cost: float
     cost: float
     steps: int
     seconds: float
@@ -68,17 +68,17 @@ def with_jacobian(residuals: Residuals) -> Residuals:
     """
 
     @jax.custom_jvp
-    def value(y: Any, args: Any) -> Any:
-        return residuals(y, args)
+    def value(theta: Any, args: Any) -> Any:
+        return residuals(theta, args)
 
     @value.defjvp
     def both(primals: Any, tangents: Any) -> Any:
-        y, args = primals
+        theta, args = primals
 
         def along(direction: Any) -> Any:
-            return jax.jvp(lambda y: residuals(y, args), (y,), (direction,))
+            return jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,))
 
-        found, columns = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(y)))
+        found, columns = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(theta)))
         return found, tangents[0] @ columns
 
     return value
@@ -91,9 +91,9 @@ NO_TAGS: frozenset[object] = frozenset()
 def _scaled(residuals: Residuals) -> Any:
     linearised = with_jacobian(residuals)
 
-    def fn(y: Any, args: Any) -> tuple[Any, None]:
-        unit, given = args
-        return linearised(y, given) / unit, None
+    def fn(theta: Any, args: Any) -> tuple[Any, None]:
+        unit, scaled_args = args
+        return linearised(theta, scaled_args) / unit, None
 
     return fn
 
@@ -102,64 +102,64 @@ def _scaled(residuals: Residuals) -> Any:
 
 
 @eqx.filter_jit
-def _norm(residuals: Residuals, y: Any, args: Any) -> Any:
-    return jnp.linalg.norm(residuals(y, args))
+def _norm(residuals: Residuals, theta: Any, args: Any) -> Any:
+    return jnp.linalg.norm(residuals(theta, args))
 
 
 @eqx.filter_jit
-def _begin(residuals: Residuals, solver: Any, y: Any, args: Any) -> Any:
+def _begin(residuals: Residuals, solver: Any, theta: Any, args: Any) -> Any:
     fn = _scaled(residuals)
-    return solver.init(fn, y, args, OPTIONS, *eqx.filter_eval_shape(fn, y, args), NO_TAGS)
+    return solver.init(fn, theta, args, OPTIONS, *eqx.filter_eval_shape(fn, theta, args), NO_TAGS)
 
 
 @eqx.filter_jit
-def _step(residuals: Residuals, solver: Any, y: Any, args: Any, state: Any) -> Any:
+def _step(residuals: Residuals, solver: Any, theta: Any, args: Any, state: Any) -> Any:
     fn = _scaled(residuals)
-    y, state, _ = solver.step(fn, y, args, OPTIONS, state, NO_TAGS)
-    finished, result = solver.terminate(fn, y, args, OPTIONS, state, NO_TAGS)
-    return y, state, args[0] * jnp.sqrt(2.0 * state.f_info.as_min()), finished, result
+    theta, state, _ = solver.step(fn, theta, args, OPTIONS, state, NO_TAGS)
+    finished, result = solver.terminate(fn, theta, args, OPTIONS, state, NO_TAGS)
+    return theta, state, args[0] * jnp.sqrt(2.0 * state.f_info.as_min()), finished, result
 
 
 def levenberg_marquardt(
     residuals: Residuals,
-    y: Float[np.ndarray, " k"],
+    theta: Float[np.ndarray, " k"],
     args: Any,
     *,
     max_steps: int,
     tolerance: float,
-    enough: float = 1e-7,
+    min_gain: float = 1e-7,
     progress: StepProgress = no_progress,
 ) -> LeastSquaresResult:
-    """Minimise the sum of squares of `residuals(y, args)` from `y`.
+    """Minimise the sum of squares of `residuals(theta, args)` from `theta`.
 
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
     `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is
     forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start
-    itself has no finite cost. `enough` is the share of the cost that three steps must gain to be worth going on.
+    itself has no finite cost. `min_gain` is the share of the cost that three steps must gain to be worth going on.
     """
-    began = time.perf_counter()
-    point = jnp.asarray(y)
-    first = float(_norm(residuals, point, args))
-    if not np.isfinite(first):
+    started = time.perf_counter()
+    point = jnp.asarray(theta)
+    initial_cost = float(_norm(residuals, point, args))
+    if not np.isfinite(initial_cost):
         raise DivergenceError(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
         )
     solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    given = (jnp.asarray(first / START_NORM), args)
-    best, cost, history, taken = point, first, [first], [first]
+    scaled_args = (jnp.asarray(initial_cost / START_NORM), args)
+    best, cost, history, accepted_costs = point, initial_cost, [initial_cost], [initial_cost]
     status, count = f"stopped after {max_steps} steps, still falling", 0
     try:
-        state = _begin(residuals, solver, point, given)
+        state = _begin(residuals, solver, point, scaled_args)
         for count in range(1, max_steps + 1):
-            point, state, value, finished, result = _step(residuals, solver, point, given, state)
-            now = float(value)
-            history.append(now)
-            if np.isfinite(now) and now < cost:
-                best, cost = point, now
+            point, state, value, finished, result = _step(residuals, solver, point, scaled_args, state)
+            new_cost = float(value)
+            history.append(new_cost)
+            if np.isfinite(new_cost) and new_cost < cost:
+                best, cost = point, new_cost
             progress(count, max_steps, cost)
-            if taken[-1] != float(now):
-                taken.append(float(now))  # a step that was taken, not one that only raised the damping
-            if len(taken) > STALLED_STEPS and taken[-1 - STALLED_STEPS] - cost < enough * cost:
+            if accepted_costs[-1] != float(new_cost):
+                accepted_costs.append(float(new_cost))  # a step that was taken, not one that only raised the damping
+            if len(accepted_costs) > STALLED_STEPS and accepted_costs[-1 - STALLED_STEPS] - cost < min_gain * cost:
                 status = "converged"
                 break
             if bool(finished):
@@ -167,7 +167,9 @@ def levenberg_marquardt(
                 break
     except KeyboardInterrupt:
         status = f"interrupted after {count - 1} steps"
-    return LeastSquaresResult(np.asarray(best), status, first, cost, count, time.perf_counter() - began, history)
+    return LeastSquaresResult(
+        np.asarray(best), status, initial_cost, cost, count, time.perf_counter() - started, history
+    )
 
 
 _LANES = eqx.if_array(0)
@@ -175,25 +177,25 @@ _LANES = eqx.if_array(0)
 
 @eqx.filter_jit
 def _begin_lanes(residuals: Residuals, solver: Any, points: Any, args: Any) -> Any:
-    units = jax.vmap(lambda y: jnp.linalg.norm(residuals(y, args)))(points) / START_NORM
+    units = jax.vmap(lambda theta: jnp.linalg.norm(residuals(theta, args)))(points) / START_NORM
     fn = _scaled(residuals)
     shapes = eqx.filter_eval_shape(fn, points[0], (units[0], args))
 
-    def one(y: Any, unit: Any) -> Any:
-        return solver.init(fn, y, (unit, args), OPTIONS, *shapes, NO_TAGS)
+    def init_lane(theta: Any, unit: Any) -> Any:
+        return solver.init(fn, theta, (unit, args), OPTIONS, *shapes, NO_TAGS)
 
-    return units, eqx.filter_vmap(one, out_axes=_LANES)(points, units)
+    return units, eqx.filter_vmap(init_lane, out_axes=_LANES)(points, units)
 
 
 @eqx.filter_jit
 def _step_lanes(residuals: Residuals, solver: Any, points: Any, units: Any, args: Any, state: Any) -> Any:
     fn = _scaled(residuals)
 
-    def one(y: Any, unit: Any, state: Any) -> Any:
-        y, state, _ = solver.step(fn, y, (unit, args), OPTIONS, state, NO_TAGS)
-        return y, state, unit * jnp.sqrt(2.0 * state.f_info.as_min())
+    def step_lane(theta: Any, unit: Any, state: Any) -> Any:
+        theta, state, _ = solver.step(fn, theta, (unit, args), OPTIONS, state, NO_TAGS)
+        return theta, state, unit * jnp.sqrt(2.0 * state.f_info.as_min())
 
-    return eqx.filter_vmap(one, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
+    return eqx.filter_vmap(step_lane, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
 
 
 def require_search_memory(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: Any) -> None:

@@ -29,7 +29,7 @@ class FreeParameter(NamedTuple):
 
 
 class SearchSpace(NamedTuple):
-    """Free parameters as one unbounded vector: y = 0 is where each started, and no y leaves the bounds.
+    """Free parameters as one unbounded vector: theta = 0 is where each started, and no theta leaves the bounds.
 
     Gains are positive and span decades: each moves in its logarithm, through a sigmoid between its bounds.
     """
@@ -40,11 +40,11 @@ class SearchSpace(NamedTuple):
     @property
     def names(self) -> list[str]:
         """The last part of each path, with what it is the direction of."""
-        return [_short(one.path) for one in self.free]
+        return [_short(parameter.path) for parameter in self.free]
 
-    def values(self, y: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Float[Array, " k"]:
-        """The parameters at `y`."""
-        share = jax.nn.sigmoid(jnp.asarray(y) + self.origin)
+    def values(self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Float[Array, " k"]:
+        """The parameters at `theta`."""
+        share = jax.nn.sigmoid(jnp.asarray(theta) + self.origin)
         found = []
         for k, (_, low, high) in enumerate(self.free):
             if low > 0:
@@ -53,24 +53,24 @@ class SearchSpace(NamedTuple):
                 found.append(low + (high - low) * share[k])
         return jnp.stack(found)
 
-    def insert(self, model: Model, y: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Model:
-        """The model with its free parameters at `y`."""
-        values = self.values(y)
-        nodes = [attrgetter(one.path)(model) for one in self.free]
+    def insert(self, model: Model, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Model:
+        """The model with its free parameters at `theta`."""
+        values = self.values(theta)
+        nodes = [attrgetter(parameter.path)(model) for parameter in self.free]
         new = [
             Directional(values[k], values[k]) if isinstance(node, Directional) else values[k]
             for k, node in enumerate(nodes)
         ]
-        return eqx.tree_at(lambda m: [attrgetter(one.path)(m) for one in self.free], model, new)
+        return eqx.tree_at(lambda m: [attrgetter(parameter.path)(m) for parameter in self.free], model, new)
 
-    def near_bound(self, y: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
+    def near_bound(self, theta: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
         """Paths of the parameters that ended within 1 % of their range from a bound."""
-        share = np.asarray(jax.nn.sigmoid(jnp.asarray(y) + self.origin))
+        share = np.asarray(jax.nn.sigmoid(jnp.asarray(theta) + self.origin))
         return [free.path for free, s in zip(self.free, share, strict=True) if s < within or s > 1 - within]
 
-    def at_bound(self, y: Float[np.ndarray, " k"]) -> list[str]:
+    def at_bound(self, theta: Float[np.ndarray, " k"]) -> list[str]:
         """The names of those in `near_bound`."""
-        return [_short(path) for path in self.near_bound(y)]
+        return [_short(path) for path in self.near_bound(theta)]
 
 
 def _short(path: str) -> str:

@@ -21,18 +21,18 @@ class FolderStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.found = 0  # parts that were there
-        self._of = digest(code_digest(), arithmetic_signature())
+        self.hits = 0  # parts that were there
+        self._context = digest(code_digest(), arithmetic_signature())
         self._lock = threading.Lock()
         remove_temporary(folder)  # of a run that was killed as it wrote
 
     @classmethod
-    def within(cls, out: Path | None, name: str) -> "FolderStore | None":
+    def in_folder(cls, out: Path | None, name: str) -> "FolderStore | None":
         """Those of that name in a command's folder; None without a folder."""
         return None if out is None else cls(out / name)
 
     def _path(self, key: str) -> Path:
-        return self.folder / f"{digest(self._of, key)}.npz"
+        return self.folder / f"{digest(self._context, key)}.npz"
 
     def read(self, key: str) -> Arrays | None:
         """The part of that key; None where there is none, or it is damaged."""
@@ -42,7 +42,7 @@ class FolderStore:
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return None
         with self._lock:
-            self.found += 1
+            self.hits += 1
         return part
 
     def write(self, key: str, piece: Arrays) -> None:

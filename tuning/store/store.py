@@ -43,14 +43,14 @@ def _feed(update: Callable[[bytes], None], value: Any) -> None:
         update(f"type {value.__module__}.{value.__qualname__};".encode())
     elif isinstance(value, tuple | list):
         update(f"{type(value).__qualname__} {len(value)};".encode())
-        for one in value:
-            _feed(update, one)
+        for item in value:
+            _feed(update, item)
     elif isinstance(value, dict):
         update(f"dict {len(value)};".encode())
         for item in value.items():
             _feed(update, item)
     elif dataclasses.is_dataclass(value):
-        fields = tuple((one.name, getattr(value, one.name)) for one in dataclasses.fields(value))
+        fields = tuple((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
         _feed(update, (type(value), fields))
     elif isinstance(value, np.ufunc):
         update(f"ufunc {value.__name__};".encode())

@@ -31,21 +31,21 @@ def _client(address: str) -> Any:
         raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
 
 
-def _wait(client: Any, done: Any, where: str, say: Notify) -> None:
+def _wait(client: Any, done: Any, place: str, notify: Notify) -> None:
     """Until a part is done, saying once if nobody is there to do it."""
-    said, asked = False, 0.0
+    notified, checked = False, 0.0
     while not done.has_ready():
-        if time.monotonic() - asked > POLLING_PERIOD:
-            asked = time.monotonic()
+        if time.monotonic() - checked > POLLING_PERIOD:
+            checked = time.monotonic()
             if client.nthreads():
-                said = False
-            elif not said:
-                said = True
-                say(f"waiting for workers: {where} has none; start some as `dask worker {client.scheduler.address}`")
+                notified = False
+            elif not notified:
+                notified = True
+                notify(f"waiting for workers: {place} has none; start some as `dask worker {client.scheduler.address}`")
         time.sleep(0.02)
 
 
-def on_cluster(asked: SweepSpec, address: str) -> Engine:
+def on_cluster(spec: SweepSpec, address: str) -> Engine:
     """An engine for `parts.run`: the cluster whose scheduler is at `address`.
 
     A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
@@ -58,32 +58,32 @@ def on_cluster(asked: SweepSpec, address: str) -> Engine:
     except ImportError:
         raise ParameterError("--cluster needs Dask: pip install 'diffdrive[cluster]'") from None
 
-    def engine(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
-        text, question = to_text(asked), plan.question()
-        where = f"--cluster {address}"
+    def engine(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
+        text, identity = to_text(spec), plan.identity()
+        place = f"--cluster {address}"
         if not wanted:
             return (part for part in ())
         client = _client(address)
 
         def parts() -> ComputedParts:
             with client:
-                left, number = iter(wanted), {}
+                waiting, part_of = iter(wanted), {}
 
                 def submitted() -> list[Any]:
                     """As many as the workers of this moment are short of: some join late, some go."""
-                    short = PARTS_PER_WORKER * max(1, len(client.nthreads())) - len(number)
+                    missing = PARTS_PER_WORKER * max(1, len(client.nthreads())) - len(part_of)
                     futures = []
-                    for part in itertools.islice(left, max(0, short)):
-                        future = client.submit(run_part, text, question, None, part, pure=False)
-                        number[future] = part
+                    for part in itertools.islice(waiting, max(0, missing)):
+                        future = client.submit(run_part, text, identity, None, part, pure=False)
+                        part_of[future] = part
                         futures.append(future)
                     return futures
 
                 done = as_completed(submitted())
                 while not done.is_empty():
-                    _wait(client, done, where, say)
+                    _wait(client, done, place, notify)
                     future = next(done)
-                    yield number.pop(future), future.result()
+                    yield part_of.pop(future), future.result()
                     future.release()
                     done.update(submitted())
 
@@ -94,7 +94,7 @@ def on_cluster(asked: SweepSpec, address: str) -> Engine:
                 if isinstance(problem, OSError) and problem.errno in NO_SPACE:
                     raise  # of this machine's disk: nobody is lost
                 raise ParameterError(
-                    f"{where} is lost ({problem}); the parts that were done are kept: the same command goes on there"
+                    f"{place} is lost ({problem}); the parts that were done are kept: the same command goes on there"
                 ) from None
 
         return reported()

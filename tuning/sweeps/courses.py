@@ -42,9 +42,12 @@ def variable_settings(
     recipes: Mapping[str, Recipe[Motion] | None], load: Recipe[np.ndarray] | None
 ) -> dict[str, KnownQuantity]:
     """The settings that may vary: those that every motion has, and those of the load."""
-    told = [{} if recipe is None else recipe.numbers() for recipe in recipes.values()]
-    common = [name for name in (told[0] if told else ()) if all(name in one for one in told)]
-    found = {f"motion.{name}": KnownQuantity(told[0][name][0], tuple(one[name][1] for one in told)) for name in common}
+    settings = [{} if recipe is None else recipe.numbers() for recipe in recipes.values()]
+    common = [name for name in (settings[0] if settings else ()) if all(name in numbers for numbers in settings)]
+    found = {
+        f"motion.{name}": KnownQuantity(settings[0][name][0], tuple(numbers[name][1] for numbers in settings))
+        for name in common
+    }
     for name, (unit, value) in ({} if load is None else load.numbers()).items():
         if is_cycle_setting(f"load.{name}"):
             found[f"load.{name}"] = KnownQuantity(unit, (value,))
@@ -69,11 +72,11 @@ class DutyCycles:
         """The values of the settings, with a motion of that name, at shares of the probability of each."""
         known = variable_settings({name: self.recipes.get(name)}, self._load)
         return {
-            one.name: np.asarray(one.met(known[one.name].values[0], one.of(shares[:, k])))
-            for k, one in enumerate(self.varied)
+            quantity.name: np.asarray(quantity.apply(known[quantity.name].values[0], quantity.quantile(shares[:, k])))
+            for k, quantity in enumerate(self.varied)
         }
 
-    def of(self, name: str, values: Mapping[str, float]) -> DutyCycle:
+    def cycle(self, name: str, values: Mapping[str, float]) -> DutyCycle:
         """The course with a motion of that name and such settings. Raises `MotionError` for settings that make none."""
         motion, recipe = self.motions[name], self.recipes.get(name)
         of_motion, of_load = (
@@ -100,13 +103,13 @@ def shared_cycle(course: DutyCycle, settle: float, limits: Limits) -> engine.Lan
     motion, load = course
     reference = Reference(motion.position, motion.velocity, motion.acceleration)
     counts = (motion.time >= settle).astype(float)
-    told = engine.LaneCycle(reference, load, counts, np.asarray(divergence_bound(motion.position, limits)))
-    return jax.tree.map(lambda one: jnp.asarray(one, float), told)
+    cycle = engine.LaneCycle(reference, load, counts, np.asarray(divergence_bound(motion.position, limits)))
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), cycle)
 
 
 def stacked_cycles(courses: Sequence[DutyCycle], settle: float, limits: Limits) -> engine.LaneCycle:
     """The same of several machines side by side, [n, t]; where a shorter course rests does not count."""
-    shape = len(courses), _rounded_up(max(len(one.load) for one in courses))
+    shape = len(courses), _rounded_up(max(len(cycle.load) for cycle in courses))
     position, velocity, acceleration, loads, counts = (np.zeros(shape) for _ in range(5))
     for k, (motion, load) in enumerate(courses):
         end = len(load)

@@ -27,8 +27,8 @@ class LaneCycle(NamedTuple):
 
     reference: Reference
     load: Float[Array, "*n t"]  # N on the guides, beside the lane's ramp
-    counts: Float[Array, "*n t"]  # 1 at the samples that count
-    reach: Float[Array, "*n"]  # m, the tracking error beyond which the loop has diverged
+    mask: Float[Array, "*n t"]  # 1 at the samples that count
+    max_error: Float[Array, "*n"]  # m, the tracking error beyond which the loop has diverged
 
 
 class SweepLanes(NamedTuple):
@@ -39,7 +39,7 @@ class SweepLanes(NamedTuple):
     drive: Any
     ramp: Ramp
     key: Array | None
-    course: LaneCycle | None = None
+    cycle: LaneCycle | None = None
 
 
 @eqx.filter_jit
@@ -47,15 +47,15 @@ def _costs(
     lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCycle | None, sampling: Sampling, devices: int
 ) -> Costs:
     def share(lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCycle | None) -> Costs:
-        def one(lane: SweepLanes) -> Costs:
+        def simulate_lane(lane: SweepLanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
-            own = course if lane.course is None else lane.course
+            own = course if lane.cycle is None else lane.cycle
             inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
             return running_costs(
-                drive, controller, inputs, own.counts, sampling, lane.key, lane.ramp, divergence_bound=own.reach
+                drive, controller, inputs, own.mask, sampling, lane.key, lane.ramp, divergence_bound=own.max_error
             )
 
-        return jax.lax.map(one, lanes, batch_size=block_size(lanes.course is not None))
+        return jax.lax.map(simulate_lane, lanes, batch_size=block_size(lanes.cycle is not None))
 
     apart, everywhere = PartitionSpec("lanes"), PartitionSpec()
     return jax.shard_map(
@@ -97,4 +97,4 @@ def lane_costs(
         lanes = jax.tree.map(lambda leaf: leaf[np.arange(total) % count], lanes)
     models = (lanes, fixed, as_arrays(controller), common)
     found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling, devices)
-    return Costs(*(None if one is None else np.asarray(one)[:count] for one in found))
+    return Costs(*(None if cost is None else np.asarray(cost)[:count] for cost in found))

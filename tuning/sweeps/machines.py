@@ -18,17 +18,23 @@ Values = dict[str, Float[np.ndarray, " n"]]
 
 def _node_at(drive: Drive, name: str) -> Any:
     """The number or pair of that name."""
-    at: Any = drive
+    node: Any = drive
     for part in name.split("."):
-        at = next(one for one in at if one.name == part) if isinstance(at, tuple) else getattr(at, part)
-    return at
+        node = (
+            next(part_of for part_of in node if part_of.name == part)
+            if isinstance(node, tuple)
+            else getattr(node, part)
+        )
+    return node
 
 
-def _varied_value(value: Any, one: VariedQuantity, drawn: Float[np.ndarray, " n"]) -> Any:
+def _varied_value(value: Any, quantity: VariedQuantity, drawn: Float[np.ndarray, " n"]) -> Any:
     """A value of the drive file, or a pair, under what was drawn."""
     if isinstance(value, Directional):
-        return Directional(_varied_value(value.positive, one, drawn), _varied_value(value.negative, one, drawn))
-    return jnp.asarray(one.met(value, drawn))
+        return Directional(
+            _varied_value(value.positive, quantity, drawn), _varied_value(value.negative, quantity, drawn)
+        )
+    return jnp.asarray(quantity.apply(value, drawn))
 
 
 def machines(
@@ -39,20 +45,22 @@ def machines(
     A quantity per direction is told by its value in positive direction. Raises `ParameterError` for values that no
     drive may have.
     """
-    names = {one.name.split(".")[1] for one in varied if one.name.startswith("effects.")}
+    names = {quantity.name.split(".")[1] for quantity in varied if quantity.name.startswith("effects.")}
     machine = as_arrays(with_effects(drive, names))
     values: Values = {}
     ends = dict.fromkeys(LOAD, 0.0) | {"load.to": 1.0}
-    for k, one in enumerate(varied):
-        drawn = one.of(shares[:, k])
-        if one.name in LOAD:
-            ends[one.name] = values[one.name] = drawn
+    for k, quantity in enumerate(varied):
+        drawn = quantity.quantile(shares[:, k])
+        if quantity.name in LOAD:
+            ends[quantity.name] = values[quantity.name] = drawn
             continue
-        met = _varied_value(_node_at(machine, one.name), one, drawn)
+        varied_value = _varied_value(_node_at(machine, quantity.name), quantity, drawn)
         machine = eqx.tree_at(
-            lambda tree, n=one.name: _node_at(tree, n), machine, met, is_leaf=lambda leaf: leaf is None
+            lambda tree, n=quantity.name: _node_at(tree, n), machine, varied_value, is_leaf=lambda leaf: leaf is None
         )
-        values[one.name] = np.asarray(met.positive if isinstance(met, Directional) else met)
+        values[quantity.name] = np.asarray(
+            varied_value.positive if isinstance(varied_value, Directional) else varied_value
+        )
     check_drive(machine)
     count = len(shares)
     return machine, Ramp(*(jnp.broadcast_to(jnp.asarray(end, float), (count,)) for end in ends.values())), values

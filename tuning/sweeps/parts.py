@@ -26,11 +26,11 @@ def part_path(folder: Path, part: int) -> Path:
     return folder / f"part-{part:06d}.parquet"
 
 
-def write_part(table: pa.Table, path: Path, question: str) -> None:
+def write_part(table: pa.Table, path: Path, identity: str) -> None:
     """Write a part, whole or not at all, with the question that it answers."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as file:
-        pq.write_table(table.replace_schema_metadata({IDENTITY_KEY: question.encode()}), file)
+        pq.write_table(table.replace_schema_metadata({IDENTITY_KEY: identity.encode()}), file)
 
 
 def missing_parts(plan: SweepPlan, folder: Path) -> list[int]:
@@ -38,13 +38,13 @@ def missing_parts(plan: SweepPlan, folder: Path) -> list[int]:
 
     Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
     """
-    question = plan.question().encode()
+    identity = plan.identity().encode()
     wanted = {part_path(folder, part): part for part in range(plan.parts)}
     for path in sorted(folder.glob("part-*.parquet")):
-        asked = _identity(path)
-        if asked is None and path in wanted:
+        stored_identity = _identity(path)
+        if stored_identity is None and path in wanted:
             continue  # damaged: it is run again
-        if asked != question or path not in wanted:
+        if stored_identity != identity or path not in wanted:
             raise ParameterError(
                 f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies, number of "
                 "machines or seed, in the edition of diffdrive, jax, numpy or scipy, in processor, GPU or XLA_FLAGS: "
@@ -62,7 +62,7 @@ def _identity(path: Path) -> bytes | None:
         return None
 
 
-def in_process(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
+def in_process(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
     """The parts one after the other, in this process."""
     for part in wanted:
         yield part, plan.costs(part)
@@ -73,18 +73,18 @@ def _no_notice(_: str) -> None:
 
 
 def run_parts(
-    plan: SweepPlan, folder: Path, done: MachinesDone, engine: Engine = in_process, say: Notify = _no_notice
+    plan: SweepPlan, folder: Path, report: MachinesDone, engine: Engine = in_process, notify: Notify = _no_notice
 ) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
-    question, left = plan.question(), missing_parts(plan, folder)
-    plan.require_possible(left)
-    finished = plan.samples - sum(part_length(plan, part) for part in left)
-    done(finished)
-    with contextlib.closing(engine(plan, left, say)) as computed:  # a full disk leaves no workers behind
+    identity, remaining = plan.identity(), missing_parts(plan, folder)
+    plan.require_possible(remaining)
+    finished = plan.samples - sum(part_length(plan, part) for part in remaining)
+    report(finished)
+    with contextlib.closing(engine(plan, remaining, notify)) as computed:  # a full disk leaves no workers behind
         for part, table in computed:
-            write_part(table, part_path(folder, part), question)
+            write_part(table, part_path(folder, part), identity)
             finished += part_length(plan, part)
-            done(finished)
+            report(finished)
     return ds.dataset([str(part_path(folder, part)) for part in range(plan.parts)], format="parquet")
 
 
@@ -94,7 +94,7 @@ def stored_errors(plan: SweepPlan, folder: Path, number: int, controller: str, m
     None where it is not there, or of another edition.
     """
     path = part_path(folder, number // plan.part_size)
-    if _identity(path) != plan.question().encode():
+    if _identity(path) != plan.identity().encode():
         return None
     wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
     rows = pq.read_table(path, columns=["rms_m", "peak_m", "diverged_at_s"], filters=wanted).to_pylist()

@@ -81,7 +81,7 @@ class SweepPlan:
         recipes = more.get("recipes", {})
         known = variable_settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
         varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
-        names = [one.name for one in varied]
+        names = [quantity.name for quantity in varied]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ParameterError(f"vary: {', '.join(twice)} is given more than once")
@@ -108,34 +108,34 @@ class SweepPlan:
         return plan
 
     @cached_property
-    def _settings(self) -> list[int]:
+    def _setting_indices(self) -> list[int]:
         """Which of the quantities that vary are settings of the motions and of the load over time."""
-        return [k for k, one in enumerate(self.varied) if is_cycle_setting(one.name)]
+        return [k for k, quantity in enumerate(self.varied) if is_cycle_setting(quantity.name)]
 
     @cached_property
-    def courses(self) -> DutyCycles:
+    def duty_cycles(self) -> DutyCycles:
         """Motions and load over time."""
-        varied = tuple(self.varied[k] for k in self._settings)
+        varied = tuple(self.varied[k] for k in self._setting_indices)
         return DutyCycles(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied)
 
     def _varies(self, of: str) -> bool:
         """Whether settings of the motions, or of the load, vary."""
-        return any(one.name.startswith(f"{of}.") for one in self.courses.varied)
+        return any(quantity.name.startswith(f"{of}.") for quantity in self.duty_cycles.varied)
 
-    def courses_of(self, numbers: np.ndarray, motion: str) -> list[DutyCycle]:
+    def machine_cycles(self, numbers: np.ndarray, motion: str) -> list[DutyCycle]:
         """What machines of one part go through. Raises `ParameterError` that names one that cannot."""
-        values = self.courses.values(motion, self._drawn(numbers)[:, self._settings])
+        values = self.duty_cycles.values(motion, self._unit_samples(numbers)[:, self._setting_indices])
         found = []
         for k, number in enumerate(numbers):
             try:
-                course = self.courses.of(motion, {name: value[k] for name, value in values.items()})
+                course = self.duty_cycles.cycle(motion, {name: value[k] for name, value in values.items()})
                 require_within(course.motion, self.axis.limits)
                 require_longer_than(self.settle, motion, course.motion)
             except (MotionError, ParameterError) as problem:
                 raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
             found.append(course)
         least = np.array([np.min(course.load) for course in found])
-        require_on_guides(numbers, *self._made(numbers), least, lambda k: [found[k]])
+        require_on_guides(numbers, *self._build(numbers), least, lambda k: [found[k]])
         return found
 
     def require_possible(self, parts: Iterable[int]) -> None:
@@ -143,23 +143,23 @@ class SweepPlan:
 
         Where settings of motions vary, those machines are looked at that are nearest to their ends.
         """
-        nominal = self.nominal
+        nominal = self.nominal_cycles
         for part in parts:
             self.require_machines(self.numbers(part), nominal)
-            for motion in self.motions if self._settings else ():
-                self.corners(motion, part)
+            for motion in self.motions if self._setting_indices else ():
+                self.corner_cycles(motion, part)
 
     def require_machines(self, numbers: np.ndarray, courses: Sequence[DutyCycle]) -> None:
         """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
         least = min((float(np.min(course.load)) for course in courses), default=np.inf)
-        made = require_buildable(numbers, self._made)
+        made = require_buildable(numbers, self._build)
         require_on_guides(numbers, *made, np.full(len(numbers), least), lambda _: courses)
 
-    def _made(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
+    def _build(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
         require_ordered(ramp)
         require_feasible(machine, self._envelope)
-        highest = self._highest + ramp.load + np.maximum(ramp.change, 0.0)
+        highest = self._highest_load + ramp.load + np.maximum(ramp.change, 0.0)
         try:
             require_resolved_friction(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
         except MotionError as problem:
@@ -167,9 +167,9 @@ class SweepPlan:
         return machine, ramp
 
     @cached_property
-    def _highest(self) -> float:
+    def _highest_load(self) -> float:
         """The highest load over time (N), beside what varies of it."""
-        return max((float(np.max(course.load)) for course in self.nominal), default=0.0)
+        return max((float(np.max(course.load)) for course in self.nominal_cycles), default=0.0)
 
     @cached_property
     def _envelope(self) -> Envelope:
@@ -177,37 +177,40 @@ class SweepPlan:
         if self._varies("motion"):
             return limits_envelope(self.axis.limits, self.axis.sampling)
         position, velocity = (
-            np.concatenate([getattr(one, name) for one in self.motions.values()]) for name in ("position", "velocity")
+            np.concatenate([getattr(motion, name) for motion in self.motions.values()])
+            for name in ("position", "velocity")
         )
         every = motion_envelope(position, velocity, np.zeros(1), self.axis.sampling.period)
-        return every._replace(duration=max(one.duration for one in self.motions.values()))
+        return every._replace(duration=max(motion.duration for motion in self.motions.values()))
 
     @property
-    def nominal(self) -> list[DutyCycle]:
+    def nominal_cycles(self) -> list[DutyCycle]:
         """What all machines go through but for settings of motions; nothing where the load over time varies."""
-        return [] if self._varies("load") else [DutyCycle(one, self.loads(one)) for one in self.motions.values()]
+        return (
+            [] if self._varies("load") else [DutyCycle(motion, self.loads(motion)) for motion in self.motions.values()]
+        )
 
-    def corners(self, motion: str, part: int = 0) -> list[DutyCycle]:
+    def corner_cycles(self, motion: str, part: int = 0) -> list[DutyCycle]:
         """What the machines nearest to the ends of settings go through."""
-        drawn = self.drawn(part)[:, self._settings]
-        return self.courses_of(self.numbers(part)[at_corners(drawn)], motion)
+        drawn = self.unit_samples(part)[:, self._setting_indices]
+        return self.machine_cycles(self.numbers(part)[at_corners(drawn)], motion)
 
     def loads(self, motion: Motion) -> np.ndarray:
         """The load (N) along a motion as --load has it, beside what varies."""
         return parse_load(self.load, motion.time)
 
-    def extremes(self, motion: str) -> list[DutyCycle]:
+    def extreme_cycles(self, motion: str) -> list[DutyCycle]:
         """What comes at worst: the ends of the settings, with the least and the most of the load that varies."""
         planned = self.motions[motion]
-        courses = self.corners(motion) if self._settings else [DutyCycle(planned, self.loads(planned))]
-        ends = {one.name: one.of(np.array([0.0, 1.0])) for one in self.varied}
+        courses = self.corner_cycles(motion) if self._setting_indices else [DutyCycle(planned, self.loads(planned))]
+        ends = {quantity.name: quantity.quantile(np.array([0.0, 1.0])) for quantity in self.varied}
         behind = np.append(ends.get("load.change", []), 0.0)
         more = [load + change for load in ends.get("load", [0.0]) for change in behind]
-        return [DutyCycle(one, np.concatenate([load + each for each in more])) for one, load in courses]
+        return [DutyCycle(motion, np.concatenate([load + each for each in more])) for motion, load in courses]
 
     @cached_property
-    def _root(self) -> np.ndarray | None:
-        return correlation_root(self.correlation, [one.name for one in self.varied])
+    def _correlation_root(self) -> np.ndarray | None:
+        return correlation_root(self.correlation, [quantity.name for quantity in self.varied])
 
     @property
     def part_size(self) -> int:
@@ -219,11 +222,11 @@ class SweepPlan:
         """How many parts."""
         return -(-self.samples // self.part_size)
 
-    def drawn(self, part: int) -> np.ndarray:
+    def unit_samples(self, part: int) -> np.ndarray:
         """Shares of the probability of the machines of a part, [n, d]."""
         count = len(self.numbers(part))
         drawn = unit_samples(self.method, len(self.varied), self.seed, part, self.part_size, count)
-        return drawn if self._root is None else correlate(drawn, self._root)
+        return drawn if self._correlation_root is None else correlate(drawn, self._correlation_root)
 
     def numbers(self, part: int) -> np.ndarray:
         """Numbers of the machines of a part."""
@@ -231,27 +234,29 @@ class SweepPlan:
 
     def keys(self, numbers: np.ndarray) -> Any:
         """Keys of the measuring noise of these machines; None where the scale has none."""
-        if not float(self.axis.drive.sensor.noise) > 0.0 and not any(one.name == "sensor.noise" for one in self.varied):
+        if not float(self.axis.drive.sensor.noise) > 0.0 and not any(
+            quantity.name == "sensor.noise" for quantity in self.varied
+        ):
             return None
         base = jax.random.key(self.seed)
         return jax.vmap(lambda number: jax.random.fold_in(base, number))(jnp.asarray(numbers))
 
-    def _drawn(self, numbers: np.ndarray) -> np.ndarray:
+    def _unit_samples(self, numbers: np.ndarray) -> np.ndarray:
         """Those of some machines of one part."""
         part = int(numbers[0]) // self.part_size
-        return self.drawn(part)[numbers - part * self.part_size]
+        return self.unit_samples(part)[numbers - part * self.part_size]
 
     def machines(self, numbers: np.ndarray) -> tuple[Drive, Ramp, Values, Any]:
         """Machines of one part by their numbers: drives, loads, the values of what varies, the keys of their noise."""
-        own = [k for k in range(len(self.varied)) if k not in self._settings]
+        own = [k for k in range(len(self.varied)) if k not in self._setting_indices]
         varied = [self.varied[k] for k in own]
-        return *machines(self.axis.drive, varied, self._drawn(numbers)[:, own]), self.keys(numbers)
+        return *machines(self.axis.drive, varied, self._unit_samples(numbers)[:, own]), self.keys(numbers)
 
     def values(self, numbers: np.ndarray, motion: str) -> Values:
         """The values of what varies of some machines of one part, [n] each, in the order in which it was given."""
-        drawn, (_, _, found, _) = self._drawn(numbers)[:, self._settings], self.machines(numbers)
-        found |= self.courses.values(motion, drawn)
-        return {one.name: found[one.name] for one in self.varied}
+        drawn, (_, _, found, _) = self._unit_samples(numbers)[:, self._setting_indices], self.machines(numbers)
+        found |= self.duty_cycles.values(motion, drawn)
+        return {quantity.name: found[quantity.name] for quantity in self.varied}
 
     def costs_of(self, numbers: np.ndarray, motion: str, controllers: Iterable[str]) -> dict[str, SweepCosts]:
         """What comes of machines of one part; to the last bit the same whichever others stand beside them."""
@@ -264,30 +269,33 @@ class SweepPlan:
             found = lane_costs(lane(drives, some), *beside, control, course, sampling, self.precision)
             return _outcome(found, samples, sampling.period)
 
-        if not self._settings:
+        if not self._setting_indices:
             planned = self.motions[motion]
             course = shared_cycle(DutyCycle(planned, self.loads(planned)), self.settle, limits)
             return {name: under(name, course, np.full(len(numbers), len(planned.time))) for name in controllers}
         groups: dict[str, list[SweepCosts]] = {name: [] for name in controllers}
-        for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._at_once(motion))[1:]):
-            courses = self.courses_of(numbers[some], motion)
-            samples, course = np.array([len(one.load) for one in courses]), stacked_cycles(courses, self.settle, limits)
+        for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._machines_at_once(motion))[1:]):
+            courses = self.machine_cycles(numbers[some], motion)
+            samples, course = (
+                np.array([len(cycle.load) for cycle in courses]),
+                stacked_cycles(courses, self.settle, limits),
+            )
             for name, group in groups.items():
                 group.append(under(name, course, samples, some))
-        return {name: jax.tree.map(lambda *one: np.concatenate(one), *group) for name, group in groups.items()}
+        return {name: jax.tree.map(lambda *parts: np.concatenate(parts), *group) for name, group in groups.items()}
 
     @cached_property
-    def _longest(self) -> dict[str, int]:
+    def _longest_cycles(self) -> dict[str, int]:
         """Samples of the longest course of each motion, about."""
-        return {motion: max(len(course.load) for course in self.corners(motion)) for motion in self.motions}
+        return {motion: max(len(course.load) for course in self.corner_cycles(motion)) for motion in self.motions}
 
-    def _at_once(self, motion: str) -> int:
+    def _machines_at_once(self, motion: str) -> int:
         """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
-        of_one = BYTES_PER_STEP * self._longest[motion] * block_size(own_courses=True)
+        of_one = BYTES_PER_STEP * self._longest_cycles[motion] * block_size(own_courses=True)
         require_memory(
             ParameterError,
             f"{motion}: {block_size(own_courses=True)} machines side by side, each on its own course of up to "
-            f"{self._longest[motion]} samples,",
+            f"{self._longest_cycles[motion]} samples,",
             of_one,
             "shorten the motion, or lower sampling.rate",
         )
@@ -327,16 +335,19 @@ class SweepPlan:
     @property
     def units(self) -> dict[str, str]:
         """What varies, with its unit."""
-        return {one.name: one.unit for one in self.varied}
+        return {quantity.name: quantity.unit for quantity in self.varied}
 
-    def question(self) -> str:
+    def identity(self) -> str:
         """What tells this sweep from any other: everything that its numbers hang on."""
         text = hashlib.sha256(
             code_digest(
-                *(one.__module__ for one in (SweepPlan, DutyCycles, lane_costs, machines, parse_varied, unit_samples))
+                *(
+                    definition.__module__
+                    for definition in (SweepPlan, DutyCycles, lane_costs, machines, parse_varied, unit_samples)
+                )
             ).encode()
         )
-        asked = [
+        settings = [
             arithmetic_signature(),
             self.method,
             self.seed,
@@ -345,11 +356,11 @@ class SweepPlan:
             self.load,
             self.settle,
             self.precision,
-            [one.text for one in self.varied],
+            [quantity.text for quantity in self.varied],
         ]
-        asked += [{one: dict(others) for one, others in self.correlation.items()}]
-        asked += [None if one is None else [one.kind, one.settings] for one in self.recipes.values()]
-        text.update(json.dumps(asked).encode())
+        settings += [{name: dict(others) for name, others in self.correlation.items()}]
+        settings += [None if recipe is None else [recipe.kind, recipe.settings] for recipe in self.recipes.values()]
+        text.update(json.dumps(settings).encode())
         models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
         text.update(repr(self.axis.limits).encode())  # they say what has diverged
         text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())

@@ -51,10 +51,12 @@ def require_on_guides(
     """
     bounds = -np.broadcast_to(np.asarray(drives.friction.initial_load), len(numbers))
     for k in np.flatnonzero(np.asarray(least + ramps.load + np.minimum(ramps.change, 0.0)) <= bounds):
-        own = jax.tree.map(lambda leaf, k=k: leaf[k], ramps)
-        every = [np.min(load + np.asarray(own.at(motion.time - motion.time[0]))) for motion, load in courses(int(k))]
-        if every and min(every) <= bounds[k]:
+        ramp = jax.tree.map(lambda leaf, k=k: leaf[k], ramps)
+        least_loads = [
+            np.min(load + np.asarray(ramp.at(motion.time - motion.time[0]))) for motion, load in courses(int(k))
+        ]
+        if least_loads and min(least_loads) <= bounds[k]:
             raise ParameterError(
-                f"sweep: machine {numbers[k]} cannot be: a load of {min(every):g} N lifts the table off its "
+                f"sweep: machine {numbers[k]} cannot be: a load of {min(least_loads):g} N lifts the table off its "
                 f"guides: it must stay above minus the initial load, {bounds[k]:g} N"
             )

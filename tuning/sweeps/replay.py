@@ -72,7 +72,10 @@ def _lookup(choices: Mapping[str, Any], name: str, what: str) -> Any:
 
 def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion: str, every: int = 1) -> Run:
     """Every signal of a machine under a controller, with a status as any simulation has."""
-    control, [(planned, over_time)] = plan.controllers[controller], plan.courses_of(np.array([machine.number]), motion)
+    control, [(planned, over_time)] = (
+        plan.controllers[controller],
+        plan.machine_cycles(np.array([machine.number]), motion),
+    )
     loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
     inputs = loop_inputs(planned, loads)
     frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
@@ -117,11 +120,11 @@ def traces(
     runs = [[machine_run(plan, machine, controller, motion, every) for machine in drawn] for controller in controllers]
     time = max((run.time for run in runs[0]), key=len)
 
-    def told(run: Run, name: str) -> np.ndarray:
-        value, whole = getattr(run, "table_position" if name == "position" else name), np.full(len(time), np.nan)
+    def signal_of(run: Run, name: str) -> np.ndarray:
+        value, padded = getattr(run, "table_position" if name == "position" else name), np.full(len(time), np.nan)
         if value is not None:
-            whole[: len(value)] = value
-        return whole
+            padded[: len(value)] = value
+        return padded
 
     def varied(name: str) -> tuple[str, list[float], dict[str, str]]:
         return "machine", [machine.values[name] for machine in drawn], {"units": plan.units[name]}
@@ -129,7 +132,7 @@ def traces(
     recorded = {
         name: (
             ("controller", "machine", "time"),
-            np.array([[told(run, name) for run in row] for row in runs]),
+            np.array([[signal_of(run, name) for run in row] for row in runs]),
             {"units": SIGNALS[name]},
         )
         for name in names
@@ -146,5 +149,5 @@ def traces(
             "time": ("time", time, {"units": "s"}),
             **{name: varied(name) for name in plan.units},
         },
-        {"motion": motion, "sweep": plan.question()},
+        {"motion": motion, "sweep": plan.identity()},
     )

@@ -36,7 +36,7 @@ def require_resources(plan: SweepPlan, folder: Path) -> None:
     require_disk(
         ParameterError, request, _existing_parent(folder), 0.5 * row * runs, "give fewer, or --out on another disk"
     )
-    samples = sum(len(one.time) for one in plan.motions.values())
+    samples = sum(len(motion.time) for motion in plan.motions.values())
     require_memory(
         ParameterError,
         f"motions of {format_count(samples)} samples in all",
@@ -48,4 +48,4 @@ def require_resources(plan: SweepPlan, folder: Path) -> None:
 def _existing_parent(folder: Path) -> Path:
     """The folder, or the nearest one above it that is there."""
     above: Iterator[Path] = iter((folder, *folder.resolve().parents))
-    return next(one for one in above if one.is_dir())
+    return next(parent for parent in above if parent.is_dir())

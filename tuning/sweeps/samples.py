@@ -57,16 +57,16 @@ def correlation_root(
     if not correlation:
         return None
     matrix = np.eye(len(names))
-    for one, others in correlation.items():
+    for name, others in correlation.items():
         for other, value in others.items():
-            if one not in names or other not in names:
-                missing = one if one not in names else other
+            if name not in names or other not in names:
+                missing = name if name not in names else other
                 raise ParameterError(f"correlation: {missing} is not varied")
-            if one == other:
+            if name == other:
                 continue
-            a, b = names.index(one), names.index(other)
+            a, b = names.index(name), names.index(other)
             if not -1.0 <= value <= 1.0 or matrix[a, b] not in (0.0, value):
-                raise ParameterError(f"correlation: of {one} and {other} is {value!r}: one number from -1 to 1")
+                raise ParameterError(f"correlation: of {name} and {other} is {value!r}: one number from -1 to 1")
             matrix[a, b] = matrix[b, a] = value
     bends, along = np.linalg.eigh(matrix)
     root = along * np.sqrt(np.clip(bends, 0.0, None)) @ along.T

@@ -37,7 +37,7 @@ class Influence(NamedTuple):
     chance: float = 1.0  # of events: that they lie so by chance, in any of the quantities
 
     @property
-    def clear(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the share is more than its interval: the others may be noise."""
         return self.share > self.uncertain
 
@@ -51,7 +51,9 @@ def influences(
     """
     good = np.isfinite(errors) & (errors > 0.0)
     found = _influences(names, values[good], np.log(errors[good]), seed)
-    return [one._replace(low=float(np.exp(one.low)), high=float(np.exp(one.high))) for one in found]
+    return [
+        influence._replace(low=float(np.exp(influence.low)), high=float(np.exp(influence.high))) for influence in found
+    ]
 
 
 def influences_on_event(
@@ -64,11 +66,11 @@ def influences_on_event(
     """
     rare = min(np.sum(happened), np.sum(~happened)) < MIN_EVENTS
     return [
-        one._replace(
-            uncertain=np.nan if rare else one.uncertain,
-            chance=min(1.0, len(names) * _p_value(values[:, names.index(one.name)], happened)),
+        influence._replace(
+            uncertain=np.nan if rare else influence.uncertain,
+            chance=min(1.0, len(names) * _p_value(values[:, names.index(influence.name)], happened)),
         )
-        for one in _influences(names, values, happened.astype(float), seed)
+        for influence in _influences(names, values, happened.astype(float), seed)
     ]
 
 
@@ -83,15 +85,15 @@ def _influences(
     if len(outputs) < MIN_MACHINES or np.ptp(outputs) == 0.0:
         return []
     group = np.random.default_rng(seed).permutation(len(outputs)) % GROUPS
-    told = []
+    influences = []
     for name, values in zip(names, inputs.T, strict=True):
         if np.ptp(values) == 0.0:
             continue
         order = np.argsort(values, kind="stable")
         few = max(1, round(TAIL * len(order)))
         low, high = (float(np.mean(outputs[part])) for part in (order[:few], order[-few:]))
-        told.append(Influence(name, *_first_order(order, outputs, group), low, high))
-    return sorted(told, key=lambda one: -one.share)
+        influences.append(Influence(name, *_first_order(order, outputs, group), low, high))
+    return sorted(influences, key=lambda influence: -influence.share)
 
 
 def _first_order(order: np.ndarray, outputs: np.ndarray, group: np.ndarray) -> tuple[float, float]:
@@ -100,9 +102,9 @@ def _first_order(order: np.ndarray, outputs: np.ndarray, group: np.ndarray) -> t
     rank = np.empty(count)
     rank[order] = (2.0 * np.arange(count) + 1.0) / count - 1.0
     known = np.column_stack([legvander(rank, DEGREE), (outputs - np.mean(outputs)) / np.std(outputs)])
-    products = np.stack([known[group == one].T @ known[group == one] for one in range(GROUPS)])
+    products = np.stack([known[group == number].T @ known[group == number] for number in range(GROUPS)])
     total = products.sum(axis=0)
-    without = np.array([_adjusted_r_squared(total - one) for one in products])
+    without = np.array([_adjusted_r_squared(total - group_products) for group_products in products])
     spread = np.sqrt((GROUPS - 1) * np.mean((without - np.mean(without)) ** 2))
     return float(np.clip(_adjusted_r_squared(total), 0.0, 1.0)), float(NORMAL_95 * spread)
 

@@ -85,7 +85,7 @@ class SweepSpec:
         found: dict[str, str] = {}
         for origin in self.motions:
             name = self._motion(origin, rate).name
-            number = 1 + sum(one.split(" #")[0] == name for one in found)
+            number = 1 + sum(other.split(" #")[0] == name for other in found)
             found[name if number == 1 else f"{name} #{number}"] = origin
         return found
 
@@ -98,15 +98,15 @@ class SweepSpec:
         return {name: motion_recipe(text) if self.motions[text] == text else None for name, text in origins.items()}
 
 
-def to_text(asked: SweepSpec) -> str:
+def to_text(spec: SweepSpec) -> str:
     """As JSON."""
-    return json.dumps(dataclasses.asdict(asked), indent=1) + "\n"
+    return json.dumps(dataclasses.asdict(spec), indent=1) + "\n"
 
 
 def from_text(text: str) -> SweepSpec:
     """From JSON."""
-    told = json.loads(text)
-    return SweepSpec(**told | {"vary": tuple(told["vary"])})
+    fields = json.loads(text)
+    return SweepSpec(**fields | {"vary": tuple(fields["vary"])})
 
 
 def _motion(text: str) -> tuple[str, str]:
@@ -116,10 +116,10 @@ def _motion(text: str) -> tuple[str, str]:
     return text, read_motion(Path(text))
 
 
-def write_spec(asked: SweepSpec, folder: Path) -> None:
+def write_spec(spec: SweepSpec, folder: Path) -> None:
     """Write it into the folder of the sweep."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / FILE, to_text(asked))
+    write_text(folder / FILE, to_text(spec))
 
 
 def read_spec(folder: Path) -> SweepSpec:

@@ -109,9 +109,9 @@ class Comparison(NamedTuple):
     ratio: float  # of the errors, one over other: the median over the machines
 
 
-def compare(one: Group, other: Group, by: str = "peak_m") -> Comparison:
+def compare(first: Group, second: Group, by: str = "peak_m") -> Comparison:
     """Machine by machine. Where both diverged neither is better."""
-    mine, theirs = one.error(by), other.error(by)
+    mine, theirs = first.error(by), second.error(by)
     both = np.isfinite(mine) & np.isfinite(theirs)
     ratio = float(np.median(mine[both] / theirs[both])) if both.any() else np.nan
-    return Comparison(one.controller, other.controller, proportion(mine < theirs), ratio)
+    return Comparison(first.controller, second.controller, proportion(mine < theirs), ratio)

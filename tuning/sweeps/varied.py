@@ -47,14 +47,14 @@ class VariedQuantity:
     name: str
     unit: str
     text: str
-    how: Mode
-    of: Callable[[Values], Values]
+    mode: Mode
+    quantile: Callable[[Values], Values]
 
-    def met(self, value: Any, drawn: Any) -> Any:
+    def apply(self, value: Any, drawn: Any) -> Any:
         """A value as the files have it, under what was drawn."""
-        if self.how == "is":
+        if self.mode == "is":
             return drawn
-        return value + drawn if self.how == "plus" else value * drawn
+        return value + drawn if self.mode == "plus" else value * drawn
 
 
 def _normal(share: Values, low: float = -MAX_SIGMAS, high: float = MAX_SIGMAS) -> Values:
@@ -73,17 +73,17 @@ def _triangular(low: float, mode: float, high: float) -> Callable[[Values], Valu
     return lambda share: np.asarray(stats.triang.ppf(share, (mode - low) / (high - low), low, high - low))
 
 
-def _quantile_function(kind: str, given: list[float], bounds: tuple[float, float]) -> Callable[[Values], Values]:
+def _quantile_function(kind: str, values_given: list[float], bounds: tuple[float, float]) -> Callable[[Values], Values]:
     """The distribution of a kind; a normal one ends where the quantity does."""
     if kind == "uniform":
-        return _uniform(*given)
+        return _uniform(*values_given)
     if kind == "loguniform":
-        return _loguniform(*given)
+        return _loguniform(*values_given)
     if kind == "triangular":
-        return _triangular(*given)
+        return _triangular(*values_given)
     if kind == "fixed":
-        return lambda share: np.full(share.shape, given[0])
-    middle, deviation = given
+        return lambda share: np.full(share.shape, values_given[0])
+    middle, deviation = values_given
     if kind == "normal":
         low, high = (float(np.clip((bound - middle) / deviation, -MAX_SIGMAS, MAX_SIGMAS)) for bound in bounds)
         return lambda share: middle + deviation * _normal(share, low, high)
@@ -105,11 +105,11 @@ class KnownQuantity(NamedTuple):
     bounds: tuple[float, float] = (-np.inf, np.inf)  # which it may not leave
 
     @property
-    def scales(self) -> bool:
+    def is_scalable(self) -> bool:
         """Whether it has values to be relative to."""
         return bool(self.values) and all(value != 0.0 for value in self.values)
 
-    def room(self, how: Mode) -> tuple[float, float]:
+    def drawn_bounds(self, how: Mode) -> tuple[float, float]:
         """The bounds of what meets the drive's values: of the value itself, an offset or a factor."""
         ends = np.array([self.bounds] * max(1, len(self.values)))
         if how == "plus":
@@ -150,67 +150,72 @@ def parse_varied(
     if name not in known:
         of = name.partition(".")[0]
         if of in ("motion", "load"):
-            there = ", ".join(one for one in known if one.startswith(of)) or "none"
+            there = ", ".join(key for key in known if key.startswith(of)) or "none"
             raise ParameterError(
                 f"vary: '{name}' is no setting that {'every --motion' if of == 'motion' else '--load'} has as one "
                 f"number; those that may vary are {there}"
             )
         near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
         raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")
-    unit, where = known[name].unit, f"vary {name}"
+    unit, label = known[name].unit, f"vary {name}"
     if kind not in KINDS:
         kinds = "; ".join(f"{key}:{what}" for key, what in KINDS.items())
-        raise ParameterError(f"{where}: '{kind}' is no distribution; known: {kinds}")
+        raise ParameterError(f"{label}: '{kind}' is no distribution; known: {kinds}")
     parts = [part.strip() for part in values.split("..")]
     if len(parts) not in NUMBERS[kind] or not all(parts):
-        raise ParameterError(f"{where}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
-    how, given = _mode_and_numbers(kind, parts, unit, where)
-    if (how == "times" and not known[name].scales) or (how == "plus" and not known[name].values):
-        raise ParameterError(f"{where}: has no value, or zero, to be relative to: give all numbers in {unit}")
-    _require_sensible(kind, given, where)
-    low, high = known[name].room(how)
-    if kind == "normal" and not low - MAX_SIGMAS * given[1] < given[0] < high + MAX_SIGMAS * given[1]:
-        raise ParameterError(f"{where}: nothing of {values} is from {low:g} to {high:g}, where it must be")
-    return VariedQuantity(name, unit, text, how, _quantile_function(kind, given, (low, high)))
+        raise ParameterError(f"{label}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
+    mode, values_given = _mode_and_numbers(kind, parts, unit, label)
+    if (mode == "times" and not known[name].is_scalable) or (mode == "plus" and not known[name].values):
+        raise ParameterError(f"{label}: has no value, or zero, to be relative to: give all numbers in {unit}")
+    _require_sensible(kind, values_given, label)
+    low, high = known[name].drawn_bounds(mode)
+    if (
+        kind == "normal"
+        and not low - MAX_SIGMAS * values_given[1] < values_given[0] < high + MAX_SIGMAS * values_given[1]
+    ):
+        raise ParameterError(f"{label}: nothing of {values} is from {low:g} to {high:g}, where it must be")
+    return VariedQuantity(name, unit, text, mode, _quantile_function(kind, values_given, (low, high)))
 
 
-def _mode_and_numbers(kind: str, parts: list[str], unit: str, where: str) -> tuple[Mode, list[float]]:
+def _mode_and_numbers(kind: str, parts: list[str], unit: str, label: str) -> tuple[Mode, list[float]]:
     """How the numbers of a kind meet the drive file's value, and the numbers, a single deviation with its middle."""
     places, deviation = (parts[:-1], parts[-1]) if kind in ("normal", "lognormal") else (parts, None)
     shares = [part.endswith("%") for part in places]
     relative = all(shares) and (bool(places) or kind == "lognormal" or str(deviation).endswith("%"))
     if any(shares) and not relative:
-        raise ParameterError(f"{where}: '{'..'.join(parts)}' mixes percent and {unit}: give all in one of them")
+        raise ParameterError(f"{label}: '{'..'.join(parts)}' mixes percent and {unit}: give all in one of them")
     for part in places[: max(1, len(places) - 1)]:
         if relative and part[0] not in "+-" and part != "0%":
             raise ParameterError(
-                f"{where}: '{part}' needs a sign: percents are offsets from the drive file's value, as -5%..+5%"
+                f"{label}: '{part}' needs a sign: percents are offsets from the drive file's value, as -5%..+5%"
             )
     if relative:
-        given = [1.0 + _fraction(part, where) for part in places] or [1.0]
-        return "times", given if deviation is None else [*given, _fraction(deviation, where)]
+        values_given = [1.0 + _fraction(part, label) for part in places] or [1.0]
+        return "times", values_given if deviation is None else [*values_given, _fraction(deviation, label)]
     if kind == "lognormal":
-        return "is", [*numbers(places[0], unit, where), _fraction(parts[-1], where)]
-    given = numbers(";".join(parts), unit, where)
-    return ("is", given) if places else ("plus", [0.0, *given])
+        return "is", [*numbers(places[0], unit, label), _fraction(parts[-1], label)]
+    values_given = numbers(";".join(parts), unit, label)
+    return ("is", values_given) if places else ("plus", [0.0, *values_given])
 
 
-def _fraction(text: str, where: str) -> float:
+def _fraction(text: str, label: str) -> float:
     """A share, in percent or bare."""
     percent = text.endswith("%")
-    return number(text.removesuffix("%"), "1", where) / (100.0 if percent else 1.0)
+    return number(text.removesuffix("%"), "1", label) / (100.0 if percent else 1.0)
 
 
-def _require_sensible(kind: str, given: list[float], where: str) -> None:
+def _require_sensible(kind: str, values_given: list[float], label: str) -> None:
     """Ranges rise, logarithms are of positive numbers, deviations are not negative."""
     if kind in ("uniform", "loguniform", "triangular"):
-        rises = given[0] < given[-1] and given == sorted(given)
+        rises = values_given[0] < values_given[-1] and values_given == sorted(values_given)
         if not rises:
-            raise ParameterError(f"{where}: the numbers of {kind} must rise, got {', '.join(f'{x:g}' for x in given)}")
-    if kind in ("loguniform", "lognormal") and not given[0] > 0.0:
-        raise ParameterError(f"{where}: {kind} needs numbers above zero, got {given[0]:g}")
-    if kind in ("normal", "lognormal") and not given[-1] > 0.0:
-        raise ParameterError(f"{where}: the deviation must be above zero, got {given[-1]:g}")
-    if kind == "lognormal" and given[-1] > MAX_LOG_DEVIATION:
-        wide = f"a deviation of {100 * given[-1]:g} % of a logarithm is too wide"
-        raise ParameterError(f"{where}: {wide}; write 3% or 0.03")
+            raise ParameterError(
+                f"{label}: the numbers of {kind} must rise, got {', '.join(f'{x:g}' for x in values_given)}"
+            )
+    if kind in ("loguniform", "lognormal") and not values_given[0] > 0.0:
+        raise ParameterError(f"{label}: {kind} needs numbers above zero, got {values_given[0]:g}")
+    if kind in ("normal", "lognormal") and not values_given[-1] > 0.0:
+        raise ParameterError(f"{label}: the deviation must be above zero, got {values_given[-1]:g}")
+    if kind == "lognormal" and values_given[-1] > MAX_LOG_DEVIATION:
+        wide = f"a deviation of {100 * values_given[-1]:g} % of a logarithm is too wide"
+        raise ParameterError(f"{label}: {wide}; write 3% or 0.03")

@@ -27,14 +27,14 @@ def varied_texts(
     """
     texts, correlation = list(vary), {}
     if identified is not None:
-        known, together = read_uncertainty(identified)
+        known, correlations = read_uncertainty(identified)
         own = _names(texts)
         texts += [text for text in known if not any(_overlap(name, other) for name in _names([text]) for other in own)]
         left = _names(texts) - own
         correlation = {
-            one: {other: value for other, value in others.items() if other in left}
-            for one, others in together.items()
-            if one in left
+            quantity: {other: value for other, value in others.items() if other in left}
+            for quantity, others in correlations.items()
+            if quantity in left
         }
     if spread is not None or not texts:
         texts += _spread(drive, spread or DEFAULT_SPREAD, texts)
@@ -46,9 +46,9 @@ def _names(texts: Sequence[str]) -> set[str]:
     return {text.partition("=")[0].strip() for text in texts}
 
 
-def _overlap(one: str, other: str) -> bool:
+def _overlap(name: str, other: str) -> bool:
     """Whether they are the same quantity, or one is a direction of the other."""
-    return one == other or one in _sides(other) or other in _sides(one)
+    return name == other or name in _sides(other) or other in _sides(name)
 
 
 def _sides(name: str) -> list[str]:
@@ -72,17 +72,19 @@ def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
     axis = read_axis(drive).drive
     known = known_quantities(axis)
     names = [name for name, _, _ in quantities(axis) if name.startswith(("plant.", "friction."))]
-    left = [one for name in names for one in (_sides(name) if taken & {*_sides(name)} else [name])]
-    return [f"{name}=lognormal:{percent}" for name in left if name not in taken and known[name].scales]
+    left = [quantity for name in names for quantity in (_sides(name) if taken & {*_sides(name)} else [name])]
+    return [f"{name}=lognormal:{percent}" for name in left if name not in taken and known[name].is_scalable]
 
 
 def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
     """What an identification left open: its file uncertainty.toml."""
-    told = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
+    tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
     try:
-        vary = [f"{name}={text}" for name, text in told["vary"].items()]
-        together = told.get("correlation", {})
-        return vary, {one: {other: float(value) for other, value in of.items()} for one, of in together.items()}
+        vary = [f"{name}={text}" for name, text in tables["vary"].items()]
+        correlations = tables.get("correlation", {})
+        return vary, {
+            quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()
+        }
     except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as problem:
         raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
 

@@ -34,7 +34,7 @@ def _plan(text: str, devices: int | None) -> SweepPlan:
 def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
     """One part, on whichever machine this runs; `devices` is how many of its cores, None for all and a GPU."""
     plan = _plan(text, devices)
-    if plan.question() != question:
+    if plan.identity() != question:
         raise ParameterError(
             "a worker has another edition of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
             "the program that asks: the same ones are needed on every machine of the cluster"
@@ -42,7 +42,7 @@ def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Tab
     return plan.costs(part)
 
 
-def on_workers(asked: SweepSpec, workers: int) -> Engine:
+def on_workers(spec: SweepSpec, workers: int) -> Engine:
     """An engine for `parts.run`: so many processes of this machine, which share its cores.
 
     A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, and where
@@ -50,13 +50,13 @@ def on_workers(asked: SweepSpec, workers: int) -> Engine:
     """
     require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER_BYTES * workers, "give fewer")
 
-    def engine(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
-        run = functools.partial(run_part, to_text(asked), plan.question(), max(1, cores() // workers))
-        left, losses = list(wanted), 0
-        while left:
+    def engine(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
+        run = functools.partial(run_part, to_text(spec), plan.identity(), max(1, cores() // workers))
+        remaining, losses = list(wanted), 0
+        while remaining:
             try:
-                for part, table in _compute(run, left, workers):
-                    left.remove(part)
+                for part, table in _compute(run, remaining, workers):
+                    remaining.remove(part)
                     losses = 0
                     yield part, table
             except BrokenProcessPool:
@@ -66,7 +66,7 @@ def on_workers(asked: SweepSpec, workers: int) -> Engine:
                         f"--workers {workers}: its processes are killed again and again, for want of memory perhaps: "
                         "give fewer; the parts that were done are kept: the same command goes on there"
                     ) from None
-                say("a worker was killed; the parts that were under way are run again")
+                notify("a worker was killed; the parts that were under way are run again")
 
     return engine
 
@@ -74,9 +74,9 @@ def on_workers(asked: SweepSpec, workers: int) -> Engine:
 def _compute(run: "functools.partial[pa.Table]", wanted: list[int], workers: int) -> ComputedParts:
     """The parts as they are done, in processes that end with this."""
     with processes(min(workers, len(wanted))) as pool:
-        left, running = iter(list(wanted)), dict[Future[pa.Table], int]()
+        waiting, running = iter(list(wanted)), dict[Future[pa.Table], int]()
         while True:
-            for part in left:
+            for part in waiting:
                 running[pool.submit(run, part)] = part
                 if len(running) >= PARTS_PER_WORKER * workers:
                     break

@@ -87,13 +87,13 @@ class SweepResult(Result):
 
     def headline(self) -> str:
         machines, first = self.plan.samples, self.controllers[0]
-        told = f"{machines} machines under {', '.join(self.controllers)}"
+        machines_run = f"{machines} machines under {', '.join(self.controllers)}"
         if self.tolerance is None:
-            return f"{told}; {ERRORS[self.by]} of {first}: {1e6 * self.quantile(first, 0.95):.3g} um at 95 %"
+            return f"{machines_run}; {ERRORS[self.by]} of {first}: {1e6 * self.quantile(first, 0.95):.3g} um at 95 %"
         missed = self.exceedance(first)
         low, high = missed.interval
         return (
-            f"{told}; {first} misses {1e6 * self.tolerance:.3g} um in {100 * missed.share:.3g} % "
+            f"{machines_run}; {first} misses {1e6 * self.tolerance:.3g} um in {100 * missed.share:.3g} % "
             f"({100 * low:.3g} to {100 * high:.3g})"
         )
 
@@ -112,8 +112,8 @@ class SweepResult(Result):
                     row += f"  {100 * share:.3g} % ({100 * low:.3g} to {100 * high:.3g})"
                 rows.append(row)
                 drive = [
-                    f"{one.name} {100 * one.share:.0f} %"
-                    for one in self.influences(controller, motion)[:INFLUENCES_SHOWN]
+                    f"{influence.name} {100 * influence.share:.0f} %"
+                    for influence in self.influences(controller, motion)[:INFLUENCES_SHOWN]
                 ]
                 rows += [f"  spread of {controller}: {', '.join(drive)}"] if drive else []
         return "\n".join(rows)
@@ -122,11 +122,11 @@ class SweepResult(Result):
         found = []
         for motion in self.plan.motions:
             for controller in self.controllers:
-                one: dict[str, Any] = {"controller": controller, "motion": motion}
-                one |= {f"{self.by}_{share:g}": self.quantile(controller, share, motion) for share in (0.5, 0.95, 0.99)}
+                row: dict[str, Any] = {"controller": controller, "motion": motion}
+                row |= {f"{self.by}_{share:g}": self.quantile(controller, share, motion) for share in (0.5, 0.95, 0.99)}
                 if self.tolerance is not None:
-                    one["exceedance"] = self.exceedance(controller, motion)._asdict()
-                found.append(one)
+                    row["exceedance"] = self.exceedance(controller, motion)._asdict()
+                found.append(row)
         return {
             "machines": self.plan.samples, "vary": dict(self.vary), "tolerance_m": self.tolerance, "results": found,
         }  # fmt: skip
@@ -201,9 +201,9 @@ def sweep(
         order = [("motion", "ascending"), ("controller", "ascending"), ("machine", "ascending")]
         frame = rows.to_table().sort_by(order)
     diverged = int(np.sum(frame["diverged"].to_numpy(zero_copy_only=False)))
-    told = "ok" if not diverged else f"{diverged} of {len(frame)} runs diverged"
+    message = "ok" if not diverged else f"{diverged} of {len(frame)} runs diverged"
     result = SweepResult(
-        frame, plan, dict(vary), tolerance, by, Status(not diverged, told, code="diverged" if diverged else "ok")
+        frame, plan, dict(vary), tolerance, by, Status(not diverged, message, code="diverged" if diverged else "ok")
     )
     if folder is not None:
         result.save(folder)
@@ -223,15 +223,15 @@ def sweep_plan(
                 f"{name}: is sampled at {other.rate:g} Hz, the axis at {axis.rate:g} Hz: make them equal"
             )
     several = [motion] if isinstance(motion, Motion) else list(motion)
-    names = [one.name for one in several]
+    names = [each.name for each in several]
     motions = {
-        one.name if names[:k].count(one.name) == 0 else f"{one.name} #{names[:k].count(one.name) + 1}": one
-        for k, one in enumerate(several)
+        name if names[:k].count(name) == 0 else f"{name} #{names[:k].count(name) + 1}": each
+        for k, (name, each) in enumerate(zip(names, several, strict=True))
     }
     believed = axis if machine is None else Axis(
         machine.drive, axis.controller, axis.sampling, axis.limits, axis.mapping, axis.name
     )  # fmt: skip
-    controllers = {axis.name: axis.controller} | {name: one.controller for name, one in against.items()}
+    controllers = {axis.name: axis.controller} | {name: other.controller for name, other in against.items()}
     texts = tuple(f"{name}={text}" for name, text in vary.items())
     return SweepPlan.of(
         believed, controllers, motions, texts, samples, load=str(load), most_in_a_part=most_in_a_part(), **more

@@ -69,14 +69,14 @@ def diagnose_logs(
     description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         checked = read(report, paths, description, loads)
-        parts = FolderStore.within(out, PARTS)
+        parts = FolderStore.in_folder(out, PARTS)
         with report.stages() as progress:
             found = diagnose_checked(
                 description, checked,
                 without=without, tolerance=tolerance, most_effects=most_effects, store=parts, progress=progress,
             )  # fmt: skip
-        if parts is not None and parts.found:
-            report.console.print(f"{parts.found} finished parts of an interrupted diagnosis were used.")
+        if parts is not None and parts.hits:
+            report.console.print(f"{parts.hits} finished parts of an interrupted diagnosis were used.")
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)
             _save(report, diagnosis_result(description, checked, found, NOT_SEARCHED), None)

@@ -129,7 +129,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Any:
     figure, axes = new_figure(3, 1, width=10.0, height=2.4, share_x=False)
     axes[1].sharex(axes[0])
     begin, largest = 0.0, 0.0
-    for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing, found.velocity, strict=True)):
+    for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing_force, found.velocity, strict=True)):
         force, speed = missing[: len(one.time)], velocity[: len(one.time)]
         largest = max(largest, float(np.max(np.abs(force[np.isfinite(force)]), initial=0.0)))
         step = max(1, len(force) * len(stretches) // MOST_POINTS)

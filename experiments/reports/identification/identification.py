@@ -69,7 +69,7 @@ def identify_drive(
         logs = checked(paths, name="findings")
         others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
         _inverse_dynamics(report, logs, others)
-        parts = FolderStore.within(out, PARTS)
+        parts = FolderStore.in_folder(out, PARTS)
         with (
             report.progress("searching", 1) as advance,
             at_next_step(advance, report.say) as progress,
@@ -78,8 +78,8 @@ def identify_drive(
                 logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, store=parts,
                 progress=progress,
             )  # fmt: skip
-        if parts is not None and parts.found:
-            report.console.print(f"{parts.found} finished searches of an interrupted identification were used.")
+        if parts is not None and parts.hits:
+            report.console.print(f"{parts.hits} finished searches of an interrupted identification were used.")
         estimates_table(report, found)
         if report.out is not None:
             _write(report, replace(description, drive=found.drive))
@@ -182,12 +182,12 @@ def say_words(report: Report, found: Identification) -> None:
     report.values(
         "accuracy",
         noise_m=found.noise,
-        white_force_N=found.process,
+        white_force_N=found.process_force,
         condition=found.covariance.condition,
         blocks=found.covariance.blocks,
     )
-    report.values("adequacy", structured=found.adequacy.structured, **found.adequacy._asdict())
-    report.values("starts", cost_over_best=[round(float(cost), 4) for cost in found.starts])
+    report.values("adequacy", structured=found.adequacy.has_structure, **found.adequacy._asdict())
+    report.values("starts", cost_over_best=[round(float(cost), 4) for cost in found.start_costs])
     if found.correlated:
         rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
         report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly tell apart")

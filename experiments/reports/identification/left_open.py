@@ -19,14 +19,18 @@ def uncertainty(found: Identification) -> dict[str, dict[str, object]]:
     kept = [
         k
         for k, one in enumerate(found.estimates)
-        if one.status == "fitted" and one.name.split(".")[0] not in NOT_IN_A_FILE and found.scatter[k, k] > 0.0
+        if one.status == "fitted"
+        and one.name.split(".")[0] not in NOT_IN_A_FILE
+        and found.estimate_covariance[k, k] > 0.0
     ]
-    deviation = np.sqrt(np.diag(found.scatter))
+    deviation = np.sqrt(np.diag(found.estimate_covariance))
     vary = {name_of(found.estimates[k]): _distribution(found.estimates[k], float(deviation[k])) for k in kept}
     correlation: dict[str, object] = {}
     for at, k in enumerate(kept):
         others = {
-            name_of(found.estimates[j]): float(np.clip(found.scatter[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0))
+            name_of(found.estimates[j]): float(
+                np.clip(found.estimate_covariance[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0)
+            )
             for j in kept[at + 1 :]
         }
         if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible

@@ -124,7 +124,9 @@ def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
     middle = 1e6 * float(np.exp(np.mean(np.log(errors[np.isfinite(errors) & (errors > 0.0)]))))
     for row, one in enumerate(reversed(found)):
         for end, colour, side in ((one.low, "C0", 0.15), (one.high, "C1", -0.15)):
-            axis.barh(row + side, 1e6 * end - middle, left=middle, color=colour if one.clear else "0.8", height=0.3)
+            axis.barh(
+                row + side, 1e6 * end - middle, left=middle, color=colour if one.is_significant else "0.8", height=0.3
+            )
         edge = max(1e6 * one.low, 1e6 * one.high, middle)
         axis.annotate(f" {100 * one.share:.0f} %", (edge, row), va="center", fontsize=8)
     axis.axvline(middle, color="0.3", lw=0.8)

@@ -71,7 +71,7 @@ def sweep_drive(
 
 def _warnings(plan: SweepPlan, motion: str) -> list[str]:
     """What to expect of each controller on a motion. Where settings vary, the first warning of each kind."""
-    extremes, found = plan.extremes(motion), []
+    extremes, found = plan.extreme_cycles(motion), []
     for name, controller in plan.controllers.items():
         first: dict[str, str] = {}
         for course in extremes:
@@ -116,7 +116,7 @@ def draw(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: floa
         if told:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
             report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
-    strongest = [told[0].name for _, told in found if told and told[0].clear]
+    strongest = [told[0].name for _, told in found if told and told[0].is_significant]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
         drawn = figures.against(every, name, plan.units[name], tolerance, by)
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)

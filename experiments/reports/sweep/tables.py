@@ -141,7 +141,7 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[Told], by: str) -> N
         [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 1e6 * each.low, 1e6 * each.high]
         for one, every in found
         for each in every
-        if each.clear  # result.json has the others
+        if each.is_significant  # result.json has the others
     ]
     if rows:
         report.table(
@@ -158,7 +158,7 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[Told], by: str) -> N
                 f"{place}: no sensitivities: they take {MIN_MACHINES} machines that did not diverge and are not all "
                 "alike."
             )
-        elif not any(each.clear for each in every):
+        elif not any(each.is_significant for each in every):
             report.say(
                 f"{place}: no quantity stands out by its share of the spread; more machines tell smaller shares."
             )
@@ -171,7 +171,7 @@ def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group
         if not one.diverged.any():
             continue
         every = influences_on_event(list(plan.units), varied_values(plan, one), one.diverged, plan.seed)
-        clear = [each for each in every if each.clear or each.chance < RARELY]
+        clear = [each for each in every if each.is_significant or each.chance < RARELY]
         for each in clear:
             uncertain = 100 * each.uncertain if np.isfinite(each.uncertain) else None
             shown = [100 * each.share, uncertain, each.chance, 100 * each.low, 100 * each.high]

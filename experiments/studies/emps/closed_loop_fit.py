@@ -129,7 +129,7 @@ def fit_closed_loop(
     search = levenberg_marquardt(
         residuals, np.zeros(len(free)), arrays, max_steps=max_steps, tolerance=TOLERANCE, progress=progress
     )
-    fitted = jax.tree.map(float, residuals.drive(jnp.asarray(search.y), arrays))
+    fitted = jax.tree.map(float, residuals.drive(jnp.asarray(search.theta), arrays))
     # the limits and the scale as they are, not their smooth neighbours
     actuator = dataclasses.replace(drive.actuator, delay_fraction=fitted.actuator.delay_fraction)
     return dataclasses.replace(fitted, actuator=actuator, sensor=drive.sensor), search

@@ -152,7 +152,7 @@ def force_figure(report: Report, record: emps.Record, replays: Mapping[str, Clos
     log = record.log
     axes[0].plot(log.time, log.command, "k", lw=0.6, label="logged")
     for name, replay in replays.items():
-        axes[1].plot(replay.time, replay.missing, lw=0.6, label=name)
+        axes[1].plot(replay.time, replay.command_error, lw=0.6, label=name)
     axes[0].plot(replay.time, replay.command, "C3", lw=0.6, label="simulated")
     axes[0].set(ylabel="force, N", title="EMPS, estimation file: force command in closed loop")
     axes[1].set(ylabel="difference, N", xlabel="time, s")
@@ -224,7 +224,7 @@ def _unexplained(report: Report, identified: Identification, log: Log) -> None:
     report.say(identified.adequacy.says)
     for first, second, correlation in identified.correlated:
         report.say(f"hardly told apart: {first} and {second} (correlation {correlation:.3f})")
-    ripples = ripple(log.position, identified.velocity[0], identified.missing[0])
+    ripples = ripple(log.position, identified.velocity[0], identified.missing_force[0])
     names = ("forwards_N", "backwards_N")
     report.values(
         "emps_ripple_once_a_turn",

@@ -93,7 +93,7 @@ def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps:
         tolerance=TOLERANCE,
         progress=record(simulations_per_step),
     )
-    return Descent(search.y, history, search.status)
+    return Descent(search.theta, history, search.status)
 
 
 def evolution_study(

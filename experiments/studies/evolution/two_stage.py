@@ -131,7 +131,7 @@ def _fit_sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Dr
     search = levenberg_marquardt(
         _StribeckResiduals(tuple(free)), np.zeros(len(free)), points, max_steps=200, tolerance=1e-8
     )
-    fitted = SearchSpace(tuple(free), points.origin).insert(unknowns, search.y).drive(drive)
+    fitted = SearchSpace(tuple(free), points.origin).insert(unknowns, search.theta).drive(drive)
     return fitted, search.cost / np.sqrt(len(velocity)), notes
 
 

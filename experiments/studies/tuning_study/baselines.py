@@ -5,7 +5,7 @@
     random_search    points drawn evenly
 
 All share one interface: they begin at theta = 0, minimise one penalised number
-(`tuning.gains.constrained.Point.penalised`), keep to one budget, and return the best point in any case.
+(`tuning.gains.constrained.DesignPoint.penalised_objective`), keep to one budget, and return the best point in any case.
 """
 
 import time
@@ -228,8 +228,8 @@ def _block_costs(
         problem = eqx.combine(arrays, rest)
 
         def evaluate_row(row: Int[Array, ""], costs: Float[Array, "p three"]) -> Float[Array, "p three"]:
-            point = gains.at(points[row], problem)
-            return costs.at[row].set(jnp.stack([point.penalised, point.objective, point.missed]))
+            point = gains.evaluate(points[row], problem)
+            return costs.at[row].set(jnp.stack([point.penalised_objective, point.objective, point.violation]))
 
         return lax.fori_loop(0, counts[0], evaluate_row, jnp.full((len(points), 3), jnp.nan))
 
@@ -244,7 +244,7 @@ def _block_costs(
 
 
 def costs_of(gains: ConstrainedGains, problem: TuningProblem, block: int = BLOCK) -> CostFunction:
-    """`ConstrainedGains.at` for a batch of points, one after the other on each of the program's devices.
+    """`ConstrainedGains.evaluate` for a batch of points, one after the other on each of the program's devices.
 
     Points side by side in one vectorised program, as in `tuning.optimisation.evolution`, are slower: the lanes of one
     ensemble fill the vectors already. With eight lanes on two cores: 25 ms per point, against 18 ms.

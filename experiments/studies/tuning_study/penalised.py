@@ -36,7 +36,7 @@ class _Scalar:
     gains: ConstrainedGains
 
     def __call__(self, theta: Float[Array, " k"], problem: TuningProblem) -> Float[Array, ""]:
-        return self.gains.at(theta, problem).penalised
+        return self.gains.evaluate(theta, problem).penalised_objective
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class _Squares:
     gains: ConstrainedGains
 
     def __call__(self, theta: Float[Array, " k"], problem: TuningProblem) -> Float[Array, " m"]:
-        signals, constraints = self.gains.seen(theta, problem)
+        signals, constraints = self.gains.signals_and_constraints(theta, problem)
         weights = jax.lax.stop_gradient(self.gains.objective.weights(signals))
         parts = jax.tree.map(lambda weight, signal: (weight * signal).ravel(), weights, signals)
         scale = jax.lax.stop_gradient(PENALTY * self.gains.objective(signals))
@@ -103,9 +103,9 @@ def _run_solver(
     while not status:
         theta, state, finished = _step(solver, residuals, theta, problem, state)
         point: DesignPoint = evaluate(gains, theta, problem)
-        penalised, objective = float(point.penalised), float(point.objective)
+        penalised, objective = float(point.penalised_objective), float(point.objective)
         best = min(best, (penalised, np.asarray(theta)), key=lambda candidate: candidate[0])
-        if float(point.missed) <= FEASIBILITY_TOLERANCE and objective < feasible[0]:
+        if float(point.violation) <= FEASIBILITY_TOLERANCE and objective < feasible[0]:
             feasible = (objective, np.asarray(theta))
         history.append(BaselineVisit(len(history) + 1, time.perf_counter() - start, best[0], feasible[0]))
         if bool(finished) or not np.isfinite(np.asarray(theta)).all():

@@ -133,7 +133,7 @@ def _race(
     report.table("race", columns, rows, "Cost to come within so much of the best; a derivative is one evaluation")
     report.values("best", objective_um=best, gradient_um=float(tuned.point.objective), parameters=count)
     evaluated, derivatives_singly, seconds, _ = gradient[-1]
-    report.values("gradient", status=tuned.status, starts=[float(start) for start in tuned.starts],
+    report.values("gradient", status=tuned.status, starts=[float(start) for start in tuned.start_objectives],
                   evaluations=evaluated, derivatives_counted_singly=derivatives_singly, seconds=seconds)  # fmt: skip
     report.figure("race", _race_figure(gradient, results))
     return tuned, best
@@ -157,9 +157,9 @@ def _evaluation_history(tuned: GainSearch) -> list[tuple[int, int, float, float]
 
     Over the searches from all starts, in order, the look at the starts before them included.
     """
-    history, evaluated, derived, seconds = [], len(tuned.starts), 0, tuned.screening
+    history, evaluated, derived, seconds = [], len(tuned.start_objectives), 0, tuned.screening_seconds
     for search in tuned.searches:
-        for e, j, s, objective, violation in search.standing.history:
+        for e, j, s, objective, violation in search.state.history:
             value = objective if violation <= FEASIBILITY_TOLERANCE and np.isfinite(objective) else np.inf
             # each search begins with a linearisation
             history.append((evaluated + e + j + 1, derived + j + 1, seconds + s, value))
@@ -194,7 +194,7 @@ def _race_figure(gradient: list[tuple[int, int, float, float]], results: dict[st
 def _mean_rms(controller: Controller, several: list[Scenario]) -> tuple[float, float]:
     """Mean RMS (um) and mean command noise (N) of scenarios."""
     signals = _signals(as_arrays(smooth(controller)), ensemble(several, SAMPLING, settle=SETTLE))
-    errors, noises = (np.sqrt(np.mean(np.square(signal), axis=1)) for signal in (signals.error, signals.change))
+    errors, noises = (np.sqrt(np.mean(np.square(signal), axis=1)) for signal in (signals.error, signals.command_change))
     return 1e6 * float(np.mean(errors)), float(np.mean(noises))
 
 
@@ -239,10 +239,10 @@ def _starts(report: Report, bench: TuningBenchmark, space: SearchSpace, best: fl
             tuned = tune(
                 bench.controller, bench.lanes, bench.requirements, SearchSpace(space.free, space.origin + shift)
             )
-            growth = float(np.max(np.asarray(tuned.point.kept["stability"])))
-            initial_growth = float(np.max(np.asarray(tuned.began.kept["stability"])))
+            growth = float(np.max(np.asarray(tuned.point.constraints["stability"])))
+            initial_growth = float(np.max(np.asarray(tuned.initial_point.constraints["stability"])))
             objective = float(tuned.point.objective)
-            one_search = float(tuned.starts[0])
+            one_search = float(tuned.start_objectives[0])
             excess = [cost / best - 1.0 for cost in (one_search, objective)]
             rows.append([k, initial_growth <= 0, tuned.status, objective, *excess, growth <= 0, tuned.feasible])
             advance(k + 1, starts, objective)

@@ -108,7 +108,7 @@ def table(path):
 
 
 def checkpoint(path):
-    Checkpoint(path, "problem").keep(0, SearchState(y=tuple(np.arange(500.0))))
+    Checkpoint(path, "problem").save(0, SearchState(theta=tuple(np.arange(500.0))))
 
 
 WRITERS = {

@@ -204,4 +204,4 @@ def test_gains_are_searched(tiny, search):
     found = search(costs_of(gains, problem, BLOCK), points.shape[1], Budget(12, 60.0))
     assert found.simulations == 12
     assert found.cost < found.history[0].cost < 1e3
-    assert found.cost == pytest.approx(float(evaluate(gains, found.theta, problem).penalised), rel=1e-9)
+    assert found.cost == pytest.approx(float(evaluate(gains, found.theta, problem).penalised_objective), rel=1e-9)

@@ -66,7 +66,7 @@ def test_noise_in_a_fast_loop_does_not_pass_for_a_missing_force():
     fitter = Fitter(logs)
     base = recalibrated(fitter, TOLERANCE)
     assert complete(fitter, base)
-    even = logs._replace(lanes=logs.lanes._replace(asked=None))
+    even = logs._replace(lanes=logs.lanes._replace(period_commands=None))
     blind = recalibrated(Fitter(even), TOLERANCE)
     assert blind.process[1] > 50.0 * base.process[1]  # a sudden force that nobody exerts
     assert lacking(Fitter(even), blind) > lacking(fitter, base) + 10.0

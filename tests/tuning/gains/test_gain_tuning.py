@@ -56,10 +56,10 @@ def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
     for k in range(len(y)):
         ahead, behind = (evaluate(gains, y + sign * h * jnp.eye(len(y))[k], problem) for sign in (1.0, -1.0))
         slope = float(ahead.objective - behind.objective) / (2 * h)
-        assert float(at.slope[k]) == pytest.approx(slope, rel=1e-5, abs=1e-6 * float(jnp.max(jnp.abs(at.slope))))
-        for key, values in ahead.kept.items():
-            difference = (np.asarray(values) - np.asarray(behind.kept[key])) / (2 * h)
-            found = np.asarray(at.kept_slopes[key])[:, k]
+        assert float(at.gradient[k]) == pytest.approx(slope, rel=1e-5, abs=1e-6 * float(jnp.max(jnp.abs(at.gradient))))
+        for key, values in ahead.constraints.items():
+            difference = (np.asarray(values) - np.asarray(behind.constraints[key])) / (2 * h)
+            found = np.asarray(at.constraint_jacobians[key])[:, k]
             loose = 1e-3 if key == "stability" else 1e-5  # a growth rate is the logarithm of what rounds near one
             np.testing.assert_allclose(
                 found, difference, rtol=loose, atol=loose * max(1e-2, np.max(np.abs(difference)))
@@ -83,8 +83,8 @@ def friction_of_an_observer():
 def test_a_limited_rms_is_foretold_as_the_curve_it_is(friction_of_an_observer):
     """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
     (gains, problem, at), d = friction_of_an_observer, np.array([0.3, -0.2])
-    truth = np.asarray(evaluate(gains, jnp.asarray(d), problem).kept["load error"])
-    straight = np.asarray(at.point.kept["load error"]) + np.asarray(at.kept_slopes["load error"]) @ d
+    truth = np.asarray(evaluate(gains, jnp.asarray(d), problem).constraints["load error"])
+    straight = np.asarray(at.point.constraints["load error"]) + np.asarray(at.constraint_jacobians["load error"]) @ d
     curve, slope = _rms_model(at, "load error", d)
     assert np.all(np.abs(curve - truth) < 0.3 * np.abs(straight - truth))
     ahead, behind = (_rms_model(at, "load error", d + sign * 1e-6 * np.eye(2)[0])[0] for sign in (1.0, -1.0))
@@ -95,17 +95,17 @@ def test_a_limited_rms_is_foretold_as_the_curve_it_is(friction_of_an_observer):
 def test_a_step_keeps_a_limited_rms_that_its_line_would_break(friction_of_an_observer):
     """The program's step stays within the foretold curve, which is convex: every cut lies below it."""
     at = friction_of_an_observer[2]
-    values = np.asarray(at.point.kept["command noise"])
+    values = np.asarray(at.point.constraints["command noise"])
     one = np.zeros((len(values), 3, 3))
     one[:] = np.diag([(1.0 + values[0]) ** 2, 4.0, 4.0])  # flat here, and steep a step away
     one[:, 0, 0] = (1.0 + values) ** 2
-    errors = np.asarray(at.point.kept["load error"])
+    errors = np.asarray(at.point.constraints["load error"])
     level = jnp.asarray((1.0 + errors)[:, None, None] ** 2 * np.diag([1.0, 0.0, 0.0]))  # nothing changes it
     bowl = at._replace(
         slope=jnp.asarray([-10.0, 5.0]),
         curvature=jnp.eye(2),
-        kept_slopes={
-            **at.kept_slopes,
+        constraint_jacobians={
+            **at.constraint_jacobians,
             "command noise": jnp.zeros((len(values), 2)),
             "load error": jnp.zeros((len(errors), 2)),
         },
@@ -137,20 +137,20 @@ def test_friction_can_be_tuned_along_in_each_direction():
 def test_tuning_gains_a_lot_and_keeps_what_is_required(usual):
     assert usual.status == "converged"
     assert usual.feasible
-    assert not usual.missed
-    assert float(usual.point.objective) < 0.5 * float(usual.began.objective)
-    for values in usual.point.kept.values():
+    assert not usual.violated
+    assert float(usual.point.objective) < 0.5 * float(usual.initial_point.objective)
+    for values in usual.point.constraints.values():
         assert float(jnp.max(values)) <= FEASIBILITY_TOLERANCE
     assert all(isinstance(leaf, float) for leaf in jax.tree.leaves(usual.controller))
     assert float(usual.controller.tracking.gains.kp) == pytest.approx(usual.after[usual.names.index("kp")])
     assert np.all(usual.tolerance >= 1.0)
-    history = usual.found.standing.history
+    history = usual.best.state.history
     assert [entry[0] for entry in history] == sorted(entry[0] for entry in history)
 
 
 def test_what_binds_is_named_and_is_worth_what_is_said(usual):
     """Relaxing the noise by 2 % lowers the objective by about twice what 1 % is said to be worth."""
-    worths = {one.name: one.worth for one in usual.binding}
+    worths = {one.name: one.gain for one in usual.binding}
     assert "command noise" in worths
     relaxed = tuned(LIMITS._replace(command_noise=1.02 * LIMITS.command_noise))
     gained = 100.0 * (1.0 - float(relaxed.point.objective) / float(usual.point.objective))
@@ -161,8 +161,8 @@ def test_what_cannot_be_kept_is_said_with_by_how_much():
     both = LoopLimits(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
     found = tuned(both, starts=1, max_steps=8)
     assert not found.feasible
-    assert found.missed
-    assert all(share > FEASIBILITY_TOLERANCE for share in found.missed.values())
+    assert found.violated
+    assert all(share > FEASIBILITY_TOLERANCE for share in found.violated.values())
     assert "infeasible" in found.status or "stopped" in found.status
 
 
@@ -174,7 +174,7 @@ def test_an_unstable_start_is_led_to_stable_gains(factor, usual):
         lambda c: (c.tracking.gains.kp, c.tracking.gains.kd), controller(), (20.0 * gains.kp, factor * gains.kd)
     )
     found = tune(far, lanes(), requirements(), search_space(far, default_space(controller()).free))
-    assert float(jnp.max(found.began.kept["stability"])) > 0.0
+    assert float(jnp.max(found.initial_point.constraints["stability"])) > 0.0
     assert found.feasible
     assert float(found.point.objective) < 1.05 * float(usual.point.objective)
 
@@ -189,7 +189,7 @@ def test_a_killed_search_goes_on_to_the_same_end(tmp_path, usual):
 
         tuned(checkpoint=path, progress=stop)
     finished = tuned(checkpoint=path)
-    assert finished.found.standing.steps == usual.found.standing.steps
+    assert finished.best.state.steps == usual.best.state.steps
     np.testing.assert_allclose(finished.after, usual.after, rtol=1e-12)
     assert float(finished.point.objective) == pytest.approx(float(usual.point.objective), rel=1e-12)
 
@@ -217,7 +217,7 @@ def test_an_interrupted_tuning_returns_the_best_so_far():
 
     found = tuned(progress=stop)
     assert found.status == "interrupted after 2 steps"
-    assert float(found.point.objective) <= float(found.began.objective)
+    assert float(found.point.objective) <= float(found.initial_point.objective)
 
 
 def test_a_search_that_runs_out_of_steps_says_so():
@@ -228,7 +228,7 @@ def test_a_start_that_diverges_is_reported_and_not_searched():
     gains, problem, space = question()
     found = search(gains, problem, SearchState(tuple(30.0 for _ in space.free)))
     assert (
-        found.standing.steps == 0
-        or found.at.point.missed <= FEASIBILITY_TOLERANCE
-        or found.standing.status != "running"
+        found.state.steps == 0
+        or found.linearised.point.violation <= FEASIBILITY_TOLERANCE
+        or found.state.status != "running"
     )

@@ -114,4 +114,4 @@ def test_a_lane_is_the_scenario_simulated_alone():
     for k, one in enumerate(scenarios()):
         alone = ensemble([one], SAMPLING, settle=0.03).signals(given_controller)
         np.testing.assert_allclose(both.error[k], alone.error[0], rtol=1e-6, atol=1e-15)
-        np.testing.assert_allclose(both.change[k], alone.change[0], rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(both.command_change[k], alone.command_change[0], rtol=1e-6, atol=1e-8)

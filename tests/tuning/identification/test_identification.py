@@ -135,7 +135,7 @@ def test_a_delay_between_samples_is_found_although_none_was_believed(rich):
 @pytest.mark.slow
 def test_the_search_converges_without_structure_and_its_intervals_hold_the_truth(rich):
     assert rich.status == "converged"
-    assert not rich.adequacy.structured
+    assert not rich.adequacy.has_structure
     assert rich.adequacy.says.startswith("nothing is missing")
     truth = true_values(MACHINE, BELIEVED) | {"delay": 1.3}
     held = [one.low <= truth[one.name] <= one.high for one in rich.estimates]
@@ -157,7 +157,7 @@ def test_what_the_innovations_should_be_is_what_they_are(rich):
 
 @pytest.mark.slow
 def test_pairs_that_are_hardly_told_apart_are_named(rich):
-    names = [free.path for free in rich.wide.residuals.free]
+    names = [free.path for free in rich.full_fit.residuals.free]
     assert rich.covariance.correlation.shape == (len(names), len(names))
     close = {
         (names[b], names[a])

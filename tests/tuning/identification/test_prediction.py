@@ -325,7 +325,7 @@ def test_the_filter_is_the_textbooks():
     gains, scatter = by_hand(DELAYED, 1.3, 0.5, lanes, samples)
     found = filter_lanes(as_arrays(DELAYED), 1.3, 0.5, NOISE, lanes, SAMPLING)
     ours = np.stack([np.asarray(one[0, :samples]) for one in found.gains[:3]], axis=1)
-    np.testing.assert_allclose(np.asarray(found.gains.scatter[0, :samples]), scatter, rtol=1e-7)
+    np.testing.assert_allclose(np.asarray(found.gains.innovation_std[0, :samples]), scatter, rtol=1e-7)
     size = np.abs(gains).max(axis=0)
     np.testing.assert_allclose(ours / size, gains / size, atol=1e-7)
 
@@ -340,7 +340,7 @@ def test_the_innovations_of_a_filter_are_those_of_the_prediction_under_its_gains
 def test_on_an_exact_model_the_normalised_innovations_are_white_noise_of_size_one():
     lanes = noisy_lane()
     found = filter_lanes(as_arrays(DELAYED), 1.3, 1e-3, NOISE, lanes, SAMPLING)
-    normal = np.asarray(found.innovation / found.gains.scatter)[0, 50:]
+    normal = np.asarray(found.innovation / found.gains.innovation_std)[0, 50:]
     assert np.std(normal) == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(normal)))
     assert abs(np.mean(normal[1:] * normal[:-1])) < 4 / np.sqrt(len(normal))
 
@@ -355,20 +355,22 @@ def filtered_under(amplitude):
 
 def test_an_exact_model_needs_no_force():
     found = filtered_under(0.0)
-    assert found.process == PROCESS_FORCES[0]
-    assert found.gain == 0.0
+    assert found.process_force == PROCESS_FORCES[0]
+    assert found.deviance_gain == 0.0
 
 
 def test_a_force_that_the_model_lacks_is_found_in_its_size():
     """A sine is not white: what must be given the filter grows with it, as it grows within the filter's memory."""
     small, large = filtered_under(2.0), filtered_under(20.0)
-    assert 0.2 < small.process < 20.0
-    assert 2.0 < large.process < 200.0
-    assert large.process > 3 * small.process
-    assert 1e3 < small.gain < large.gain
+    assert 0.2 < small.process_force < 20.0
+    assert 2.0 < large.process_force < 200.0
+    assert large.process_force > 3 * small.process_force
+    assert 1e3 < small.deviance_gain < large.deviance_gain
     reference = reversal()
     given = 2.0 * np.sin(2 * np.pi * 3.0 * reference.time)
-    invented = DELAYED.plant.mass * RATE * np.asarray(small.track.gains.velocity * small.track.innovation)[0]
+    invented = (
+        DELAYED.plant.mass * RATE * np.asarray(small.filter_result.gains.velocity * small.filter_result.innovation)[0]
+    )
     smooth = scipy.ndimage.uniform_filter1d(invented, 80)
     late = reference.time > 0.05  # once the bristle is known
     # the bristle's corrections stand for the rest
@@ -379,6 +381,6 @@ def test_a_force_that_the_model_lacks_is_found_in_its_size():
 def test_without_the_constant_force_the_filter_invents_it():
     drive = eqx.tree_at(lambda d: d.plant.constant_force, DELAYED, 0.0)
     found = most_likely(as_arrays(drive), 1.3, NOISE, noisy_lane(), SAMPLING)
-    force = drive.plant.mass * RATE * np.asarray(found.track.gains.velocity * found.track.innovation)[0]
-    assert found.gain > 1e3
+    force = drive.plant.mass * RATE * np.asarray(found.filter_result.gains.velocity * found.filter_result.innovation)[0]
+    assert found.deviance_gain > 1e3
     assert np.mean(force[200:]) == pytest.approx(12.0, rel=0.3)

@@ -61,7 +61,7 @@ def test_a_simulated_log_is_replayed_to_itself(name, actuator):
     assert found.status.ok
     # not exactly: in a log the table has been moving before, in a simulation it begins at rest on a moving reference
     late = found.time > 0.5
-    assert np.max(np.abs(found.missing[late])) < (1e-3 if name != "dobvsc" else 0.1)
+    assert np.max(np.abs(found.command_error[late])) < (1e-3 if name != "dobvsc" else 0.1)
 
 
 @pytest.mark.parametrize("begin", [120, 430, 780])
@@ -72,7 +72,7 @@ def test_a_log_that_begins_in_motion_begins_without_a_jolt(begin, actuator):
     found = replay_closed_loop(drive, controller, log, SAMPLING)
     assert found.force_percent < 0.2
     assert found.position_rms < 1e-7
-    assert found.command_rms == pytest.approx(np.sqrt(np.mean(found.missing**2)))
+    assert found.command_rms == pytest.approx(np.sqrt(np.mean(found.command_error**2)))
 
 
 def test_each_piece_begins_anew_and_short_ones_are_left_out():
@@ -93,7 +93,7 @@ def test_a_known_disturbance_counts_in_both_forces():
     pulses = np.where(MOTION.time % 0.5 < 0.25, 100.0, 0.0)
     plain = replay_closed_loop(wrong, controller, log, SAMPLING)
     pushed = replay_closed_loop(wrong, controller, dataclasses.replace(log, disturbance=pulses), SAMPLING)
-    assert np.mean(plain.missing[200:]) == pytest.approx(-10.0, rel=0.01)
+    assert np.mean(plain.command_error[200:]) == pytest.approx(-10.0, rel=0.01)
     ratio = pushed.force_percent / pushed.command_rms
     assert ratio == pytest.approx(100 / np.sqrt(np.mean((log.command + pulses) ** 2)))
 
@@ -158,7 +158,7 @@ def test_the_closed_loop_fit_finds_the_drive_behind_a_log():
     believed = axis(gap=1e-3, delay_samples=1)
     believed = eqx.tree_at(lambda d: (d.plant.mass, d.plant.constant_force), believed, (120.0, 0.0))
     found, search = fit_closed_loop([log], believed, controller)
-    assert search.cost < 0.05 < 1.0 < search.cost_before
+    assert search.cost < 0.05 < 1.0 < search.initial_cost
     assert search.cost == pytest.approx(replay_closed_loop(found, controller, log).force_percent, abs=0.03)
     assert found.plant.mass == pytest.approx(95.0, rel=0.01)
     assert found.friction.viscous.negative == pytest.approx(230.0, rel=0.02)
@@ -173,7 +173,7 @@ def test_a_fit_leaves_what_is_fixed():
     log = part(logged(truth, controller, 0.0), slice(100, None))
     fixed = ("breakaway_gap", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay", "mass")
     found, search = fit_closed_loop([log], axis(gap=-3.0), controller, axis(gap=-3.0), fixed=fixed, max_steps=4)
-    assert search.cost < search.cost_before
+    assert search.cost < search.initial_cost
     assert found.plant.mass == 95.0
     assert found.friction.breakaway_gap.positive == pytest.approx(-3.0)
     assert found.friction.bristle_damping.negative == 3e3

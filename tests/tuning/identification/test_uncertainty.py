@@ -167,7 +167,7 @@ def autoregression(foretold, seed):
 def test_a_log_too_short_to_judge_is_not_said_to_miss_nothing():
     innovation = np.random.default_rng(6).normal(size=NOTHING.shape)
     verdict = judged(innovation, gain=1e6, force=np.nan)
-    assert verdict.structured
+    assert verdict.has_structure
     assert "too short" in verdict.says
     partly = np.where(np.arange(NOTHING.shape[1]) < 15_000, np.nan, 3.0)[None]
     assert adequacy(innovation, 1e6, partly, FRICTION).missing == pytest.approx(3.0)
@@ -176,7 +176,7 @@ def test_a_log_too_short_to_judge_is_not_said_to_miss_nothing():
 @pytest.mark.parametrize("seed", range(5))
 def test_white_innovations_and_no_missing_force_are_no_structure(seed):
     verdict = judged(np.random.default_rng(seed).normal(size=NOTHING.shape), gain=5.0, force=0.05)
-    assert not verdict.structured
+    assert not verdict.has_structure
     assert verdict.p_value > 1e-3
     assert verdict.foretold < 0.005
     assert verdict.says.startswith("nothing is missing")
@@ -191,7 +191,7 @@ def test_the_p_value_of_white_innovations_is_uniform():
 @pytest.mark.parametrize("foretold", [0.02, 0.05, 0.5])
 def test_innovations_that_their_past_foretells_are_structure(foretold):
     verdict = judged(autoregression(foretold, 7))
-    assert verdict.structured
+    assert verdict.has_structure
     assert verdict.foretold == pytest.approx(foretold, abs=0.01)
     assert verdict.p_value < 1e-3
     assert f"{100 * verdict.foretold:.2g} %" in verdict.says
@@ -200,13 +200,13 @@ def test_innovations_that_their_past_foretells_are_structure(foretold):
 def test_a_trace_of_colour_is_beyond_doubt_and_yet_too_small_to_matter():
     verdict = judged(autoregression(0.005, 8))
     assert verdict.p_value < 1e-3
-    assert not verdict.structured
+    assert not verdict.has_structure
 
 
 @pytest.mark.parametrize(("gain", "force", "structured"), [(500.0, 3.0, True), (500.0, 0.01, False), (3.0, 3.0, False)])
 def test_a_force_is_missing_where_it_is_both_certain_and_large(gain, force, structured):
     verdict = judged(np.random.default_rng(9).normal(size=NOTHING.shape), gain, force)
-    assert verdict.structured is structured
+    assert verdict.has_structure is structured
     assert verdict.missing == pytest.approx(force)
     assert verdict.share == pytest.approx(force / FRICTION)
     assert f"{force:.2g} N" in verdict.says

@@ -94,7 +94,7 @@ def test_a_search_that_was_interrupted_ends_as_if_it_had_not_been(tmp_path):
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     parts = FolderStore(tmp_path)
     found, alone = looked(parts), looked(None)
-    assert parts.found >= 3
+    assert parts.hits >= 3
     assert before.items() <= {path.name: path.read_bytes() for path in tmp_path.iterdir()}.items()
     for ours, theirs in zip([*found.screened, *found.fits], [*alone.screened, *alone.fits], strict=True):
         for one, other in zip(jax.tree.leaves(numbers_of(ours)), jax.tree.leaves(numbers_of(theirs)), strict=True):

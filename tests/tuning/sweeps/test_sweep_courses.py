@@ -118,9 +118,9 @@ def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
 
 def test_memory_bounds_how_many_are_held_at_once(monkeypatch):
     planned = plan()
-    assert planned._at_once(SINE) == block_size(own_courses=True) * len(jax.devices())
+    assert planned._machines_at_once(SINE) == block_size(own_courses=True) * len(jax.devices())
     monkeypatch.setattr("tuning.sweeps.plan.MAX_BYTES", 1.0)
-    assert planned._at_once(SINE) == block_size(own_courses=True)
+    assert planned._machines_at_once(SINE) == block_size(own_courses=True)
 
 
 def test_what_no_machine_runs_refuses_none():

@@ -34,7 +34,7 @@ def test_each_quantity_meets_the_drive_files_value_as_it_says():
         "plant.mass=uniform:-5%..5%", "plant.constant_force=normal:-3..2 N", "friction.viscous=lognormal:10%",
         "friction.coulomb_screw.negative=normal:4 N", "effects.backlash.gap=uniform:0..10 um", "load=uniform:1..5 kN",
     )  # fmt: skip
-    numbers = [one.of(HALF[:, k]) for k, one in enumerate(varied)]
+    numbers = [one.quantile(HALF[:, k]) for k, one in enumerate(varied)]
     for k in range(3):
         one = lane(machine, k)
         plant = dataclasses.replace(DRIVE.plant, mass=100.0 * numbers[0][k], constant_force=numbers[1][k])

@@ -128,7 +128,7 @@ def test_a_sweep_that_cannot_be_is_refused_before_it_starts(vary, more, says):
 @pytest.mark.parametrize("vary", ["load=uniform:0..12 kN", "load.change=uniform:0..12 kN"])
 def test_what_a_motion_is_judged_by_is_the_most_load_that_varies(vary):
     planned = plan(vary=(vary,))
-    [(_, loads)] = planned.extremes("sine")
+    [(_, loads)] = planned.extreme_cycles("sine")
     assert (loads.min(), loads.max()) == (0.0, 12e3)
 
 

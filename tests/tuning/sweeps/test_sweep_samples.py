@@ -40,20 +40,20 @@ SHARE = (np.arange(20_000) + 0.5) / 20_000
 )
 def test_a_distribution_is_the_one_that_was_written(text, how, low, middle, high, deviation):
     varied = parse_varied(text, DRIVE)
-    values = varied.of(SHARE)
-    assert varied.how == how
+    values = varied.quantile(SHARE)
+    assert varied.mode == how
     assert np.all(np.diff(values) >= 0.0)
     assert values[0] >= low - 1e-9 * abs(low)
     assert values[-1] <= high + 1e-9 * abs(high)
-    assert varied.of(np.array([0.0, 1.0])) == pytest.approx([low, high])
+    assert varied.quantile(np.array([0.0, 1.0])) == pytest.approx([low, high])
     if middle is not None:
-        assert varied.of(np.array([0.5]))[0] == pytest.approx(middle, abs=1e-12)
+        assert varied.quantile(np.array([0.5]))[0] == pytest.approx(middle, abs=1e-12)
     spread = np.std(np.log(values)) if "loguniform" in text else np.std(values)
     assert spread == pytest.approx(deviation, rel=0.01, abs=1e-12)
 
 
 def test_a_normal_quantity_ends_where_it_must():
-    values = parse_varied("friction.coulomb_screw=normal:10..10 N", DRIVE).of(SHARE)
+    values = parse_varied("friction.coulomb_screw=normal:10..10 N", DRIVE).quantile(SHARE)
     assert np.min(values) >= 0.0
     assert stats.kstest(values, stats.truncnorm(-1.0, MAX_SIGMAS, 10.0, 10.0).cdf).statistic < 1e-3
 
@@ -70,12 +70,12 @@ def test_a_normal_quantity_ends_where_it_must():
 )
 def test_a_normal_offset_or_factor_ends_where_the_quantity_must(text, value, most):
     varied = parse_varied(text, DRIVE)
-    ends = varied.of(np.array([0.0, 1.0]))
-    assert (value + ends if varied.how == "plus" else value * ends) == pytest.approx([0.0, most], abs=1e-12)
+    ends = varied.quantile(np.array([0.0, 1.0]))
+    assert (value + ends if varied.mode == "plus" else value * ends) == pytest.approx([0.0, most], abs=1e-12)
 
 
 def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
-    values = parse_varied("plant.mass=normal:1 kg", DRIVE).of(SHARE)
+    values = parse_varied("plant.mass=normal:1 kg", DRIVE).quantile(SHARE)
     assert np.max(np.abs(values)) < MAX_SIGMAS
     assert stats.kstest(values, "norm").statistic < 1e-3
 
