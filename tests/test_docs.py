@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SOURCES = [file for part in ("diffdrive", "tuning", "experiments", "tests") for file in (ROOT / part).rglob("*.py")]
 FILES = {file.name for file in SOURCES}
+WORDS = {word for file in SOURCES for word in re.findall(r"\w+", file.read_text(encoding="utf-8"))}
 
 
 def test_the_reference_of_motions_in_the_docs_is_current():
@@ -86,6 +87,7 @@ def test_the_readme_links_the_table_of_contents_which_leads_to_every_page():
 
 
 NAME = re.compile(r"`((?:diffdrive|tuning|experiments)(?:\.(?!json|png|toml|checkpoint)[A-Za-z_]\w*)+)")
+IDENTIFIER = re.compile(r"`([a-z]+_\w+|[A-Z]+_\w+|[A-Z][a-z]+[A-Z]\w+)(?:\([^`]*\))?`")
 FILE = re.compile(r"(?<![\w./])((?:[\w-]+/)*\w+\.py)\b")
 
 
@@ -107,6 +109,7 @@ def is_there(name):
 def test_what_a_page_names_of_the_code_is_there(page):
     text = page.read_text(encoding="utf-8")
     assert [name for name in NAME.findall(text) if not is_there(name)] == []
+    assert [word for word in IDENTIFIER.findall(text) if word not in WORDS] == []
     assert [file for file in FILE.findall(text) if not (ROOT / file).exists() and file not in FILES] == []
 
 
