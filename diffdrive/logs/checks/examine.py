@@ -1,6 +1,6 @@
 """Find the traps that real logs hold, before anything is identified from them: docs/method/log-checks.md lists them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +27,28 @@ from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.checks.repair import Repair
 from diffdrive.logs.log import Log, Signal
 
-__all__ = ["Finding", "examine", "examine_together"]
+__all__ = ["Finding", "examine", "examine_together", "register"]
+
+Check = Callable[[Log, Axis | None], Iterable[Finding]]
+
+_REGISTERED: list[Check] = []
+
+
+def register(check: Check) -> Check:
+    """Make a check of one's own known to `examine`, and so to `check`, `identify` and `diagnose`: a decorator.
+
+    The function gets a readable `Log` in SI units and the `Axis`, None where no drive file is given, and yields a
+    `Finding` for each trap that it sees.
+
+    Examples:
+        >>> @register
+        ... def short(log, axis):
+        ...     if log.duration < 1.0:
+        ...         yield Finding("note", "time", f"the log lasts {log.duration:.2g} s", "record a lap", "motion")
+
+    """
+    _REGISTERED.append(check)
+    return check
 
 
 def examine(log: Log, axis: Axis | None = None) -> list[Finding]:
@@ -211,6 +232,7 @@ def _other_findings(log: Log, axis: Axis | None, controller_command: Signal | No
         derived.feedforward(log),
         motion.variety(log),
         motion.begins_in_motion(log),
+        *(check(log, axis) for check in _REGISTERED),
     ]
     return [finding for check in checks for finding in check]
 
