@@ -26,6 +26,10 @@ _MIN_COMPILE_TIME = 0.1  # s of compilation, for which a program is kept
 _FORGET_AFTER = 60 * 86_400.0  # s without use: a season, over which each edition of the sources has left programs
 
 
+def _set(option: str, value: object) -> None:
+    jax.config.update(option, value)  # type: ignore[no-untyped-call]  # jax declares no types of it
+
+
 def cores() -> int:
     """The processor's cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -51,20 +55,20 @@ def configure(devices: int | None = None) -> None:
     names = {flag.split("=")[0] for flag in flags}
     flags += [flag for flag in _XLA_FLAGS if flag.split("=")[0] not in names]
     os.environ["XLA_FLAGS"] = " ".join(flags)
-    jax.config.update("jax_enable_x64", True)
+    _set("jax_enable_x64", True)
     if "JAX_PLATFORMS" not in os.environ:  # a lane or a few take a hundred times as long on a GPU
-        jax.config.update("jax_platforms", "cpu")
+        _set("jax_platforms", "cpu")
     if "JAX_NUM_CPU_DEVICES" not in os.environ and _DEVICE_COUNT_FLAG not in names:
         # once the backend runs, the number of devices is fixed: then it stays as it is
         with contextlib.suppress(RuntimeError):
-            jax.config.update("jax_num_cpu_devices", devices or cores())
+            _set("jax_num_cpu_devices", devices or cores())
     _enable_compilation_cache()
 
 
 def allow_accelerator() -> None:
     """After `configure`: run on a GPU if jax finds one, which pays for very many lanes."""
     if "JAX_PLATFORMS" not in os.environ:
-        jax.config.update("jax_platforms", None)
+        _set("jax_platforms", None)
 
 
 def arithmetic_signature() -> list[str]:
@@ -85,5 +89,5 @@ def _enable_compilation_cache() -> None:
             if time.time() - program.stat().st_atime > _FORGET_AFTER:
                 program.unlink()
     if os.access(folder, os.W_OK):
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_TIME)
+        _set("jax_compilation_cache_dir", str(folder))
+        _set("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_TIME)
