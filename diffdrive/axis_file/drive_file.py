@@ -288,7 +288,7 @@ def write_axis(path: str | Path, axis: Axis, comments: Sequence[str] = ()) -> No
     read_back = parse_axis(tables, str(path))
     for name in ("drive", "controller"):
         written, reread = (jax.tree.flatten(getattr(side, name)) for side in (axis, read_back))
-        same_structure = written[1] == reread[1]
+        same_structure = written[1] == reread[1]  # type: ignore[operator]  # jax's types leave PyTreeDef empty
         if not same_structure or [*map(float, written[0])] != [*map(float, reread[0])]:
             raise DriveFileError(
                 f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
