@@ -36,7 +36,7 @@ class Run(Result):
     schema: ClassVar[str] = "run/1"
 
     def headline(self) -> str:
-        rms, peak = (f"{1e6 * value:.3g} um" for value in (self.rms(), self.peak()))
+        rms, peak = (f"{1e6 * value:.3g} µm" for value in (self.rms(), self.peak()))
         message = self.status.message if self.status.ok else f"NOT OK: {self.status.message}"
         return f"{message}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
 

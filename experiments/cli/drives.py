@@ -16,6 +16,7 @@ from experiments.cli.options import (
     Out,
     Seed,
     Settle,
+    Svg,
     count_of,
     finite,
 )  # fmt: skip
@@ -28,6 +29,7 @@ def demo(
     out: Out = None,
     emps: Annotated[Path | None, typer.Option(help="Folder of the EMPS benchmark's .mat files.")] = None,
     quick: Annotated[bool, typer.Option(help="Searches from fewer starts: half the time.")] = False,
+    svg: Svg = False,
 ) -> None:
     """The main job: simulate the paper's drive, differentiate it, tune it over loads, and identify a real axis.
 
@@ -47,6 +49,7 @@ def simulate(
     settle: Settle = 0.0,
     seed: Seed = 0,
     out: Out = None,
+    svg: Svg = False,
 ) -> None:
     """Simulate one motion of a drive under its controller, and say how well it follows.
 
@@ -97,6 +100,7 @@ def tune(
     seed: Seed = 0,
     steps: Annotated[int, typer.Option(callback=count_of, min=1, help="Most search steps from each start.")] = 40,
     pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
+    svg: Svg = False,
 ) -> None:
     """Tune the controller's gains by gradient over loads and machines, within margins, and verify them held out.
 

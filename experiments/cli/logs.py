@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import Believed, Columns, Loads, Logs, Out, Seed, Shifts, Units, count_of, finite
+from experiments.cli.options import Believed, Columns, Loads, Logs, Out, Seed, Shifts, Svg, Units, count_of, finite
 
 logs = typer.Typer()
 
@@ -58,6 +58,7 @@ def identify(
         list[Path] | None, typer.Option(help="A log that is only looked at afterwards; repeatable.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Go on over fatal findings in a log.")] = False,
+    svg: Svg = False,
 ) -> None:
     """Identify friction, mass and delay of a drive from its logs, with intervals, and say whether the model suffices.
 
@@ -105,6 +106,7 @@ def diagnose(
     tune: Annotated[
         bool, typer.Option("--tune", help="Tune the controller on both drives, and show what closing the gap pays.")
     ] = False,
+    svg: Svg = False,
 ) -> None:
     """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
 

@@ -40,6 +40,14 @@ def folder_of(text: str) -> Path:
     return Path(text)
 
 
+def figures_as(svg: bool) -> bool:
+    """Have every report of this command save its figures as SVG, too."""
+    from experiments.reports.formats import figure_formats
+
+    figure_formats.set(("png", "svg") if svg else ("png",))
+    return svg
+
+
 DriveFile = Annotated[Path, typer.Argument(help="Drive file (TOML); `diffdrive template` prints one.")]
 Out = Annotated[
     Path | None,
@@ -59,6 +67,7 @@ StudyFolder = Annotated[
         help="Folder; a study that was interrupted goes on from what is in it.",
     ),
 ]
+Svg = Annotated[bool, typer.Option("--svg", callback=figures_as, help="Write each figure as SVG, too, beside its PNG.")]
 Logs = Annotated[
     list[Path],
     typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import DriveFile, Out, Seed, StudyFolder, count_of, finite, seed_of
+from experiments.cli.options import DriveFile, Out, Seed, StudyFolder, Svg, count_of, finite, seed_of
 
 PANEL = "Studies of the tool itself"
 
@@ -19,6 +19,7 @@ def tuning_study(
     evaluations: Annotated[int, typer.Option(callback=count_of, min=50, help="Of each derivative-free search.")] = 2550,
     runs: Annotated[int, typer.Option(callback=count_of, min=1, help="Of each derivative-free search.")] = 3,
     starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Random starts of the gradient search.")] = 10,
+    svg: Svg = False,
 ) -> None:
     """Gradient tuner against CMA-ES, Nelder-Mead and random search on one ensemble (docs/evidence/tuning-study.md).
 
@@ -116,7 +117,10 @@ def convergence(
 
 
 @studies.command(rich_help_panel=PANEL, cls=Computing)
-def reproduce(out: Out = None) -> None:
+def reproduce(
+    out: Out = None,
+    svg: Svg = False,
+) -> None:
     """The paper's Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, ours beside theirs, with every assumption."""
     from experiments.studies.paper.reproduce import reproduce as run
 
@@ -151,6 +155,7 @@ def emps(
         Path | None, typer.Option(help="Folder of the benchmark's .mat files; by default that beside the checkout.")
     ] = None,
     out: Out = None,
+    svg: Svg = False,
 ) -> None:
     """The EMPS benchmark, a real axis: log checks, inverse dynamics, identification and replay, beside its figures.
 
@@ -176,6 +181,7 @@ def evolution(
         int, typer.Option(callback=count_of, min=1, max=20, help="How often both searches run, by turns.")
     ] = 3,
     out: Out = None,
+    svg: Svg = False,
 ) -> None:
     """Gradient search against differential evolution on one identification problem: what equal quality costs.
 
@@ -195,6 +201,7 @@ def recovery(
     workers: Annotated[
         int | None, typer.Option(callback=count_of, min=1, help="Processes; by default one per core.")
     ] = None,
+    svg: Svg = False,
 ) -> None:
     """How well identification recovers known drives, and whether its intervals hold the truth.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Machine, Out, Seed, Settle, count_of
+from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Machine, Out, Seed, Settle, Svg, count_of
 
 sweeps = typer.Typer()
 
@@ -61,6 +61,7 @@ def sweep(
         typer.Option(help="double; or single, in about half the time, errors off by some nm and more on long strokes."),
     ] = "double",
     out: Out = None,
+    svg: Svg = False,
 ) -> None:
     """Monte Carlo: over the machines, loads and noise that this axis will meet, how often does it miss, and why?
 
@@ -104,6 +105,7 @@ def replay(
     controller: Annotated[str | None, typer.Option(help="By the name of its drive file; default the first.")] = None,
     motion: Annotated[str | None, typer.Option(help="By its name in the sweep; default the first.")] = None,
     out: Out = None,
+    svg: Svg = False,
 ) -> None:
     """Run one machine of a sweep again: every signal, its figure, and the machine as a drive file."""
     from diffdrive.runtime import allow_accelerator

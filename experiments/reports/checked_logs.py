@@ -8,6 +8,7 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log, read_logs
+from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.mapping import log_and_channel, matches_log
 from diffdrive.motion.text import number
 from experiments.reports.report import Report
@@ -58,13 +59,23 @@ def looked_over(
         if unused:
             report.say(f"{log.name}: {', '.join(unused)}: read and checked, but not used.")
     if found:
-        report.table(
+        report.record(
             name,
             ("log", "severity", "channel", "what", "mend"),
             [[log, one.severity, one.channel, one.message, one.remedy] for log, one in found],
-            f"What {', '.join(log.name for log in logs)} would mislead about, or limits",
         )
+        _list(report, found, f"What {', '.join(log.name for log in logs)} would mislead about, or limits")
     return checked
+
+
+def _list(report: Report, found: Sequence[tuple[str, Finding]], title: str) -> None:
+    """Findings, the gravest first; a table of sentences would break them into columns of a few words."""
+    report.print(f"\n{title}", style="bold")
+    for log, one in sorted(found, key=lambda item: SEVERITIES.index(item[1].severity)):
+        severity = one.severity.upper() if one.severity == "fatal" else one.severity
+        report.print(f"- {severity}: {log}, {one.channel}: {one.message}")
+        report.print(f"  Mend: {one.remedy}")
+    report.print("")
 
 
 def read_checked(

@@ -29,16 +29,27 @@ def check_logs(
     """
     description = described(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
-        checked = looked_over(
-            paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA
-        )
-        logs, found, fatal = checked.logs, checked.findings, checked.fatal
+        with report.result_first() as result:
+            checked = looked_over(
+                paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA
+            )
+            found, fatal = checked.findings, checked.fatal
+            report.keep("verdict", fatal=len(fatal), findings=len(found))
+            result(_in_words(len(found), len(fatal)))
         names = ("log", "samples", "rate Hz", "s", "gaps", "from mm", "to mm", "fastest mm/s", "largest N", "channels")
-        report.table("logs", names, [_row(log) for log in logs], "What the logs hold, in SI where nothing is said")
-        report.values("verdict", fatal=len(fatal), findings=len(found))
-        if not found:
-            report.say("Nothing is wrong with them that could be seen.")
+        rows = [_row(log) for log in checked.logs]
+        report.record("logs", names, rows)
+        report.show("What the logs hold", (*names[:3], "length, s", *names[4:8], "largest command N", names[9]), rows)
     return not fatal
+
+
+def _in_words(findings: int, fatal: int) -> str:
+    if not findings:
+        return "Nothing is wrong with them that could be seen."
+    found = f"{findings} finding{'s' if findings > 1 else ''}"
+    if fatal:
+        return f"{found}, {fatal} of them fatal: mend the logs first, since what is made of them would be wrong."
+    return f"{found}, none of them fatal: they can be used."
 
 
 def _row(log: Log) -> list[object]:

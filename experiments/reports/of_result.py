@@ -6,14 +6,15 @@ from typing import Any
 
 from rich.console import Console
 
-from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run
 from diffdrive.results import Result
-from experiments.reports.diagnosis.diagnosis import write_reference
+from experiments.reports.axis_file import write_axis_file
 from experiments.reports.diagnosis.figures import draw as draw_diagnosis
+from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import page, tell
 from experiments.reports.identification.figures import draw as draw_identification
-from experiments.reports.identification.identification import estimates_table, say_words
+from experiments.reports.identification.identification import tell as tell_identified
 from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.report import Report
 from experiments.reports.simulation import run_figure, write_run
@@ -70,10 +71,9 @@ def _(result: Run, one: Report) -> None:
 
 @section.register
 def _(result: IdentificationResult, one: Report) -> None:
-    estimates_table(one, result.fit)
-    say_words(one, result.fit)
+    tell_identified(one, result.fit)
     write_uncertainty(_out(one), result.fit)
-    _write_axis(one, result, "identified.toml")
+    write_axis_file(one, result.axis, "identified.toml")
     draw_identification(one, result.fit, result.initial_axis.drive, result.logs.logs)
 
 
@@ -82,7 +82,7 @@ def _(result: DiagnosisResult, one: Report) -> None:
     told = dict(result.details)
     tell(one, told)
     write_reference(one, result.next_motion.reference)
-    augmented = _write_axis(one, result, "augmented.toml", (f"the verdict of the diagnosis was {result.verdict}",))
+    augmented = write_augmented(one, result)
     draw_diagnosis(one, result.diagnosis, result.logs.logs)
     page(one, told, augmented)
 
@@ -98,7 +98,7 @@ def _(result: TuningResult, one: Report) -> None:
     verification_table(one, list(result.runs))
     one.figure("tuning", figure_of(result.search, list(result.runs), result.plan))
     if result.accepted:
-        _write_axis(one, result, "tuned.toml")
+        write_axis_file(one, result.axis, "tuned.toml")
 
 
 @section.register
@@ -114,15 +114,3 @@ def _(result: SweepResult, one: Report) -> None:
 def _out(one: Report) -> Path:
     assert one.out is not None
     return one.out
-
-
-def _write_axis(one: Report, result: Any, name: str, comments: tuple[str, ...] = ()) -> str | None:
-    """The axis of a result as a file; None, and a sentence, where no file can say it."""
-    if result.axis is None:
-        return None
-    try:
-        result.axis.write(_out(one) / name, comments)
-    except DiffdriveError as problem:
-        one.say(f"{name} is not written, since no drive file can say this: {problem}")
-        return None
-    return name

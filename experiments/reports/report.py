@@ -12,17 +12,18 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 from rich.text import Text
 
 from diffdrive.support.atomic_write import atomic_write
 from diffdrive.support.messages import printable
+from experiments.reports import progress, readable
+from experiments.reports.formats import figure_formats
 from experiments.reports.output_folder import OutputFolder
 
 RESULT = "result.json"
@@ -48,20 +49,14 @@ def _json(data: dict[str, Any]) -> str:
     return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
 
 
-def _shown(value: Any, digits: int = 4) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.{digits}g}" if isinstance(value, float | np.floating) else str(value)
-
-
-SELDOM = 30.0  # s, between two lines of progress where there is no terminal
+PIPED = 120  # columns of a pipe or a log file, which has no width of its own
 
 
 def _console() -> Console:
     # what is printed quotes files: [brackets] and :names: in it are no markup and no emoji
     console = Console(markup=False, emoji=False, highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        console.width = 120  # a pipe or a log file has no width of its own
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = PIPED
     return console
 
 
@@ -83,6 +78,10 @@ class Report:
     def __init__(self, title: str, out: Path | None, console: Console | None = None) -> None:
         self.out = out
         self.console = console or _console()
+        # sentences for a pipe stay in one line, for whoever searches in it
+        self.width = self.console.width if self.console.is_terminal or "COLUMNS" in os.environ else None
+        self._later: list[tuple[Sequence[str], str]] | None = None  # what is printed after the result
+        self._blank = False  # whether the last line that was printed is empty
         self.data: dict[str, Any] = {
             "title": title,
             "made_by": {
@@ -95,7 +94,7 @@ class Report:
         self._started = time.perf_counter()
         self._no_result = {*self.data, "timings_s", "notes"}
         self._folder = None if out is None else OutputFolder(out, RESULT)
-        self.console.print(printable(title), style="bold")
+        self._print(self._prose(title), style="bold")
 
     def __enter__(self) -> "Report":
         """Raises `ParameterError` where another run writes to the folder."""
@@ -126,29 +125,31 @@ class Report:
         return _json({"stopped_by": by} | kept)
 
     def say(self, text: str) -> None:
-        """Print a sentence and keep it."""
+        """Print a sentence, or several lines, and keep it."""
         self.data.setdefault("notes", []).append(text)
         self._hold()
-        self.console.print(printable(text))
+        self._print(self._prose(text))
+
+    def print(self, text: str, style: str = "") -> None:
+        """Print it, and keep nothing: it says what is kept elsewhere."""
+        self._print(self._prose(text), style)
+
+    def keep(self, name: str, **numbers: Any) -> None:
+        """Keep named numbers, the unit in the name (rms_um), without a word."""
+        self.data.setdefault(name, {}).update(plain(numbers))
+        self._hold()
+
+    def show_numbers(self, name: str) -> None:
+        """Print the named numbers that are kept by this name."""
+        self._print(readable.numbers(name, self.data[name], self.console.width))
 
     def values(self, name: str, **numbers: Any) -> None:
         """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
-        self.data.setdefault(name, {}).update(plain(numbers))
-        self._hold()
-        listed = ", ".join(f"{key} {_shown(value)}" for key, value in numbers.items())
-        self.console.print(printable(f"{name}: {listed}"))
+        self.keep(name, **numbers)
+        self._print(readable.numbers(name, numbers, self.console.width))
 
-    def table(
-        self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], caption: str = "", digits: int = 4
-    ) -> None:
-        """Print a table with so many significant digits, keep its rows as records, and write it as CSV."""
-        drawn = Table(title=printable(caption or name), title_justify="left", header_style="")
-        for k, column in enumerate(columns):
-            # a name that is cut off says nothing: it goes on in the next line
-            drawn.add_column(printable(column), justify="left" if k == 0 else "right", overflow="fold")
-        for row in rows:
-            drawn.add_row(*(printable(_shown(value, digits)) for value in row))
-        self.console.print(drawn)
+    def record(self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+        """Keep a table, and write it as CSV, without a word."""
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),
             "rows": plain([list(row) for row in rows]),
@@ -160,12 +161,79 @@ class Report:
                 writer.writerow(columns)
                 writer.writerows(rows)
 
+    def show(
+        self,
+        caption: str,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[Any]],
+        digits: int = readable.DIGITS,
+        notes: Sequence[str] = (),
+    ) -> None:
+        """Print a table, as wide as the terminal, with so many significant digits; below it what its rows need said.
+
+        A column's unit is in its name: `RMS um`, `share, %`.
+        """
+        self._print(["", *self._prose(caption)], style="bold")
+        for k, block in enumerate(readable.table(columns, rows, self.console.width, digits)):
+            self._print([""] if k else [])
+            rule = next(k for k, line in enumerate(block) if line.startswith("─"))
+            self._print(block[:rule], style="dim")
+            self._print(block[rule:])
+        for note in notes:
+            self._print(self._prose(note))
+        self._print([""])
+
+    def table(
+        self,
+        name: str,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[Any]],
+        caption: str = "",
+        digits: int = readable.DIGITS,
+        notes: Sequence[str] = (),
+    ) -> None:
+        """`record` a table and `show` it."""
+        self.show(caption or readable.titled(name.replace("_", " ")), columns, rows, digits, notes)
+        self.record(name, columns, rows)
+
+    @contextlib.contextmanager
+    def result_first(self) -> Iterator[Callable[[str], None]]:
+        """Yields a function for the sentence with the result; whatever else is printed within comes after it."""
+        sentences: list[str] = []
+        self._later = later = []
+        try:
+            yield sentences.append
+        finally:
+            self._later = None
+            for sentence in sentences:
+                self.data.setdefault("notes", []).append(sentence)
+                self._print(["", *self._prose(sentence)], style="bold")
+            for lines, style in later:
+                self._print(lines, style)
+
+    def _prose(self, text: str) -> list[str]:
+        """Lines that break between words at the terminal's width; whole where there is no terminal."""
+        lines = [readable.readable(printable(line)) for line in text.split("\n")]
+        return [part for line in lines for part in readable.wrapped(line, self.width or len(line) + 1)]
+
+    def _print(self, lines: Sequence[str], style: str = "") -> None:
+        if self._later is not None:
+            self._later.append((lines, style))
+            return
+        for line in lines:
+            if not line and self._blank:
+                continue
+            self._blank = not line
+            text = readable.in_ascii(line) if self.console.options.ascii_only else line
+            self.console.print(Text(text, style=style))
+
     def figure(self, name: str, figure: Any) -> None:
-        """Save a figure as PNG."""
+        """Save a figure as PNG, and in the other formats of `figure_formats`."""
         if self.out is not None:
-            with atomic_write(self.out / f"{name}.png") as file:
-                figure.savefig(file, format="png", dpi=130)
-            self.data.setdefault("figures", []).append(f"{name}.png")
+            for ending in figure_formats.get():
+                with atomic_write(self.out / f"{name}.{ending}") as file:
+                    figure.savefig(file, format=ending, dpi=130)
+                self.data.setdefault("figures", []).append(f"{name}.{ending}")
             self._hold()
 
     @contextlib.contextmanager
@@ -179,74 +247,17 @@ class Report:
         if elapsed > 2:
             self.console.print(printable(f"{what}: {elapsed:.1f} s"), style="dim")
 
-    @contextlib.contextmanager
-    def progress(self, what: str, total: int) -> Iterator[Callable[[int, int, float], None]]:
-        """A progress bar; yields a function of (step, most, cost) that moves it."""
-        columns = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}", markup=False),
-        )
-        with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
-            task = bar.add_task(printable(what), total=total, note="compiling")
+    def progress(self, what: str, total: int) -> AbstractContextManager[Callable[[int, int, float], None]]:
+        """A bar for a search; yields a function of (step, most, cost) that moves it."""
+        return progress.steps(self.console, what, total)
 
-            def advance(step: int, most: int, cost: float) -> None:
-                bar.update(task, completed=step, total=most, note=f"cost {cost:.4g}")
+    def stages(self) -> AbstractContextManager[Callable[[str, int, int], None]]:
+        """Progress through named stages; yields a function of (stage, done, of how many)."""
+        return progress.stages(self.console)
 
-            yield advance
-
-    @contextlib.contextmanager
-    def stages(self) -> Iterator[Callable[[str, int, int], None]]:
-        """Progress through named stages; yields a function of (stage, done, of how many).
-
-        Where no terminal draws bars, a line says when a stage begins and when it has ended: a job's log shows life.
-        """
-        if not self.console.is_terminal:
-            yield self._lines()
-            return
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
-        with Progress(*columns, TimeElapsedColumn(), console=self.console) as bar:
-            tasks: dict[str, Any] = {}
-
-            def advance(stage: str, done: int, most: int) -> None:
-                if stage not in tasks:
-                    tasks[stage] = bar.add_task(printable(stage), total=most)
-                bar.update(tasks[stage], completed=done, total=most)
-
-            yield advance
-
-    def _lines(self) -> Callable[[str, int, int], None]:
-        """Progress as lines, one as a stage begins, one as it ends, and between them one now and then."""
-        began = time.perf_counter()
-        before, at, told = "", 0.0, 0  # the stage that was told last, when, and how far it had come
-
-        def advance(stage: str, done: int, most: int) -> None:
-            nonlocal before, at, told
-            now = time.perf_counter() - began
-            begins = stage != before or done < told
-            if begins or now - at >= SELDOM or (done == most and told != most):
-                before, at, told = stage, now, done
-                self.console.print(printable(f"{stage}: {done} of {most}, {now:.0f} s"))
-
-        return advance
-
-    @contextlib.contextmanager
-    def counted(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
-        """A progress bar with rate and time left; yields a function of how many are done."""
-        rate = TextColumn("{task.fields[rate]}", markup=False)
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), rate)
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=self.console) as bar:
-            task = bar.add_task(printable(what), total=total, rate="compiling")
-            began: list[tuple[float, int]] = []
-
-            def advance(done: int) -> None:
-                now = time.perf_counter()
-                began.append((now, done)) if not began else None
-                gone, since = now - began[0][0], done - began[0][1]
-                bar.update(task, completed=done, rate=f"{since / gone:.4g}/s" if gone > 0.0 and since else "compiling")
-
-            yield advance
+    def counted(self, what: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+        """A bar with rate and time left; yields a function of how many are done."""
+        return progress.counted(self.console, what, total)
 
     def close(self) -> None:
         """Write result.json; on a full disk what there is room for, and raise `OSError`."""

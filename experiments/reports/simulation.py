@@ -31,6 +31,9 @@ _SIMULATED = {
 }
 
 
+MUCH_LOAD, FAR_OFF = 500.0, 0.2  # N, and share of the load, by which an estimate is far off
+
+
 def write_run(path: Path, run: Run) -> None:
     """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows.
 
@@ -57,22 +60,32 @@ def simulate_drive(
                 other.drive, description.controller, planned, loads,
                 sampling=description.sampling, limits=description.limits, seed=seed,
             )  # fmt: skip
-        report.values("run", status=run.status.message)
         if run.status.ok:
             report.values(
                 "result",
-                from_s=settle,
                 peak_error_um=1e6 * run.peak(settle),
                 rms_error_um=1e6 * run.rms(settle),
                 peak_command_N=float(np.max(np.abs(run.command))),
                 command_noise_N=float(metrics.command_noise(run.command)),
+                from_s=settle,
             )
             if run.load_estimate is not None:
-                report.values("load", final_N=float(run.load[-1]), final_estimate_N=float(run.load_estimate[-1]))
+                _load(report, float(run.load[-1]), float(run.load_estimate[-1]))
+        report.values("run", status=run.status.message)
         if report.out is not None:
             write_run(report.out / "run.csv", run)
             report.figure("run", run_figure(run))
     return run.status.ok
+
+
+def _load(report: Report, load: float, estimate: float) -> None:
+    """The load at the end beside its estimate, and why they differ where they do."""
+    report.values("load", final_N=load, final_estimate_N=estimate)
+    if abs(estimate - load) > max(MUCH_LOAD, FAR_OFF * load):
+        report.say(
+            "The estimate is far from the load: the estimator takes for load whatever friction, or other force, its "
+            "model does not hold, and a motion without steady sliding tells it little."
+        )
 
 
 def run_figure(run: Run) -> Any:
@@ -82,7 +95,7 @@ def run_figure(run: Run) -> Any:
     axes[0].plot(run.time, 1e3 * run.position, "--", label="position")
     axes[0].set(ylabel="mm", title="position")
     axes[1].plot(run.time, 1e6 * run.error, lw=0.8)
-    axes[1].set(ylabel="um", title="tracking error")
+    axes[1].set(ylabel="µm", title="tracking error")
     axes[2].plot(run.time, run.command, lw=0.6, label="command")
     axes[2].plot(run.time, run.friction, lw=0.8, label="friction")
     if run.friction_estimate is not None:
@@ -93,7 +106,7 @@ def run_figure(run: Run) -> Any:
         axes[3].plot(run.time, 1e-3 * run.load_estimate, lw=0.8, label="estimated")
     axes[3].set(ylabel="kN", title="load", xlabel="time, s")
     for axis in (axes[0], axes[2], axes[3]):
-        axis.legend(fontsize=8, loc="upper right")
+        axis.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the signals, which it would hide
     return figure
 
 
@@ -134,11 +147,18 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
             [1e3 * v, float(a), float(b), float(c), float(d), verdict]
             for v, a, b, c, d, verdict in zip(asked, up, down, up_time, down_time, verdicts, strict=True)
         ]
-        report.table("convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "verdict"), rows)
         ok = bool(np.all(fine | gated))
-        report.values("verdict", converges_everywhere=ok)
-        if not ok:
+        report.keep("verdict", converges_everywhere=ok)
+        if ok:
+            report.print("It converges at every one of these speeds at which it is updated.", style="bold")
+        else:
+            fails = ", ".join(f"{1e3 * v:g}" for v in asked[~(fine | gated)])
+            report.print(f"It DIVERGES at {fails} mm/s.", style="bold")
             report.say(
                 'Use kind = "pd+fc+ls", whose estimator converges at every speed, or change Q and R until G > 0.'
             )
+        report.table(
+            "convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "verdict"), rows,
+            "Gain G and time constant of eq. (20) over speed, forwards (+) and backwards (-)",
+        )  # fmt: skip
     return ok

@@ -9,12 +9,14 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
+from diffdrive.model.parameters import quantities
 from experiments.cli.interruption import at_next_step
+from experiments.reports import readable
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
 from tuning.gains.objective import Objective
-from tuning.gains.plan import TuningPlan, run_scenario
+from tuning.gains.plan import ScenarioResult, TuningPlan, run_scenario
 from tuning.gains.requirements import Constraints, LoopLimits
 from tuning.gains.scenarios import Ensemble, Scenario
 from tuning.gains.tune import STARTS, GainSearch, default_space, require_starts, tune
@@ -37,6 +39,7 @@ UNITS = {
     "load_error": "load_error_N",
     "settling": "settling_s",
 }
+LARGE_LOAD_ERROR = 1.0  # kN
 CHECKPOINT = "tuning.checkpoint.json"
 
 
@@ -65,30 +68,32 @@ def tune_drive(
         report.say(note)
     checkpoint = None if report.out is None else report.out / CHECKPOINT
     with (
-        report.progress("tuning by gradient", max_steps) as advance,
+        report.progress(f"tuning {len(space.names)} gains by gradient", max_steps) as advance,
         at_next_step(advance, report.say) as progress,
     ):
         tuned = tune(
             description.controller, lanes, requirements, space, objective=objective, starts=starts, seed=plan.seed,
             max_steps=max_steps, checkpoint=checkpoint, progress=progress,
         )  # fmt: skip
-    gains_table(report, tuned)
-    if tuned.status.startswith("interrupted") and checkpoint is not None and checkpoint.exists():
-        report.say(f"The same command continues the search from {CHECKPOINT}.")
-    with report.working("linearising"):
-        both = margins_at(description, [description.controller, tuned.controller], plan)
-    margins_table(report, both)
-    loop_figures(report, description, tuned.controller, plan, prepared.limits)
-    with report.working("verifying on the exact simulator"):
-        runs = verify(description, tuned.controller, prepared, plan.settle)
-    verification_table(report, runs)
+    with report.result_first() as result:
+        gains_table(report, tuned)
+        if tuned.status.startswith("interrupted") and checkpoint is not None and checkpoint.exists():
+            report.say(f"The same command continues the search from {CHECKPOINT}.")
+        with report.working("linearising"):
+            both = margins_at(description, [description.controller, tuned.controller], plan)
+        margins_table(report, both)
+        loop_figures(report, description, tuned.controller, plan, prepared.limits)
+        with report.working("verifying on the exact simulator"):
+            runs = verify(description, tuned.controller, prepared, plan.settle)
+        verification_table(report, runs)
+        result(verdict(tuned, runs))
     report.figure("tuning", figure_of(tuned, runs, plan))
     if pareto:
         _pareto(report, description, lanes, requirements, objective, pareto, prepared.held_out, plan)
     if noisy := noise_warning(prepared, runs):
         report.say(noisy)
     accepted = is_accepted(tuned, runs)
-    report.values("verdict", accepted=accepted)
+    report.keep("verdict", accepted=accepted)
     if accepted and report.out is not None:
         write_axis(report.out / "tuned.toml", tuned_axis(description, tuned.controller))
         if friction:
@@ -100,10 +105,28 @@ def tune_drive(
     return tuned, accepted
 
 
+def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
+    """Whether the gains are accepted, why not, and what they do in scenarios that they were not tuned on."""
+    was, now = (float(np.mean([one.rms for one in judged])) for judged in _held_out(runs))
+    held_out = f"mean RMS error held out {was:.3g} um as given, {now:.3g} um tuned ({100.0 * (now / was - 1.0):+.0f} %)"
+    if is_accepted(tuned, runs):
+        return f"Accepted: {held_out}; every requirement is kept."
+    failed = [one.scenario.name for one in runs if not one.after.run.status.ok]
+    reasons = [f"{name} is missed by {100.0 * share:.3g} %" for name, share in tuned.violated.items()]
+    reasons += [f"simulation failed: {', '.join(failed)}"] if failed else []
+    reasons += [] if reasons else [f"the search was {tuned.status}"]
+    return f"NOT ACCEPTED, and no tuned.toml written: {'; '.join(reasons)}; {held_out}."
+
+
+def _held_out(runs: Sequence[ScenarioComparison]) -> tuple[list[ScenarioResult], list[ScenarioResult]]:
+    off = [one for one in runs if one.role == "held out"]
+    return [one.before for one in off], [one.after for one in off]
+
+
 def gains_table(report: Report, tuned: GainSearch) -> None:
     """The search, and each gain before and after."""
     standing = tuned.best.state
-    report.values(
+    report.keep(
         "tuning", status=tuned.status, steps=standing.steps, evaluations=standing.evaluations,
         linearisations=standing.linearisations, objective_before=float(tuned.initial_point.objective),
         objective=float(tuned.point.objective), missed_before=float(tuned.initial_point.violation),
@@ -113,12 +136,27 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
         [LABELS.get(name, name), float(b), float(a), float(a / b), float(t)]
         for name, b, a, t in zip(tuned.names, tuned.before, tuned.after, tuned.tolerance, strict=True)
     ]
-    columns = ("gain", "before", "after", "ratio", "factor for 5 %")
-    report.table("gains", columns, rows, "Gains, SI units; the last column costs 5 % of the objective, alone")
+    report.record("gains", ("gain", "before", "after", "ratio", "factor for 5 %"), rows)
+    report.show(
+        "Gains; changed by the last factor, alone, one costs 5 % of the objective",
+        ("gain", "unit", "given", "tuned", "ratio", "factor"),
+        [[label, _unit(tuned, name), *row] for name, (label, *row) in zip(tuned.names, rows, strict=True)],
+    )
     for said in remarks(tuned):
         report.say(said)
+    report.print(
+        f"Search: {tuned.status}; {standing.steps} steps, {standing.seconds:.0f} s; objective "
+        f"{readable.significant(float(tuned.initial_point.objective))} as given, "
+        f"{readable.significant(float(tuned.point.objective))} tuned."
+    )
     if len(tuned.start_objectives) > 1:
         report.values("starts", objective=[float(one) for one in tuned.start_objectives])
+
+
+def _unit(tuned: GainSearch, name: str) -> str:
+    """Of a gain, as its class declares it."""
+    units = {path.rpartition(".")[2]: declared.unit for path, declared, _ in quantities(tuned.controller)}
+    return units.get(name, "").replace("*", " ")
 
 
 def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
@@ -158,13 +196,32 @@ def verification_table(report: Report, runs: Sequence[ScenarioComparison]) -> No
             report.say(f"{one.scenario.name}: {one.after.run.status.message}")
     names = ("RMS um", "peak um", "noise N", "load error kN")
     columns = ("scenario", "role", *(f"{name}{which}" for name in names for which in ("", " tuned")))
-    report.table("verification", columns, rows, "Before and after on the exact (quantised, limited) simulator")
+    report.record("verification", columns, rows)
+    means = []
     for role in ("tuned on", "held out"):
         part = [row for row in rows if row[1] == role]
+        mean = [
+            "mean",
+            role,
+            *(None if part[0][k] is None else float(np.mean([row[k] for row in part])) for k in range(2, 10)),
+        ]
+        means.append(mean)
         for k, what in ((2, "rms_um"), (6, "command_noise_N"), (8, "load_error_kN")):
-            if part[0][k] is not None:
-                was, now = (float(np.mean([row[j] for row in part])) for j in (k, k + 1))
-                report.values(f"mean_{what}_{role.replace(' ', '_')}", before=was, after=now)
+            if mean[k] is not None:
+                report.keep(f"mean_{what}_{role.replace(' ', '_')}", before=mean[k], after=mean[k + 1])
+    caption = "Gains as given and as tuned on the exact (quantised, limited) simulator"
+    report.show(caption, columns, [*rows, *means], notes=_load_errors(rows))
+
+
+def _load_errors(rows: Sequence[Sequence[Any]]) -> list[str]:
+    """Why the load error is large, where it is."""
+    large = [row[0] for row in rows if max(row[8] or 0.0, row[9] or 0.0) > LARGE_LOAD_ERROR]
+    if not large:
+        return []
+    return [
+        f"Load error above {LARGE_LOAD_ERROR:g} kN: {', '.join(large)}. The estimator takes for load whatever friction "
+        "its model does not hold; on another machine than the file's some per cent of friction are kilonewtons of load."
+    ]
 
 
 MEASURES = ("rms", "peak", "command_noise", "load_error")
@@ -191,12 +248,12 @@ def _pareto(
             )  # fmt: skip
             advance(k + 1, len(noises), rows[-1][1])
     columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
-    report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
+    report.table("pareto", columns, rows, "GainSearch again under each limit of the command noise")
     figure, axis = new_figure()
     kept = [row for row in rows if row[2]]
     axis.plot([row[0] for row in kept], [row[1] for row in kept], "o-", label="tuned on: objective at its limit")
-    axis.plot([row[3] for row in kept], [row[4] for row in kept], "s--", label="held out: mean RMS, um")
-    axis.set(xlabel="command noise, N", ylabel="tracking error, um", title="what quietness costs", ylim=(0, None))
+    axis.plot([row[3] for row in kept], [row[4] for row in kept], "s--", label="held out: mean RMS, µm")
+    axis.set(xlabel="command noise, N", ylabel="tracking error, µm", title="what quietness costs", ylim=(0, None))
     axis.legend()
     report.figure("pareto", figure)
 
@@ -224,12 +281,13 @@ def figure_of(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPla
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.best.state.history
     left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
+    left.xaxis.get_major_locator().set_params(integer=True)
     left.set(xlabel="linearisations", ylabel="objective", title="search", ylim=(0, None))
     scenario, old, new = runs[-3].scenario, runs[-3].before, runs[-3].after
     right.plot(old.run.time, 1e6 * old.run.error, lw=0.8, label="given")
     right.plot(new.run.time, 1e6 * new.run.error, lw=0.8, label="tuned")
     title = f"held out: {scenario.name}"
-    right.set(xlabel="time, s", ylabel="tracking error, um", title=title, xlim=(plan.settle, None))
+    right.set(xlabel="time, s", ylabel="tracking error, µm", title=title, xlim=(plan.settle, None))
     after = new.run.time > plan.settle
     most = 1.2e6 * max(np.abs(old.run.error[after]).max(), np.abs(new.run.error[after]).max())
     right.set_ylim(-most, most)

@@ -17,7 +17,6 @@ from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Actuator, Directional, Drive
-from experiments.reports.diagnosis.diagnosis import augmented_drive
 from experiments.reports.report import Report
 from experiments.studies import laas
 from experiments.studies.emps import axis as emps
@@ -27,6 +26,7 @@ from tuning.diagnosis.cause_words import numbers
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
 from tuning.diagnosis.inverse import force_error
 from tuning.diagnosis.registration import registered
+from tuning.diagnosis.workflow import augmented_drive
 from tuning.identification.inverse_dynamics import DYNAMICS
 from tuning.store.folder import FolderStore
 

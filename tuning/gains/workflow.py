@@ -286,11 +286,11 @@ class TuningResult(Result):
         verdict = "accepted" if self.accepted else f"NOT ACCEPTED: {self.status.message}"
         before, after = self.held_out.rms_before, self.held_out.rms_after
         return (
-            f"{verdict}; held out {1e6 * before:.3g} -> {1e6 * after:.3g} um RMS, {self.margins.phase_margin:.3g} deg"
+            f"{verdict}; held out {1e6 * before:.3g} -> {1e6 * after:.3g} µm RMS, {self.margins.phase_margin:.3g} deg"
         )
 
     def summary(self) -> str:
-        rows = [f"{'':<10}{'RMS um':>18}{'peak um':>18}{'command noise N':>20}"]
+        rows = [f"{'':<10}{'RMS µm':>18}{'peak µm':>18}{'command noise N':>20}"]
         for name, comparison in (("tuned on", self.tuned_on), ("held out", self.held_out)):
             rms, peak = (
                 f"{1e6 * comparison[0]:.3g} -> {1e6 * comparison[1]:.3g}",

@@ -89,18 +89,18 @@ class SweepResult(Result):
         machines, first = self.plan.samples, self.controllers[0]
         machines_run = f"{machines} machines under {', '.join(self.controllers)}"
         if self.tolerance is None:
-            return f"{machines_run}; {ERRORS[self.by]} of {first}: {1e6 * self.quantile(first, 0.95):.3g} um at 95 %"
+            return f"{machines_run}; {ERRORS[self.by]} of {first}: {1e6 * self.quantile(first, 0.95):.3g} µm at 95 %"
         missed = self.exceedance(first)
         low, high = missed.interval
         return (
-            f"{machines_run}; {first} misses {1e6 * self.tolerance:.3g} um in {100 * missed.share:.3g} % "
+            f"{machines_run}; {first} misses {1e6 * self.tolerance:.3g} µm in {100 * missed.share:.3g} % "
             f"({100 * low:.3g} to {100 * high:.3g})"
         )
 
     def summary(self) -> str:
         rows = [
             self.headline(),
-            f"{'controller':<16}{'motion':<16}{'median um':>11}{'95 % um':>11}{'diverged':>10}  misses",
+            f"{'controller':<16}{'motion':<16}{'median µm':>11}{'95 % µm':>11}{'diverged':>10}  misses",
         ]
         for motion in self.plan.motions:
             for controller in self.controllers:

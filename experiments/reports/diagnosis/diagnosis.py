@@ -8,26 +8,23 @@ from typing import Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, write_axis
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.motion.motion import Motion
-from diffdrive.support.atomic_write import atomic_write
+from diffdrive.errors import ParameterError
 from experiments.reports.checked_logs import described, looked_over, parse_loads
 from experiments.reports.diagnosis.figures import draw
+from experiments.reports.diagnosis.files import AUGMENTED, NEXT, write_augmented, write_reference
 from experiments.reports.diagnosis.page import page, tell
 from experiments.reports.diagnosis.payoff import in_words, payoff
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.explain import MOST_EFFECTS
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.workflow import (
     NOT_SEARCHED,
     DiagnosisResult,
-    augmented_drive,
     diagnose_checked,
     diagnosis_result,
     is_void,
@@ -36,9 +33,8 @@ from tuning.diagnosis.workflow import (
 from tuning.gains.plan import TuningPlan
 from tuning.store.folder import FolderStore
 
-NEXT = "next_reference.csv"
 PARTS = "diagnosis.parts"  # finished searches, from which the same command continues
-NOT_ALWAYS = ("augmented.toml", NEXT, "causes.csv", "causes.png", "payoff.csv")
+NOT_ALWAYS = (AUGMENTED, NEXT, "causes.csv", "causes.png", "payoff.csv")
 
 
 def diagnose_logs(
@@ -76,7 +72,7 @@ def diagnose_logs(
                 without=without, tolerance=tolerance, most_effects=most_effects, store=parts, progress=progress,
             )  # fmt: skip
         if parts is not None and parts.hits:
-            report.console.print(f"{parts.hits} finished parts of an interrupted diagnosis were used.")
+            report.print(f"{parts.hits} finished parts of an interrupted diagnosis were used.")
         if report.out is not None:  # minutes were spent on it: whatever fails from here on, it is kept
             _remove_stale(report, drive)
             _save(report, diagnosis_result(description, checked, found, NOT_SEARCHED), None)
@@ -88,7 +84,7 @@ def diagnose_logs(
         if told["scale_noise"]:
             report.say(told["scale_noise"])
         if report.out is not None:
-            augmented = None if is_void(checked) else _write(report, description, found, told["scale_noise"])
+            augmented = write_augmented(report, result)
             write_reference(report, offer.reference)
             with report.working("drawing"):
                 draw(report, found, checked.logs)
@@ -153,36 +149,7 @@ def _pay(
     return {"says": says, "gains": gains}
 
 
-def write_reference(report: Report, motion: Motion | None) -> None:
-    """next_reference.csv: the motion that would decide, sample by sample, for the machine's controller to run."""
-    if motion is None:
-        return
-    assert report.out is not None
-    rows = np.stack([motion.time, motion.position], axis=1)
-    with atomic_write(report.out / NEXT, "w") as file:
-        np.savetxt(file, rows, delimiter=",", header="time_s,reference_m", comments="", fmt="%.9g")
-
-
 def _written(augmented: str | None, offer: Experiment) -> dict[str, str]:
     """What a reader opens, and what the next command takes."""
     files = {"page": "report.html", "drive": augmented, "motion": NEXT if offer.reference is not None else None}
     return {what: file for what, file in files.items() if file is not None}
-
-
-def _write(report: Report, description: Axis, found: Diagnosis, beside: str) -> str | None:
-    """augmented.toml, which `simulate`, `tune` and `sweep` take, with what is to be said `beside` the verdict.
-
-    The same gains; observers and feed-forwards, whose model is the file's own, get the recalibrated one.
-    """
-    assert report.out is not None
-    path = report.out / "augmented.toml"
-    try:
-        augmented = dataclasses.replace(description, drive=augmented_drive(found))
-        says = " ".join(found.verdict.says.split())  # in one line
-        verdict = f"the verdict of the diagnosis was {found.verdict.verdict}: {says}"
-        comments = [verdict, beside] if beside else [verdict]
-        write_axis(path, parse_axis(axis_tables(augmented), str(path)), comments)
-    except DiffdriveError as problem:
-        report.say(f"augmented.toml is not written, since no drive file can say this: {problem}")
-        return None
-    return path.name

@@ -38,7 +38,7 @@ def _ladder(found: Diagnosis) -> Any:
     axes = np.atleast_1d(axes)
     axes[0].set_title("missing force, N RMS", fontsize="medium")
     _points(axes[0], rms, np.nan if found.floor is None else found.floor, "not told", spread)
-    for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("um", "N"), strict=False):
+    for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("µm", "N"), strict=False):
         of_loops = [np.nan if one.says else scale * getattr(one, f"{signal}_rms") for one in loops]
         axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
         _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"), "runs away")

@@ -12,6 +12,7 @@ from diffdrive.support.atomic_write import write_text
 from diffdrive.support.spans import format_span
 from experiments.reports.diagnosis import payoff
 from experiments.reports.diagnosis.figures import BLANK
+from experiments.reports.readable import heading, readable, shown
 from experiments.reports.report import Report
 from tuning.diagnosis.cause_words import headlines, numbers
 from tuning.diagnosis.where import SIGNIFICANT
@@ -57,10 +58,14 @@ Row = list[Any]
 
 
 def tell(report: Report, told: dict[str, Any]) -> None:
-    """Print the four answers, in their order."""
+    """Print the verdict, and then the four answers, in their order."""
     gap, regions = told["gap"], _regions(told)
+    report.print(f"\n{told['verdict'].upper()}: {told['says']}", style="bold")
+    for line in headlines(told["causes"]):
+        report.print(f"  {line}")
     report.say(f"\n1. How large is the gap? ({gap['judged_on']})\n  {gap['says']}")
-    report.table("gap", SIZE, _sizes(told), LOOP)
+    report.record("gap", SIZE, _sizes(told))
+    report.show(LOOP, _SHOWN[:4], _joined(_sizes(told)), notes=_odd(told["ladder"][:2]))
     report.say("\n2. Where does it lie? (after recalibration)")
     for region in regions:
         report.say(f"  - {region}")
@@ -70,35 +75,83 @@ def tell(report: Report, told: dict[str, Any]) -> None:
     for line in headlines(told["causes"]):
         report.say(f"  {line}")
     if told["causes"]:
-        report.table(
-            "causes",
-            CAUSES,
-            [_cause(one) for one in told["causes"]],
-            FOUND_FIRST,
-        )
+        report.table("causes", CAUSES, [_cause(one) for one in told["causes"]], FOUND_FIRST)
     report.say(f"\n4. How far does the gap shrink once it is added?\n  {told['closed']['says']}")
-    report.table("ladder", LADDER, _ladder(told), SHRINK)
+    report.record("ladder", LADDER, _ladder(told))
+    report.show(SHRINK, _SHOWN, _joined(_ladder(told)), notes=_odd(told["ladder"]))
     for reason in _not_simulated(told):
         report.say(f"  {reason}")
     report.say(f"\nNext: {told['next_experiment']['says']}")
 
 
+_SHOWN = ("model", "missing force, N", "position, um", "command, N", "shrink, %")
+FEW = 3  # digits of a number beside its interval
+
+
+def _joined(rows: list[Row]) -> list[Row]:
+    """Rows of `LADDER` or `SIZE` under `_SHOWN`: a number and its interval in one cell."""
+    return [
+        [model, _with_interval(force, low, high), position, command, *([_with_interval(*shrink)] if shrink else [])]
+        for model, force, low, high, position, command, *shrink in rows
+    ]
+
+
+def _with_interval(value: float | None, low: float | None, high: float | None) -> str:
+    if low is None or high is None:
+        return shown(value, FEW)
+    return f"{shown(value, FEW)} ({shown(low, FEW)} to {shown(high, FEW)})"
+
+
+MEASURES = {
+    "missing force": ("force_rms_N", "force_floor_N"),
+    "position": ("position_rms_m", "position_floor_m"),
+    "command": ("command_rms_N", "command_floor_N"),
+}
+
+
+def _odd(ladder: Sequence[dict[str, Any]]) -> list[str]:
+    """Why a model looks worse than the one before it, or better than its noise lets it."""
+    notes = []
+    if worse := _larger(ladder[0], ladder[1]):
+        notes.append(
+            f"Recalibrated, the {' and the '.join(worse)} {'is' if len(worse) == 1 else 'are'} larger than nominal: "
+            "recalibration makes the logs that it is given most probable, each sample by its noise and close to the "
+            "drive file. It does not minimise these numbers, which may also be of other data."
+        )
+    for one in ladder:
+        if below := [name for name, (rms, floor) in MEASURES.items() if _is_below(one[rms], one[floor])]:
+            notes.append(
+                f"{one['model']}: {', '.join(below)} below the noise floor, which is what the noise leaves on average: "
+                "here nothing is left that could be seen, and how far below is chance."
+            )
+    return notes
+
+
+def _larger(first: dict[str, Any], second: dict[str, Any]) -> list[str]:
+    return [name for name, (rms, _) in MEASURES.items() if _is_below(first[rms], second[rms])]
+
+
+def _is_below(one: float | None, other: float | None) -> bool:
+    return one is not None and other is not None and one < other
+
+
 def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
     """Write report.html beside the figures, which it holds inside."""
     assert report.out is not None
-    gap, title, regions = told["gap"], escape(report.data["title"]), _regions(told)
-    loop = "".join(f"<p>{escape(reason)}</p>" for reason in _not_simulated(told))
+    gap, title, regions = told["gap"], _html(report.data["title"]), _regions(told)
+    loop = "".join(f"<p>{_html(reason)}</p>" for reason in _not_simulated(told))
     parts = [
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>",
         f"<h1>{title}</h1>",
-        f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {escape(told['says'])}{_found(told)}</p>",
+        f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {_html(told['says'])}{_found(told)}</p>",
         _findings(told["findings"]),
         "<h2>1. How large is the gap?</h2>",
-        f"<p>{escape(gap['says'])}.</p>",
+        f"<p>{_html(gap['says'])}.</p>",
         _table(SIZE, _sizes(told), f"{LOOP}; {gap['judged_on']}"),
+        *(f"<p>{_html(note)}</p>" for note in _odd(told["ladder"][:2])),
         _image(report, "missing_force"),
         "<h2>2. Where does it lie?</h2>",
-        "<ul>" + "".join(f"<li>{escape(one)}</li>" for one in regions) + "</ul>" if regions else f"<p>{NOWHERE}.</p>",
+        "<ul>" + "".join(f"<li>{_html(one)}</li>" for one in regions) + "</ul>" if regions else f"<p>{NOWHERE}.</p>",
         _image(report, "where"),
         "<h2>3. Which unmodelled effect causes it?</h2>",
         _table(CAUSES, [_cause(one) for one in told["causes"]], FOUND_FIRST, words=True)
@@ -107,21 +160,26 @@ def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
         _image(report, "causes"),
         _table(NOMINAL, [_recalibrated(one) for one in told["recalibrated"]], BOTH),
         "<h2>4. How far does the gap shrink once it is added?</h2>",
-        f"<p>{escape(told['closed']['says'])}</p>",
+        f"<p>{_html(told['closed']['says'])}</p>",
         _table(LADDER, _ladder(told), f"{SHRINK}; {gap['judged_on']}"),
+        *(f"<p>{_html(note)}</p>" for note in _odd(told["ladder"])),
         loop,
         _image(report, "ladder"),
-        f"<p>Drive with what was found, as in log 1: <code>{escape(augmented)}</code></p>" if augmented else "",
-        f"<p>{escape(told['scale_noise'])}</p>" if told["scale_noise"] else "",
+        f"<p>Drive with what was found, as in log 1: <code>{_html(augmented)}</code></p>" if augmented else "",
+        f"<p>{_html(told['scale_noise'])}</p>" if told["scale_noise"] else "",
         _paid(told["payoff"]) if "payoff" in told else "",
-        f"<h2>What next?</h2><p>{escape(told['next_experiment']['says'])}</p>",
+        f"<h2>What next?</h2><p>{_html(told['next_experiment']['says'])}</p>",
         "</html>",
     ]
     write_text(report.out / "report.html", "\n".join(parts))
 
 
+def _html(text: str) -> str:
+    return escape(readable(text))
+
+
 def _found(told: dict[str, Any]) -> str:
-    return "".join(f"<br>{escape(line)}" for line in headlines(told["causes"]))
+    return "".join(f"<br>{_html(line)}" for line in headlines(told["causes"]))
 
 
 def _regions(told: dict[str, Any]) -> list[str]:
@@ -213,7 +271,7 @@ def _paid(paid: dict[str, Any]) -> str:
         for name, one in paid["gains"].items()
     ]
     columns = ("gains", *(_spaced(key) for key in payoff.COLUMNS), "requirements kept where tuned")
-    return f"<p>{escape(paid['says'])}</p>" + (_table(columns, rows, payoff.CAPTION) if rows else "")
+    return f"<p>{_html(paid['says'])}</p>" + (_table(columns, rows, payoff.CAPTION) if rows else "")
 
 
 def _spaced(key: str) -> str:
@@ -228,17 +286,16 @@ def _image(report: Report, name: str) -> str:
         return ""  # what lies there may be of an earlier diagnosis
     data = base64.b64encode((report.out / f"{name}.png").read_bytes()).decode("ascii")
     picture = f"<img alt='{name}' src='data:image/png;base64,{data}'>"
-    return f"<figure>{picture}<figcaption>{escape(PICTURES[name])}</figcaption></figure>"
+    return f"<figure>{picture}<figcaption>{_html(PICTURES[name])}</figcaption></figure>"
 
 
 def _table(columns: tuple[str, ...], rows: list[Row], caption: str = "", words: bool = False) -> str:
-    head = "".join(f"<th>{escape(one)}</th>" for one in columns)
+    named = [", ".join(part for part in heading(one) if part) for one in columns]
+    head = "".join(f"<th>{_html(one)}</th>" for one in named)
     body = "".join("<tr>" + "".join(f"<td>{_cell(one)}</td>" for one in row) + "</tr>" for row in rows)
-    kind, above = " class='words'" if words else "", f"<caption>{escape(caption)}</caption>" if caption else ""
+    kind, above = " class='words'" if words else "", f"<caption>{_html(caption)}</caption>" if caption else ""
     return f"<table{kind}>{above}<tr>{head}</tr>{body}</table>"
 
 
 def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))
+    return _html(shown(value))

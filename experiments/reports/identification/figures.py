@@ -109,15 +109,18 @@ def _hysteresis(found: Identification, before: Drive, stretches: Sequence[Log]) 
                 color=shade,
                 lw=2.5,
                 alpha=0.6,
-                label=f"measured {name}, {curve.reversals} reversals",
+                label=f"measured {name}, {curve.reversals} reversal{'s' * (curve.reversals > 1)}",
             )
             for model, style, said in zip(modelled, (":", "-"), ("drive file", "identified"), strict=True):
                 axis.plot(
                     way, model.median - pull, style, color="k", lw=1.0, label=said if curve.direction > 0 else None
                 )
         # the first point but one is at a ten-thousandth of the reach
-        axis.set_xscale("symlog", linthresh=1e6 * measured.curves[0].displacement[-1] * 1e-3)
-        axis.set(xlabel="way since the reversal, um", ylabel="friction less constant force, N", xlim=(0, None))
+        linear, reach = 1e6 * measured.curves[0].displacement[-1] * np.array([1e-3, 1.0])
+        axis.set_xscale("symlog", linthresh=linear)
+        decades = 10.0 ** np.arange(np.ceil(np.log10(linear)), np.log10(reach) + 1e-9)
+        axis.set_xticks([0.0, *decades], ["0", *(f"{decade:g}" for decade in decades)])
+        axis.set(xlabel="way since the reversal, µm", ylabel="friction less constant force, N", xlim=(0, None))
         under = f", {1e-3 * load:.3g} kN" if len(loads) > 1 else ""
         axis.set_title(f"after a reversal{under}: median and quartiles over reversals", fontsize=10)
         axis.legend(fontsize=8)
@@ -170,7 +173,7 @@ def _innovations(found: Identification, stretches: Sequence[Log]) -> Any:
     right.hist(1e6 * np.clip(counted, -edge, edge), bins=80, density=True, color="C0", alpha=0.6)
     along = np.linspace(-edge, edge, 300)
     normal = scipy.stats.norm.pdf(along, scale=spread) * 1e-6
-    right.plot(1e6 * along, normal, "k", lw=1.0, label=f"normal, {1e6 * spread:.3g} um")
-    right.set(xlabel="innovation, um", ylabel="density, 1/um", title="their distribution")
+    right.plot(1e6 * along, normal, "k", lw=1.0, label=f"normal, {1e6 * spread:.3g} µm")
+    right.set(xlabel="innovation, µm", ylabel="density, 1/µm", title="their distribution")
     right.legend(fontsize=8)
     return figure

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.reports.readable import interval, shown
 from experiments.reports.report import new_figure, plain_logarithmic
 from tuning.identification.estimates import ParameterEstimate
 
@@ -56,6 +57,9 @@ def _mark(axis: Any, k: int, one: ParameterEstimate) -> float:
 
 
 def _numbers(one: ParameterEstimate) -> str:
-    interval = f"[{one.low:.6g}, {one.high:.6g}] {one.unit}" if one.status == "fitted" else f"{one.unit}, {one.status}"
-    found = f"{one.value:.6g} {interval}" if one.status in COLOURS else one.status
-    return f"{found}  (file: {one.believed:.4g})"
+    unit, found = one.unit.replace("*", " "), one.status
+    if one.status == "fitted":
+        found = "{} {unit} ({})".format(*interval(one.value, one.low, one.high), unit=unit)
+    elif one.status in COLOURS:
+        found = f"{shown(one.value)} {unit}, {one.status}"
+    return f"{found}; file {shown(one.believed)}"

@@ -20,6 +20,7 @@ from tuning.identification.replay import drift_note, replay_closed_loop, replay_
 
 BANDWIDTH = 1000.0  # rad/s of the correction, above the fastest growth on a falling Stribeck curve; less where slow
 FORGOTTEN = 0.05  # s, in which the unknown velocity at the beginning is corrected
+NOTABLY = 1.01  # times a gap, from which another is larger
 SMOOTHING = 0.02  # s, over which a missing force is averaged: below that it is the noise of the position
 
 # what a drive makes of a log: the description with that drive in it, its delay (control periods), the log -> numbers
@@ -72,6 +73,18 @@ def delay_of(drive: Drive) -> float:
     return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
 
 
+def _larger(rows: Sequence[Sequence[Any]]) -> list[str]:
+    """Why a gap is larger with the identified drive, where one is."""
+    larger = [f"{log}, {gap.rpartition(',')[0]}" for log, _, gap, was, now in rows if now > NOTABLY * was]
+    if not larger:
+        return []
+    return [
+        f"Larger with the identified drive: {'; '.join(dict.fromkeys(larger))}. The search minimises the one-step "
+        "prediction of the logs that it is given, weighted by its noise; in closed and in open loop, and on other "
+        "logs, what the model lacks may weigh otherwise, and where both drives are at the noise their order is chance."
+    ]
+
+
 def gap_table(
     report: Report,
     description: Axis,
@@ -92,6 +105,12 @@ def gap_table(
                     was = measure(description, delay_of(description.drive), log)
                     now = measure(replace(description, drive=identified), delay, log)
                     rows += [[log.name, role, name, was[name], now[name]] for name in was]
-    report.table("gaps", ("log", "role", "gap", "drive file", "identified"), rows, "The gap to the logs, RMS")
+    report.table(
+        "gaps",
+        ("log", "role", "gap", "drive file", "identified"),
+        rows,
+        "The gap to the logs, RMS",
+        notes=_larger(rows),
+    )
     note = drift_note(identified)
     report.say(f"{note[0].upper()}{note[1:]}.")

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, quantities
 from diffdrive.motion.text import number
 from experiments.cli.interruption import at_next_step
+from experiments.reports import readable
+from experiments.reports.axis_file import write_axis_file
 from experiments.reports.checked_logs import described, parse_loads, read_checked
 from experiments.reports.identification.figures import draw
 from experiments.reports.identification.gaps import gap_table
@@ -23,6 +24,7 @@ from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.report import Report
 from tuning.experiment_design.next_motion import propose_motions
 from tuning.identification import inverse_dynamics
+from tuning.identification.estimates import ParameterEstimate
 from tuning.identification.identify import Identification, identify
 from tuning.identification.inverse_dynamics import MIN_SPEED
 from tuning.identification.ranges import BOUNDABLE, NAMES
@@ -32,7 +34,8 @@ from tuning.store.folder import FolderStore
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
 PARTS = "identification.parts"  # finished searches, from which the same command continues
-DIGITS = 6  # intervals may be narrow
+HARDLY = 0.1  # half of an interval over the value, from which a parameter is hardly determined
+NEAR = 1.01  # times the best cost, up to which a start has found the same
 
 
 def identify_drive(
@@ -71,7 +74,7 @@ def identify_drive(
         _inverse_dynamics(report, logs, others)
         parts = FolderStore.in_folder(out, PARTS)
         with (
-            report.progress("searching", 1) as advance,
+            report.progress(f"fitting friction, mass and delay to {', '.join(log.name for log in logs)}", 1) as advance,
             at_next_step(advance, report.say) as progress,
         ):
             found = identify(
@@ -79,12 +82,12 @@ def identify_drive(
                 progress=progress,
             )  # fmt: skip
         if parts is not None and parts.hits:
-            report.console.print(f"{parts.hits} finished searches of an interrupted identification were used.")
-        estimates_table(report, found)
+            report.print(f"{parts.hits} finished searches of an interrupted identification were used.")
         if report.out is not None:
-            _write(report, replace(description, drive=found.drive))
+            if name := write_axis_file(report, replace(description, drive=found.drive), "identified.toml"):
+                report.keep("written", file=name)
             write_uncertainty(report.out, found)
-        say_words(report, found)
+        tell(report, found)
         if was_interrupted(found.search) and parts is not None and parts.folder.exists():
             report.say(f"The same command continues the search from {PARTS}.")
         if unstated := unstated_noise(description.drive, found.noise):
@@ -92,6 +95,7 @@ def identify_drive(
         if found.search.status == "converged":
             _next_motions(report, found, description)
         gap_table(report, description, found.drive, _delay(found), logs, others)
+        _show_inverse_dynamics(report)
         if report.out is not None:
             with report.working("drawing"):
                 draw(report, found, description.drive, logs)
@@ -135,7 +139,7 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
     except DiffdriveError as problem:
         report.say(f"No inverse dynamics: {problem}")
         return
-    report.values(
+    report.keep(
         "inverse_dynamics",
         mass_kg=found.values["mass"],
         viscous_Ns_per_m=found.values["viscous"],
@@ -148,6 +152,21 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
         report.say(f"inverse dynamics: {note}")
 
 
+def _show_inverse_dynamics(report: Report) -> None:
+    if "inverse_dynamics" in report.data:
+        report.print("\nFor comparison, fitted by least squares, without bristle and delay")
+        report.show_numbers("inverse_dynamics")
+
+
+def tell(report: Report, found: Identification) -> None:
+    """What was found, whether it suffices, the table of estimates, and what the numbers mean."""
+    if found.search.status != "converged":
+        report.say("The search did not converge: these are the best parameters that it saw, not the best there are.")
+    report.say(f"{readable.titled(found.adequacy.says)}.")
+    estimates_table(report, found)
+    say_words(report, found)
+
+
 def estimates_table(report: Report, found: Identification) -> None:
     """Every parameter before and after, with its interval and the bounds of the search."""
 
@@ -157,13 +176,51 @@ def estimates_table(report: Report, found: Identification) -> None:
         within = [_short(one.lowest), _short(one.highest)] if free else [None, None]
         return [one.name, one.unit, one.believed, one.value, *interval, *within, one.status]
 
-    report.table(
+    report.record(
         "estimates",
         ("name", "unit", "drive_file", "identified", "low", "high", "lowest", "highest", "status"),
         [row(one) for one in found.estimates],
-        "Parameters in SI units: 95 % intervals (low to high), bounds of the search (lowest to highest)",
-        digits=DIGITS,
     )
+    report.show(
+        "Parameters in SI units",
+        ("parameter", "unit", "drive file", "identified", "95 % interval"),
+        [_estimate(one) for one in found.estimates],
+        notes=_hardly_determined(found),
+    )
+
+
+def _estimate(one: ParameterEstimate) -> list[Any]:
+    value, between = readable.shown(one.value), one.status
+    if one.status == "fitted":
+        value, between = readable.interval(one.value, one.low, one.high)
+    return [one.name, one.unit.replace("*", " "), one.believed, value, between]
+
+
+def _hardly_determined(found: Identification) -> list[str]:
+    """Which fitted parameters the logs say little of, and what each hangs together with."""
+    notes = []
+    for one in found.estimates:
+        half = 0.5 * (one.high - one.low)
+        as_believed = one.low <= one.believed <= one.high and one.low <= 0.0 <= one.high  # nothing is odd about a zero
+        if one.status != "fitted" or half <= HARDLY * abs(one.value) or as_believed:
+            continue
+        tied = [
+            (abs(r), other)
+            for a, b, r in found.correlated
+            for mine, other in ((a, b), (b, a))
+            if _named(mine) == one.name
+        ]
+        if one.low < 0.0 < one.high:
+            text = f"{one.name}: the logs do not tell it from 0"
+        else:
+            text = f"{one.name}: hardly determined (± {100.0 * half / abs(one.value):.0f} %)"
+        because = (
+            f", since they hardly tell it from {_named(max(tied)[1])}"
+            if tied
+            else ", since what the logs show hardly depends on it"
+        )
+        notes.append(f"- {text}{because}.")
+    return notes
 
 
 def _short(bound: float) -> float:
@@ -173,12 +230,8 @@ def _short(bound: float) -> float:
 def say_words(report: Report, found: Identification) -> None:
     """What the numbers mean."""
     report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
-    if found.search.status != "converged":
-        report.say("The search did not converge: these are the best parameters that it saw, not the best there are.")
     for note in found.notes:
-        report.say(note)
-    verdict = found.adequacy.says
-    report.say(f"{verdict[0].upper()}{verdict[1:]}.")
+        report.say(f"{readable.titled(note)}.")
     report.values(
         "accuracy",
         noise_m=found.noise,
@@ -186,8 +239,13 @@ def say_words(report: Report, found: Identification) -> None:
         condition=found.covariance.condition,
         blocks=found.covariance.blocks,
     )
-    report.values("adequacy", structured=found.adequacy.has_structure, **found.adequacy._asdict())
-    report.values("starts", cost_over_best=[round(float(cost), 4) for cost in found.start_costs])
+    report.keep("adequacy", structured=found.adequacy.has_structure, **found.adequacy._asdict())  # said in words
+    report.keep("starts", cost_over_best=[round(float(cost), 4) for cost in found.start_costs])
+    if len(found.start_costs) > 1:
+        near = sum(cost <= NEAR for cost in found.start_costs)
+        report.say(
+            f"Of {len(found.start_costs)} starts {near} came within {100.0 * (NEAR - 1.0):.0f} % of the best cost."
+        )
     if found.correlated:
         rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
         report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly tell apart")
@@ -237,15 +295,3 @@ def _named(path: str) -> str:
 def _delay(found: Identification) -> float:
     """The delay found (control periods); below zero where the command was logged late, which no drive file can say."""
     return next(one.value for one in found.estimates if one.name == "delay")
-
-
-def _write(report: Report, description: Axis) -> None:
-    """identified.toml: the same gains; observers and feed-forwards, whose model is the file's own, get the new one."""
-    assert report.out is not None
-    path = report.out / "identified.toml"
-    try:
-        write_axis(path, parse_axis(axis_tables(description), str(path)))
-    except DiffdriveError as problem:
-        report.say(f"identified.toml is not written, since no drive file can say this: {problem}")
-        return
-    report.values("written", file=path.name)

@@ -10,6 +10,7 @@ from tuning.sweeps.sensitivity import Influence
 from tuning.sweeps.summary import Group, exceedance
 
 MOST_POINTS = 4000  # of a cloud: more are a blot
+FEW_POINTS = 500  # of a cloud, below which each is drawn larger
 BINS = 24
 LEAST = 1e-12  # m, where a figure begins if no machine has an error at all
 
@@ -29,7 +30,7 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
             at, told = 1e6 * np.array([start, edge]), np.zeros(2)
         axis.step(at, told, where="post", label=_label(group))
     _tolerance(axis, tolerance)
-    axis.set(xscale="log", xlabel=f"{_name(by)}, um", ylabel="machines with at most that, %", title=groups[0].motion)
+    axis.set(xscale="log", xlabel=f"{_name(by)}, µm", ylabel="machines with at most that, %", title=groups[0].motion)
     plain_logarithmic(axis.xaxis)
     axis.legend(loc="lower right")
     return figure
@@ -52,7 +53,7 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     _tolerance(axis, tolerance)
     least = 100.0 / (2.0 * len(groups[0].table))
     axis.set(
-        xscale="log", yscale="log", ylim=(least, 110.0), xlabel=f"tolerance on the {_name(by)}, um",
+        xscale="log", yscale="log", ylim=(least, 110.0), xlabel=f"tolerance on the {_name(by)}, µm",
         ylabel="machines that miss it, %", title=groups[0].motion,
     )  # fmt: skip
     plain_logarithmic(axis.xaxis)
@@ -73,7 +74,8 @@ def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | No
         values, errors = scale * group.column(name), 1e6 * np.maximum(group.error(by), start)
         good = np.isfinite(errors)
         some = np.flatnonzero(good)[:MOST_POINTS]
-        axis.plot(values[some], errors[some], ".", ms=2, alpha=0.25, color=f"C{k}")
+        few = some.size < FEW_POINTS
+        axis.plot(values[some], errors[some], ".", ms=5 if few else 2, alpha=0.5 if few else 0.25, color=f"C{k}")
         lost = np.flatnonzero(~good)[:MOST_POINTS]
         if lost.size:
             edge = np.full(lost.size, 1.0 - 0.02 * k)
@@ -83,7 +85,7 @@ def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | No
         axis.plot(middles, medians, color=f"C{k}", label=f"{group.controller}: median")
         axis.plot(middles, highs, "--", color=f"C{k}", label="95 %")
     _tolerance(axis, tolerance, horizontal=True)
-    axis.set(yscale="log", xlabel=f"{name}, {shown}", ylabel=f"{_name(by)}, um", title=groups[0].motion)
+    axis.set(yscale="log", xlabel=f"{name}, {shown}", ylabel=f"{_name(by)}, µm", title=groups[0].motion)
     plain_logarithmic(axis.yaxis)
     axis.legend(fontsize=8)
     return figure
@@ -132,7 +134,7 @@ def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
     axis.axvline(middle, color="0.3", lw=0.8)
     axis.set_yticks(range(len(found)), [one.name for one in reversed(found)])
     axis.set(
-        xlabel=f"mean {_name(by)}, um, where the quantity is low (blue), high (orange); grey: chance",
+        xlabel=f"mean {_name(by)}, µm, where the quantity is low (blue), high (orange); grey: chance",
         title=f"{group.controller}, {group.motion}: share of the variance",
     )
     axis.margins(x=0.12)

@@ -52,16 +52,17 @@ def sweep_drive(
         for warning in warned:
             report.say(warning)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
-        with report.counted("machines", plan.samples) as done:
+        with report.counted(f"simulating machines of {asked.name}", plan.samples) as done:
             rows = run_parts(plan, folder, done, _noted(asked, engine or in_process, report), report.console.print)
         _legend(report, asked.origins(plan.axis.sampling.rate))
-        report.values(
+        report.keep(
             "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
             precision=plan.precision,
         )  # fmt: skip
         found = groups(rows, list(plan.controllers), list(plan.motions))
         told = [(one, group_influences(plan, one, by)) for one in found]
         tell(report, plan, told, tolerance, by)
+        report.show_numbers("sweep")
         for motion in plan.motions if out is not None else ():
             draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
         if recorded:
@@ -187,7 +188,13 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
         else:
             again = [float(costs.rms[0]), float(costs.peak[0]), float(diverged_at[0])]
-            report.values("as_in_the_sweep", to_the_last_bit=np.array_equal(told, again, equal_nan=True))
+            alike = bool(np.array_equal(told, again, equal_nan=True))
+            report.keep("as_in_the_sweep", to_the_last_bit=alike)
+            report.print(
+                "The errors are those of the sweep, to the last bit."
+                if alike
+                else "The errors are NOT those of the sweep: another processor, or another edition of what it uses?"
+            )
         if report.out is not None:
             write_run(report.out / "run.csv", simulated)
             # the gains are the axis's; observers and feed-forwards in a file take the file's own model

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.reports.readable import significant
 from experiments.reports.report import Report
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.sensitivity import MIN_MACHINES, Influence, influences_on_event
@@ -21,6 +22,7 @@ from tuning.sweeps.summary import (
 )
 from tuning.sweeps.workflow import varied_values
 
+RANGE_DIGITS = 3  # of a quantile whose interval stands beside it
 TOLD = 5  # worst machines that are named
 Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
 
@@ -49,47 +51,79 @@ def _range(interval: Interval, factor: float) -> str:
     """A value between its ends, in another unit."""
 
     def shown(value: float | None) -> str:
-        return "-" if value is None else f"{factor * value:.4g}"
+        return "-" if value is None else significant(factor * value, RANGE_DIGITS)
 
     return f"{shown(interval.value)} ({shown(interval.low)} to {shown(interval.high)})"
+
+
+def _of_groups(
+    found: Sequence[Group], columns: Sequence[str], rows: Sequence[Sequence[Any]]
+) -> tuple[list[str], list[list[Any]]]:
+    """A table whose first columns are motion and controller, without those that are the same for all."""
+    several = len({one.motion for one in found}) > 1, len({one.controller for one in found}) > 1
+    used = [k for k in range(len(columns)) if k > 1 or several[k]]
+    return [columns[k] for k in used], [[row[k] for k in used] for row in rows]
+
+
+def verdict(found: Sequence[Group], tolerance: float | None, by: str) -> list[str]:
+    """A sentence on each controller: how often it misses the tolerance, or else how large its error is."""
+    lines = []
+    for one in found:
+        if tolerance is None:
+            text = f"{ERRORS[by]} of 95 % of the machines at most {_range(quantile(one.error(by), 0.95), 1e6)} um"
+        else:
+            misses = _range(exceedance(one.error(by), tolerance), 100)
+            text = f"{misses} % of the machines miss the tolerance: {ERRORS[by]} beyond {1e6 * tolerance:g} um"
+        if diverged := int(np.sum(one.diverged)):
+            text += f"; {diverged} DIVERGED"
+        _, [names] = _of_groups(found, ("motion", "controller"), [[one.motion, one.controller]])
+        lines.append(": ".join([*([", ".join(names)] if names else []), f"{text}."]))
+    return lines
 
 
 def tell(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
     """Errors, misses, comparisons, what drives the spread, what decides over divergence, and the worst machines."""
     report.data["results"] = [_numbers(one, tolerance) for one in found]
-    rows, missed = [], []
+    every = [one for one, _ in found]
+    for sentence in verdict(every, tolerance, by):
+        report.print(sentence, style="bold")
+    rows, missed, listed = [], [], []
     for one, _ in found:
         place = [one.motion, one.controller]
         for name, called in ERRORS.items():
             errors = one.error(name)
             told = [_range(quantile(errors, share), 1e6) for share in SHARES]
-            rows.append([*place, called, *told, 1e6 * float(np.max(errors))])
+            largest = 1e6 * float(np.max(errors))
+            rows.append([*place, called, *told, largest])
+            listed += [
+                [*place, called, f"{100 * share:g}", *text.rstrip(")").split(" (")]
+                for share, text in zip(SHARES, told, strict=True)
+            ]
+            listed.append([*place, called, "100", significant(largest, RANGE_DIGITS), None])
         misses = "-" if tolerance is None else _range(exceedance(one.error(by), tolerance), 100)
         missed.append([*place, int(np.sum(one.diverged)), _stuck(one), misses])
-    report.table(
-        "errors",
-        ("motion", "controller", "um", *(f"{100 * share:g} %" for share in SHARES), "worst"),
-        rows,
-        "Tracking error over the machines, um: quantiles, in brackets their 95 % intervals",
-    )
+    report.record("errors", ("motion", "controller", "um", *(f"{100 * share:g} %" for share in SHARES), "worst"), rows)
+    columns = ("motion", "controller", "error", "of machines, %", "at most, um", "95 % interval, um")
+    report.show("Tracking error over the machines", *_of_groups(every, columns, listed))
     limit = "no tolerance given" if tolerance is None else f"{ERRORS[by]} beyond {1e6 * tolerance:g} um"
-    report.table(
-        "misses",
-        ("motion", "controller", "diverged", "at the force limit", "miss the tolerance, %"),
-        missed,
+    columns = ("motion", "controller", "diverged", "at the force limit", "miss the tolerance, %")
+    report.record("misses", columns, missed)
+    report.show(
         f"Machines that diverged, that are at the force limit for half of the time or more, and misses: {limit}",
+        *_of_groups(every, columns, missed),
     )
     _compare(report, [one for one, _ in found], by)
     _blame(report, plan, found, by)
     _blame_for_divergence(report, plan, [one for one, _ in found])
-    report.table(
-        "worst",
-        ("motion", "controller", "largest error first", "diverged, the earliest first"),
-        [
-            [one.motion, one.controller, _listed(worst(one, TOLD, by)), _listed(first_to_diverge(one, TOLD))]
-            for one, _ in found
-        ],
+    columns = ("motion", "controller", "largest error first", "diverged, the earliest first")
+    named = [
+        [one.motion, one.controller, _listed(worst(one, TOLD, by)), _listed(first_to_diverge(one, TOLD))]
+        for one in every
+    ]
+    report.record("worst", columns, named)
+    report.show(
         f"Worst machines by {ERRORS[by]}; any machine again: diffdrive replay FOLDER --machine NUMBER",
+        *_of_groups(every, columns, named),
     )
 
 
@@ -144,12 +178,13 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[Told], by: str) -> N
         if each.is_significant  # result.json has the others
     ]
     if rows:
-        report.table(
-            "sensitivity",
-            ("motion", "controller", "quantity", "share, %", "+-", "um where low", "um where high"),
-            rows,
+        columns = ("motion", "controller", "quantity", "share, %", "+-", "um where low", "um where high")
+        report.record("sensitivity", columns, rows)
+        headings = (*columns[:4], "+-, %", "error where low, um", "error where high, um")
+        report.show(
             f"What drives the spread: share of the variance of the logarithm of the {ERRORS[by]}, and its mean in the "
             "lowest and highest sixth" + (TOGETHER if plan.correlation else ""),
+            *_of_groups([one for one, _ in found], headings, rows),
         )
     for one, every in found if plan.varied else ():
         place = f"{one.motion}, {one.controller}"
@@ -187,18 +222,13 @@ def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group
                 "are named below)."
             )
     if rows:
+        columns = (
+            "motion", "controller", "quantity", "share, %", "+-", "by chance", "% diverge where low",
+            "% diverge where high",
+        )  # fmt: skip
         report.table(
             "divergence",
-            (
-                "motion",
-                "controller",
-                "quantity",
-                "share, %",
-                "+-",
-                "by chance",
-                "% diverge where low",
-                "% diverge where high",
-            ),
+            columns,
             rows,
             "What decides whether a machine diverges; those that do are not in the shares above"
             + (TOGETHER if plan.correlation else ""),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from experiments.cli.interruption import at_next_step
 from experiments.cli.main import app
 from experiments.reports.checked_logs import read_checked
 from experiments.reports.identification.identification import parse_bounds
+from experiments.reports.readable import interval, readable, significant
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
@@ -96,12 +98,16 @@ def test_it_finds_the_machine_and_writes_everything(identified):
 
 def test_what_is_printed_is_in_the_json(identified):
     result, _, written = identified
-    assert f"{estimates(written)['viscous.positive']['identified']:.6g}" in result.output
+    viscous = estimates(written)["viscous.positive"]
+    value, between = interval(viscous["identified"], viscous["low"], viscous["high"])
+    assert re.search(rf"viscous\.positive +N s/m +\S+ +{value} +{between}", result.output)
     for sentence in written["notes"]:
-        assert sentence in result.output
+        assert readable(sentence) in result.output
     assert {"inverse_dynamics", "search", "accuracy", "adequacy", "starts"} <= set(written)
     assert {"findings", "findings_held_out", "estimates", "correlated", "gaps"} <= set(written["tables"])
-    assert f"force_error_percent {written['inverse_dynamics']['force_error_percent']:.4g}" in result.output
+    assert f"force error {significant(written['inverse_dynamics']['force_error_percent'])} %" in " ".join(
+        result.output.split()
+    )
     assert any(said.startswith("Nothing is missing that these logs would show") for said in written["notes"])
 
 

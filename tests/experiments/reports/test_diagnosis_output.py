@@ -13,6 +13,7 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.effects.forces import ConstantForce
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.figures import _ladder
+from experiments.reports.diagnosis.files import write_augmented
 from experiments.reports.report import Report
 from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE, described
@@ -27,14 +28,16 @@ from tuning.diagnosis.setting import setting
 MASS = float(DRIVE.drive.plant.mass) * np.exp(constant_force_log.OFF[NAMES.index("mass")])  # kg, the machine's
 
 
-def test_observers_of_the_augmented_drive_believe_what_was_found(monkeypatch, tmp_path):
+def test_observers_of_the_augmented_drive_believe_what_was_found(tmp_path):
     given = described("pd+fc+ls")
     heavier = dataclasses.replace(given.drive.plant, mass=123.0)
     found = dataclasses.replace(given.drive, plant=heavier, effects=(ConstantForce(6.0),))
-    monkeypatch.setattr(command, "augmented_drive", lambda _: found)
+    doubted = SimpleNamespace(
+        verdict="unknown", says="much\nis left", axis=dataclasses.replace(given, drive=found),
+        details={"searched": True, "scale_noise": "Write more noise."},
+    )  # fmt: skip
     with Report("augmented", tmp_path, Console(quiet=True)) as report:
-        doubted = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", says="much\nis left"))
-        assert command._write(report, given, doubted, "Write more noise.") == "augmented.toml"
+        assert write_augmented(report, doubted) == "augmented.toml"
     begins = (tmp_path / "augmented.toml").read_text().splitlines()[:2]
     assert begins == ["# the verdict of the diagnosis was unknown: much is left", "# Write more noise."]
     written = read_axis(tmp_path / "augmented.toml")

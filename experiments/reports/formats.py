@@ -1,0 +1,6 @@
+"""The formats of figures."""
+
+from contextvars import ContextVar
+
+# as which every report saves its figures; the option --svg sets it
+figure_formats: ContextVar[tuple[str, ...]] = ContextVar("figure_formats", default=("png",))
