@@ -18,7 +18,7 @@ def drive():
 
 
 @pytest.fixture
-def tilted():
+def constant_force_diagnosis():
     """The diagnosis of `constant_force_log`."""
     from tests.support import constant_force_log
 
@@ -26,8 +26,8 @@ def tilted():
 
 
 @pytest.fixture
-def told_of(tmp_path, monkeypatch):
+def command_for(tmp_path, monkeypatch):
     """The command on that log, as if it had found what it is given."""
     from tests.support import constant_force_log
 
-    return constant_force_log.telling(tmp_path, monkeypatch)
+    return constant_force_log.command_for(tmp_path, monkeypatch)

@@ -6,7 +6,7 @@ from diffdrive.model.parameters import Directional, Drive, Plant
 from diffdrive.model.presets import paper_drive
 
 PAPER = paper_drive(quantised=False)
-LOPSIDED = Drive(
+ASYMMETRIC = Drive(
     Plant(mass=110.0, damping=Directional(500.0, 200.0), constant_force=12.0),
     replace(
         PAPER.friction,

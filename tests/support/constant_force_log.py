@@ -11,19 +11,19 @@ from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from experiments.reports.diagnosis import diagnosis as command
-from tests.support.sound_log import DRIVE, logged, two_sines
+from tests.support.sound_log import DRIVE, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
 
-OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
-UNASKED = Experiment("", [], 0.0, "not asked")
+DEVIATIONS = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+NO_EXPERIMENT = Experiment("", [], 0.0, "not asked")
 
 
 @cache
 def log():
-    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
-    return logged(
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(DEVIATIONS)))
+    return simulate_log(
         dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=(ConstantForce(6.0),))), two_sines()
     )
 
@@ -33,14 +33,14 @@ def diagnosis():
     return diagnose(DRIVE.drive, DRIVE.controller, [log()])
 
 
-def telling(folder, monkeypatch):
+def command_for(folder, monkeypatch):
     """The command, as if it had found what it is given in a log, this one or another; and the folder that it wrote."""
 
     def run(found, given=None, **options):
         write_log(folder / "lap.parquet", given or log())
         write_axis(folder / "drive.toml", DRIVE)
         monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: found)
-        monkeypatch.setattr("tuning.diagnosis.workflow.next_experiment", lambda *_: UNASKED)
+        monkeypatch.setattr("tuning.diagnosis.workflow.next_experiment", lambda *_: NO_EXPERIMENT)
         out = folder / "out"
         return command.diagnose_logs([folder / "lap.parquet"], folder / "drive.toml", out, **options), out
 

@@ -11,7 +11,7 @@ from tuning.diagnosis.calibration import NAMES
 SEARCHED = ("backlash", "compliance")
 
 
-def hypothesis(*effects, evidence, strain=0.0, coarse=False):
+def fake_fit(*effects, evidence, strain=0.0, coarse=False):
     """A fit with these effects, of this evidence, that moves a nominal parameter by `strain` tolerances."""
     members = tuple(
         SimpleNamespace(candidate=SimpleNamespace(name=one, searched=one in SEARCHED, parameters=(one,)))
@@ -22,7 +22,7 @@ def hypothesis(*effects, evidence, strain=0.0, coarse=False):
 
 
 @pytest.fixture
-def seeing(monkeypatch):
+def no_filter_lost(monkeypatch):
     """No filter is lost, and no effect can be done without."""
     monkeypatch.setattr(explain, "but_one", lambda *_: None)
     for module in (explain, leftover):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.model.parameters import Sampling, as_arrays
-from tests.support.sound_log import DRIVE, RATE, logged, two_sines
+from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter
@@ -15,14 +15,14 @@ from tuning.diagnosis.model import Logged
 from tuning.diagnosis.setting import setting
 from tuning.identification.problem import lanes_of, noise_floor
 
-OFF = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+DEVIATIONS = np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 
 
 def fitter_of(*effects, seed=1):
     """A log of a machine that is not quite as its file says, with these effects; `seed` is that of its noise."""
-    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
+    machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(DEVIATIONS)))
     truth = dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects))
-    lanes = lanes_of([logged(truth, two_sines(), seed)])
+    lanes = lanes_of([simulate_log(truth, two_sines(), seed)])
     noise = jnp.asarray(noise_floor(DRIVE.drive, lanes, RATE))
     return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10), jnp.zeros(1)))
 

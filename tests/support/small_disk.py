@@ -13,7 +13,7 @@ PAGE = 4096
 
 
 @contextlib.contextmanager
-def mounted(folder, pages):
+def mounted_disk(folder, pages):
     """A disk of so many pages at `folder`; skips the test where none can be mounted."""
     folder.mkdir(exist_ok=True)
     try:
@@ -49,7 +49,7 @@ class _Limited(io.FileIO):
         return super().write(data)
 
 
-def imagined(monkeypatch, room):
+def simulated_disk(monkeypatch, room):
     """From here on files that are opened by their `Path` have `room` bytes together; gives those that are left."""
     left, really = [room], pathlib.Path.open
 

@@ -50,12 +50,12 @@ def requirements(limits=LIMITS):
     return Constraints(limits, operating_points([drive()], (0.0, 0.01), (0.0, 8_000.0)), SAMPLING)
 
 
-def question(limits=LIMITS, objective=Objective(), name="PD+FC+LS"):
+def small_problem(limits=LIMITS, objective=Objective(), name="PD+FC+LS"):
     """Gains, problem and space."""
     space = default_space(controller(name))
     problem = tuning_problem(as_arrays(smooth(controller(name))), space, lanes(), requirements(limits))
     return ConstrainedGains(space.free, objective), problem, space
 
 
-def at(*values):
+def point_of(*values):
     return jnp.asarray(np.array(values))

@@ -20,7 +20,7 @@ RATE = 2_000.0
 FORCE_PER_VOLT = 159.593
 
 
-def described(
+def axis_of(
     kind="pd", kp=3.99e6, kd=12_170.0, *, mass=100.0, noise=3e-8, resolution=1e-7, delay=0, rate=RATE, **more
 ) -> Axis:
     gains = {"kp": kp, "kv": kd} if kind == "cascade" else {"kp": kp, "kd": kd}
@@ -52,30 +52,30 @@ def two_sines(seconds: float = 3.0, rate: float = RATE) -> Motion:
     return from_array(time, 0.02 * (1 - np.cos(2 * np.pi * 0.6 * time)) + 0.003 * (1 - np.cos(2 * np.pi * 1.9 * time)))
 
 
-def logged(description: Axis, reference: Motion, seed: int = 1) -> Log:
+def simulate_log(description: Axis, reference: Motion, seed: int = 1) -> Log:
     run = simulate(description.drive, description.controller, reference, sampling=description.sampling, seed=seed)
     run.require_ok()
     return Log("simulated", time=run.time, position=run.position, command=run.command, reference=run.reference)
 
 
-DRIVE = described()
-SOUND = logged(DRIVE, two_sines())
+DRIVE = axis_of()
+SOUND = simulate_log(DRIVE, two_sines())
 COUNT = len(SOUND.time)
 SPEED = np.gradient(SOUND.reference, SOUND.time)
 FASTEST = int(np.argmax(SPEED))
 both = {"position": SOUND.position, "reference": SOUND.reference}
 
 
-def but(log: Log = SOUND, **channels) -> Log:
+def replaced(log: Log = SOUND, **channels) -> Log:
     return dataclasses.replace(log, **channels)
 
 
-def moved(signal: np.ndarray, samples: int) -> np.ndarray:
+def delayed(signal: np.ndarray, samples: int) -> np.ndarray:
     """Some samples later, ends repeated."""
     return signal[np.clip(np.arange(len(signal)) - samples, 0, len(signal) - 1)]
 
 
-def held(signal: np.ndarray, start: int, stop: int) -> np.ndarray:
+def frozen(signal: np.ndarray, start: int, stop: int) -> np.ndarray:
     signal = signal.copy()
     signal[start:stop] = signal[start]
     return signal
@@ -87,21 +87,21 @@ def spiked(signal: np.ndarray, size: float, at=(700, 1800, 4000)) -> np.ndarray:
     return signal
 
 
-def without(log: Log, rows, *, restamp: bool) -> Log:
+def without_rows(log: Log, rows, *, restamp: bool) -> Log:
     kept = np.delete(np.arange(len(log.time)), rows)
     channels = {name: signal[kept] for name, signal in log.channels.items()}
     if restamp:
         channels["time"] = log.time[: len(kept)]
-    return but(log, **channels)
+    return replaced(log, **channels)
 
 
 def repeated(log: Log, at: int) -> Log:
     rows = np.insert(np.arange(COUNT - 1), at, at)
-    return but(log, **{name: signal[rows] for name, signal in log.channels.items() if name != "time"})
+    return replaced(log, **{name: signal[rows] for name, signal in log.channels.items() if name != "time"})
 
 
-def every(log: Log, skip: int) -> Log:
-    return but(log, **{name: signal[::skip] for name, signal in log.channels.items()})
+def decimated(log: Log, skip: int) -> Log:
+    return replaced(log, **{name: signal[::skip] for name, signal in log.channels.items()})
 
 
 def rounded(signal: np.ndarray, step: float) -> np.ndarray:

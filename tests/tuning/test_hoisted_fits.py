@@ -9,7 +9,7 @@ from diffdrive.effects.forces import FrameVibration
 from experiments.benchmarks.loops import one_kernel
 from experiments.studies.tuning_study import penalised
 from tests.support.perturbed_machine import catalogue, fitter_of
-from tests.support.small_tuning import question
+from tests.support.small_tuning import small_problem
 from tests.tuning.identification.test_prediction import DELAYED, NOISE, SAMPLING, noisy_lane, problem_at
 from tests.tuning.identification.test_replay import CONTROLLERS, axis, logged
 from tests.tuning.identification.test_replay import SAMPLING as LOGGED
@@ -54,7 +54,7 @@ def assert_native(found, *wanted):
 
 
 def test_the_tuner(compiled):
-    gains, problem, _ = question()
+    gains, problem, _ = small_problem()
     y = np.zeros(len(gains.free))
     evaluate(gains, y, problem)
     linearise_at(gains, y, problem)

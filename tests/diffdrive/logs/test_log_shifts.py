@@ -12,7 +12,7 @@ from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.clocks.shifts import shift_channels
 from diffdrive.logs.mapping import ColumnMapping, parse_mapping
-from tests.support.sound_log import DRIVE, RATE, SOUND, but, moved
+from tests.support.sound_log import DRIVE, RATE, SOUND, delayed, replaced
 from tests.support.written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, rows
 
 
@@ -103,7 +103,7 @@ def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, t
     drive = dataclasses.replace(DRIVE, mapping=ColumnMapping(shifts={key.format(channel): already}))
     path = tmp_path / "a folder" / "late.csv"
     path.parent.mkdir()
-    write_log(path, but(**{channel: moved(SOUND.channels[channel], late - already)}))
+    write_log(path, replaced(**{channel: delayed(SOUND.channels[channel], late - already)}))
 
     def shifts_of(description):
         found = examine(read_log(path, mapping=description.mapping, rate=RATE), description)
@@ -122,7 +122,7 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
     """A pulse of 8 N, recorded by the same late interrupt as the command that holds it."""
     pulse = np.where((TIME > 0.1) & (TIME < 0.2), 8.0, 0.0)
     path = tmp_path / "late.csv"
-    columns = (TIME, REFERENCE, POSITION, moved(COMMAND + pulse, 1), moved(pulse, 1))
+    columns = (TIME, REFERENCE, POSITION, delayed(COMMAND + pulse, 1), delayed(pulse, 1))
     path.write_text(f"{NAMES},injected\n{rows(columns=columns)}")
     log = read_log(path, mapping=ColumnMapping(shifts={"command": -1}))
     np.testing.assert_allclose(log.command[1:], COMMAND[1:-1], rtol=0, atol=1e-12)

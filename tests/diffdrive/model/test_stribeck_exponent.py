@@ -22,9 +22,9 @@ from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from experiments.studies.recovery.truth import run
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.draw import draw
-from tests.support.asymmetric_drive import LOPSIDED
+from tests.support.asymmetric_drive import ASYMMETRIC
 from tests.support.perturbed_machine import catalogue
-from tests.support.sound_log import DRIVE, RATE, logged, two_sines
+from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.explain import explain
@@ -38,7 +38,7 @@ CONTROLLER = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
 EXPONENTS = [0.5, 1.0, 1.7, 2.0, 4.0]
 
 
-def curved(exponent, drive=LOPSIDED):
+def curved(exponent, drive=ASYMMETRIC):
     return replace(drive, friction=replace(drive.friction, stribeck_exponent=exponent))
 
 
@@ -77,14 +77,16 @@ def there_and_back():
 
 
 def test_an_exponent_of_one_is_the_papers_curve():
-    one, none = (simulate(drive, CONTROLLER, there_and_back()) for drive in (curved(1.0), LOPSIDED))
+    one, none = (simulate(drive, CONTROLLER, there_and_back()) for drive in (curved(1.0), ASYMMETRIC))
     np.testing.assert_allclose(one.position, none.position, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("exponent", [0.5, 2.0])
 def test_it_moves_as_the_truth_machine_does(exponent):
     """Against another integrator, in which the curve is written out again."""
-    level = replace(LOPSIDED, plant=replace(LOPSIDED.plant, constant_force=0.0))  # the simulator begins with no force
+    level = replace(
+        ASYMMETRIC, plant=replace(ASYMMETRIC.plant, constant_force=0.0)
+    )  # the simulator begins with no force
     drive, reference = curved(exponent, level), there_and_back()
     loads = jnp.zeros(len(reference.position))
     arguments = (jnp.asarray(reference.position), loads, jnp.zeros(()), jax.random.key(0))
@@ -146,7 +148,7 @@ def test_a_friction_shape_without_one_asks_for_no_power():
 def test_a_curve_of_another_exponent_is_found_by_its_name():
     """A machine with the textbook's curve, a drive file with the paper's."""
     truth = replace(DRIVE, drive=curved(2.0, DRIVE.drive))
-    fitter = Fitter(logged_of(DRIVE.drive, [logged(truth, two_sines())]))
+    fitter = Fitter(logged_of(DRIVE.drive, [simulate_log(truth, two_sines())]))
     base = recalibrated(fitter, TOLERANCE)
     wanted = [one for one in catalogue(fitter, base) if one.name in ("friction_shape", "constant_force", "cogging")]
     found = explain(fitter, base, wanted, lambda *_: None)
@@ -186,7 +188,7 @@ def test_the_steepest_fall_is_that_of_the_curve(exponent):
 def test_a_drive_file_that_states_none_is_written_without_one():
     """Though every hypothesis of the diagnosis holds the exponent as a number; one that is stated stays."""
     for stated, held in ((None, None), (2.0, 2.0)):
-        fitter = Fitter(logged_of(curved(stated, DRIVE.drive), [logged(DRIVE, two_sines(0.5))]))
+        fitter = Fitter(logged_of(curved(stated, DRIVE.drive), [simulate_log(DRIVE, two_sines(0.5))]))
         assert drive_of(recalibrated(fitter, TOLERANCE), 0).friction.stribeck_exponent == held
 
 

@@ -22,7 +22,7 @@ from diffdrive.support.atomic_write import (
     write_text,
 )
 from experiments.reports.report import Report, new_figure
-from tests.support.small_disk import imagined
+from tests.support.small_disk import simulated_disk
 from tests.support.sound_log import DRIVE, SOUND
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.sequential import SearchState
@@ -134,7 +134,7 @@ def test_a_full_disk_leaves_the_file_as_it_was(name, share, tmp_path, monkeypatc
     size = path.stat().st_size
     before = path.read_bytes()
     with monkeypatch.context() as full:
-        imagined(full, int(share * size))
+        simulated_disk(full, int(share * size))
         with pytest.raises((OSError, LogError), match="No space left on device") as problem:
             write(path)
     assert isinstance(problem.value, LogError) or problem.value.errno in NO_SPACE

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.logs import write_log
 from experiments.cli.main import app
-from tests.support.sound_log import DRIVE, RATE, SOUND, but, moved
+from tests.support.sound_log import DRIVE, RATE, SOUND, delayed, replaced
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_the_option_that_a_finding_names_mends_that_log_and_no_other(tmp_path):
     """Two logs of one call, one of them late; and a name that is none of theirs is refused."""
     write_axis(tmp_path / "drive.toml", DRIVE)
     write_log(tmp_path / "in_time.csv", SOUND)
-    write_log(tmp_path / "late.csv", but(command=moved(SOUND.command, 1)))
+    write_log(tmp_path / "late.csv", replaced(command=delayed(SOUND.command, 1)))
     given = ["check", *(str(tmp_path / one) for one in ("in_time.csv", "late.csv")), "--drive"]
     given += [str(tmp_path / "drive.toml"), "--out", str(tmp_path / "out")]
     assert CliRunner().invoke(app, given).exit_code == 3
@@ -58,7 +58,7 @@ def test_the_option_that_a_finding_names_mends_that_log_and_no_other(tmp_path):
 
 
 def test_a_fatal_finding_is_named_with_its_mend_and_ends_with_3(checked):
-    code, told = checked(but(command=moved(SOUND.command, 1)))
+    code, told = checked(replaced(command=delayed(SOUND.command, 1)))
     assert code == 3
     assert told["verdict"]["fatal"] == 1
     worst = [row for row in told["tables"]["findings"]["rows"] if row[1] == "fatal"]

@@ -17,7 +17,7 @@ from diffdrive.logs import write_log
 from experiments.cli import main as cli
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
-from tests.support.small_disk import PAGE, mounted
+from tests.support.small_disk import PAGE, mounted_disk
 from tests.support.sound_log import DRIVE, SOUND
 from tuning.store.folder import FolderStore
 
@@ -110,7 +110,7 @@ def assert_whole(path):
 
 def filled_up(ended, out, arguments, room):
     """Run a command on a disk of so many bytes, and see what it leaves; how many files that are."""
-    with mounted(out, max(1, int(room) // PAGE)):
+    with mounted_disk(out, max(1, int(room) // PAGE)):
         code, says = ended(*arguments, "--out", out)
         [error] = [line for line in says.splitlines() if "warning" not in line]
         assert code == 2

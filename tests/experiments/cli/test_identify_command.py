@@ -24,14 +24,14 @@ from experiments.reports.readable import interval, readable, significant
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
-from tests.support.sound_log import RATE, described, logged
+from tests.support.sound_log import RATE, axis_of, simulate_log
 from tuning.identification.identify import COARSE_STEPS
 from tuning.sweeps.machines import machines
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import parse_varied
 from tuning.sweeps.varying import varied_texts
 
-TRUE = described()
+TRUE = axis_of()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
 STROKES = (
     (2e-5, 4e-4, 0.05, 20.0),
@@ -51,7 +51,7 @@ def folder(tmp_path_factory):
     """Two logs of one machine, and a drive file that takes its mass for a quarter too large."""
     folder = tmp_path_factory.mktemp("identify")
     for name, seed in (("lap", 1), ("other", 2)):
-        write_log(folder / f"{name}.csv", logged(TRUE, MOTION, seed=seed))
+        write_log(folder / f"{name}.csv", simulate_log(TRUE, MOTION, seed=seed))
     heavy = dataclasses.replace(TRUE.drive, plant=dataclasses.replace(TRUE.drive.plant, mass=125.0))
     write_axis(folder / "drive.toml", dataclasses.replace(TRUE, drive=heavy))
     return folder
@@ -193,7 +193,7 @@ def test_a_log_that_is_none_is_refused(folder):
 
 
 def test_a_log_at_another_rate_is_refused(folder, tmp_path):
-    log = logged(TRUE, MOTION)
+    log = simulate_log(TRUE, MOTION)
     slower = {name: values[::2] for name, values in log.channels.items()}
     write_log(tmp_path / "slow.csv", dataclasses.replace(log, **slower))
     with pytest.raises(LogError, match=r"slow\.csv: is sampled at 1000 Hz, .* runs at 2000 Hz: log every sample"):
@@ -215,7 +215,7 @@ def test_a_log_that_is_given_twice_is_refused(folder, tmp_path):
 
 def cut(folder, name, rows):
     """A log of the first rows, in SI units."""
-    log = logged(TRUE, MOTION)
+    log = simulate_log(TRUE, MOTION)
     write_log(folder / name, dataclasses.replace(log, **{k: values[:rows] for k, values in log.channels.items()}))
     return folder / name
 
@@ -247,7 +247,7 @@ def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path)
 @pytest.fixture
 def in_volts(folder, tmp_path):
     """A log whose command is in volts of 159.6 N, and says newtons."""
-    log = logged(TRUE, MOTION)
+    log = simulate_log(TRUE, MOTION)
     path = tmp_path / "volts.csv"
     write_log(path, dataclasses.replace(log, command=log.command / 159.6))
     return path

@@ -28,7 +28,7 @@ from experiments.studies.emps import axis as emps
 from tests.experiments.cli.test_identify_command import MOTION, QUESTION
 from tests.experiments.cli.test_tune_command import DRIVE as TUNED
 from tests.experiments.cli.test_tune_command import QUICK
-from tests.support.sound_log import DRIVE, described, logged, two_sines
+from tests.support.sound_log import DRIVE, axis_of, simulate_log, two_sines
 
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="POSIX signals"), pytest.mark.slow]
 
@@ -96,10 +96,10 @@ def given(tmp_path_factory):
 def commands(given):
     here = given
     (here / "tuned.toml").write_text(TUNED)
-    true = described()
-    write_log(here / "lap.csv", logged(true, MOTION, seed=1))
+    true = axis_of()
+    write_log(here / "lap.csv", simulate_log(true, MOTION, seed=1))
     write_axis(here / "drive.toml", true)
-    write_log(here / "sines.parquet", logged(DRIVE, two_sines(1.0)))
+    write_log(here / "sines.parquet", simulate_log(DRIVE, two_sines(1.0)))
     write_axis(here / "sines.toml", DRIVE)
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.2s"
     sweep = ("sweep", here / "sines.toml", "--spread", "3%", "--samples", 8192, "--motion", motion, "--settle", 0.05)

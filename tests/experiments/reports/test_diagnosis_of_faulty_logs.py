@@ -15,23 +15,23 @@ from diffdrive.logs.checks.examine import Finding
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.studies.withheld import answer
 from tests.support import constant_force_log
-from tests.support.sound_log import DRIVE, SOUND, moved
+from tests.support.sound_log import DRIVE, SOUND, delayed
 from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.workflow import downgrade, next_motion_of
 
 
-def test_a_fatal_finding_is_mended_before_any_motion(tilted, told_of, monkeypatch):
+def test_a_fatal_finding_is_mended_before_any_motion(constant_force_diagnosis, command_for, monkeypatch):
     fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
     monkeypatch.setattr(command, "read", lambda *_: CheckedLogs((), tuple(fatal)))
     monkeypatch.setattr(command, "draw", lambda *_: None)
-    told, _ = told_of(tilted)
+    told, _ = command_for(constant_force_diagnosis)
     assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
 
 
 def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
     """A rejected search of minutes, and a drive file that nobody should run."""
     path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"
-    write_log(path, dataclasses.replace(SOUND, command=-moved(SOUND.command, 1)))  # late as well, which is said first
+    write_log(path, dataclasses.replace(SOUND, command=-delayed(SOUND.command, 1)))  # late as well, which is said first
     write_axis(drive, DRIVE)
     out.mkdir()
     for stale in ("augmented.toml", "causes.csv"):
@@ -47,10 +47,10 @@ def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(
     assert "No cause was looked for" in (out / "report.html").read_text()
 
 
-def test_a_fatal_finding_lowers_the_confidence_and_is_told(tilted, told_of, capsys):
-    assert told_of(tilted)[0]["findings"] == []
-    late = dataclasses.replace(constant_force_log.log(), command=moved(constant_force_log.log().command, 1))
-    told, out = told_of(tilted, late)
+def test_a_fatal_finding_lowers_the_confidence_and_is_told(constant_force_diagnosis, command_for, capsys):
+    assert command_for(constant_force_diagnosis)[0]["findings"] == []
+    late = dataclasses.replace(constant_force_log.log(), command=delayed(constant_force_log.log().command, 1))
+    told, out = command_for(constant_force_diagnosis, late)
     printed = capsys.readouterr().out
     assert "FORCED" not in printed
     assert "1 fatal" in printed
@@ -64,14 +64,16 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(tilted, told_of, caps
     assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
 
 
-def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_path, monkeypatch):
-    late = dataclasses.replace(constant_force_log.log(), command=moved(constant_force_log.log().command, 1))
-    told, _ = told_of(tilted, late)
+def test_the_withheld_check_doubts_what_the_command_doubts(
+    constant_force_diagnosis, command_for, tmp_path, monkeypatch
+):
+    late = dataclasses.replace(constant_force_log.log(), command=delayed(constant_force_log.log().command, 1))
+    told, _ = command_for(constant_force_diagnosis, late)
     place = tmp_path / "case"
     place.mkdir()
     write_log(place / "log-a.parquet", late)
     write_axis(place / "drive.toml", DRIVE)
-    monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: tilted)
+    monkeypatch.setattr("tuning.diagnosis.workflow.diagnose_drive", lambda *_, **__: constant_force_diagnosis)
     answered = answer.diagnose_case(place)
     assert [one["severity"] for one in answered["findings"]] == [one["severity"] for one in told["findings"]]
     assert answered["verdict"] == told["verdict"] == "unknown"
@@ -89,17 +91,21 @@ def test_the_withheld_check_doubts_what_the_command_doubts(tilted, told_of, tmp_
         (None, None, "unknown"),
     ],
 )
-def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps(tilted, resembles, amount, verdict):
+def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps(
+    constant_force_diagnosis, resembles, amount, verdict
+):
     """In kind and in size: what the log's fault would not look like is another matter."""
     finding = Finding("fatal", "command", "one sample late", "shift it", "shifted", resembles=resembles, amount=amount)
     fatal = [("lap", finding)]
     late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
-    belief = tilted.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
-    found = dataclasses.replace(tilted, verdict=tilted.verdict._replace(beliefs=[belief]))
+    belief = constant_force_diagnosis.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
+    found = dataclasses.replace(
+        constant_force_diagnosis, verdict=constant_force_diagnosis.verdict._replace(beliefs=[belief])
+    )
     doubted = downgrade(found, fatal).verdict
     assert doubted.verdict == verdict
     assert "one sample late" in doubted.says
     assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
-    assert downgrade(tilted, fatal).verdict.verdict == "unknown"
-    assert downgrade(tilted, []) is tilted
+    assert downgrade(constant_force_diagnosis, fatal).verdict.verdict == "unknown"
+    assert downgrade(constant_force_diagnosis, []) is constant_force_diagnosis
     assert "mend lap: shift it" in next_motion_of(DRIVE, CheckedLogs((), tuple(fatal)), found).says

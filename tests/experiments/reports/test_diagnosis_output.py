@@ -16,7 +16,7 @@ from experiments.reports.diagnosis.figures import _ladder
 from experiments.reports.diagnosis.files import write_augmented
 from experiments.reports.report import Report
 from tests.support import constant_force_log
-from tests.support.sound_log import DRIVE, described
+from tests.support.sound_log import DRIVE, axis_of
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
@@ -25,11 +25,11 @@ from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.setting import setting
 
-MASS = float(DRIVE.drive.plant.mass) * np.exp(constant_force_log.OFF[NAMES.index("mass")])  # kg, the machine's
+MASS = float(DRIVE.drive.plant.mass) * np.exp(constant_force_log.DEVIATIONS[NAMES.index("mass")])  # kg, the machine's
 
 
 def test_observers_of_the_augmented_drive_believe_what_was_found(tmp_path):
-    given = described("pd+fc+ls")
+    given = axis_of("pd+fc+ls")
     heavier = dataclasses.replace(given.drive.plant, mass=123.0)
     found = dataclasses.replace(given.drive, plant=heavier, effects=(ConstantForce(6.0),))
     doubted = SimpleNamespace(
@@ -74,11 +74,13 @@ def with_second(found):
     )
 
 
-def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_drive_has_them(tilted, told_of):
-    told, out = told_of(with_second(tilted))
+def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_drive_has_them(
+    constant_force_diagnosis, command_for
+):
+    told, out = command_for(with_second(constant_force_diagnosis))
     written = {one.name: one for one in read_axis(out / "augmented.toml").drive.effects}
     assert set(written) == {"friction_asymmetry", "constant_force"}
-    alone = as_json(tilted, constant_force_log.UNASKED)["causes"][0]["parameters"]["force"]
+    alone = as_json(constant_force_diagnosis, constant_force_log.NO_EXPERIMENT)["causes"][0]["parameters"]["force"]
     for cause in told["causes"]:
         for name, value in cause["parameters"].items():
             assert float(getattr(written[cause["effect"]], name)) == pytest.approx(value)
@@ -94,16 +96,21 @@ def section(page, begin):
     return next(part for part in page.split("<h2>") if part.startswith(begin))
 
 
-def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
-    nominal = tilted.rungs[0]  # as if recalibration had explained nothing
-    told, out = told_of(with_rung(tilted, 1, force=nominal.force, interval=nominal.interval))
+def test_the_page_and_the_json_say_how_far_the_gap_shrinks(constant_force_diagnosis, command_for):
+    nominal = constant_force_diagnosis.rungs[0]  # as if recalibration had explained nothing
+    told, out = command_for(with_rung(constant_force_diagnosis, 1, force=nominal.force, interval=nominal.interval))
     last, (low, high) = told["ladder"][-1], told["closed"]["interval"]
-    assert last["force_floor_N"] == tilted.floor
+    assert last["force_floor_N"] == constant_force_diagnosis.floor
     assert last["position_floor_m"] == pytest.approx(last["position_rms_m"], rel=0.3)
     assert last["command_floor_N"] == pytest.approx(last["command_rms_N"], rel=0.3)
     assert 0.9 < low <= told["closed"]["share"] <= high <= 1.0
     text = section((out / "report.html").read_text(), "4.")
-    for number in (last["force_rms_N"], *last["force_interval_N"], tilted.floor, 1e6 * last["position_rms_m"]):
+    for number in (
+        last["force_rms_N"],
+        *last["force_interval_N"],
+        constant_force_diagnosis.floor,
+        1e6 * last["position_rms_m"],
+    ):
         assert f"<td>{number:.4g}</td>" in text
     for share in (last["shrink"], *last["shrink_interval"]):
         assert f"<td>{100 * share:.4g}</td>" in text
@@ -113,8 +120,8 @@ def test_the_page_and_the_json_say_how_far_the_gap_shrinks(tilted, told_of):
     assert "held out" in text
 
 
-def test_where_recalibration_hides_the_gap_it_is_said(tilted):
-    told = as_json(tilted, constant_force_log.UNASKED)
+def test_where_recalibration_hides_the_gap_it_is_said(constant_force_diagnosis):
+    told = as_json(constant_force_diagnosis, constant_force_log.NO_EXPERIMENT)
     closed, last = told["closed"], told["ladder"][-1]
     assert f"{1e6 * last['position_rms_m']:.3g} um with what was found" in closed["says"]
     assert closed["share"] is None
@@ -131,9 +138,9 @@ def paid(*_):
     }
 
 
-def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(tilted, told_of, monkeypatch):
+def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(constant_force_diagnosis, command_for, monkeypatch):
     monkeypatch.setattr(command, "payoff", paid)
-    told, out = told_of(tilted, tuned=True)
+    told, out = command_for(constant_force_diagnosis, tuned=True)
     assert json.loads((out / "diagnosis.json").read_text())["payoff"] == told["payoff"]
     assert told["payoff"]["gains"]["tuned on augmented"]["mean_rms_um"] == 1.5
     text = section((out / "report.html").read_text(), "4.")
@@ -141,41 +148,48 @@ def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(tilted, told_of
     assert "<td>tuned on augmented</td><td>1.5</td>" in text
 
 
-def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(tilted, told_of, monkeypatch):
+def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(constant_force_diagnosis, command_for, monkeypatch):
     monkeypatch.setattr(
         command, "payoff", lambda *_: paid() | {"tuned on nominal": paid()["given"] | {"runs_ok": False}}
     )
-    told, _ = told_of(dataclasses.replace(tilted, verdict=tilted.verdict._replace(verdict="unknown")), tuned=True)
+    told, _ = command_for(
+        dataclasses.replace(
+            constant_force_diagnosis, verdict=constant_force_diagnosis.verdict._replace(verdict="unknown")
+        ),
+        tuned=True,
+    )
     says = told["payoff"]["says"]
     assert says.startswith("The verdict is unknown")
     assert "Simulations fail with the gains tuned on nominal." in says
 
 
-def test_the_diagnosis_is_there_whatever_fails_after_it(tilted, told_of, monkeypatch, tmp_path):
+def test_the_diagnosis_is_there_whatever_fails_after_it(constant_force_diagnosis, command_for, monkeypatch, tmp_path):
     def fails(*_):
         raise RuntimeError("no drawing")
 
     monkeypatch.setattr(command, "tell", fails)
     with pytest.raises(RuntimeError):
-        told_of(tilted)
+        command_for(constant_force_diagnosis)
     kept = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert kept["verdict"] == "effect"
     assert kept["next_experiment"]["says"].startswith("not looked for")
 
 
-def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(tilted, told_of, monkeypatch, tmp_path):
+def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(
+    constant_force_diagnosis, command_for, monkeypatch, tmp_path
+):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "payoff", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        told_of(tilted, tuned=True)
+        command_for(constant_force_diagnosis, tuned=True)
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["verdict"] == "effect"
     assert (tmp_path / "out" / "report.html").exists()
 
 
-def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_of):
-    told, out = told_of(tilted)
+def test_the_recalibrated_parameters_are_told_with_their_intervals(constant_force_diagnosis, command_for):
+    told, out = command_for(constant_force_diagnosis)
     rows = {one["parameter"]: one for one in told["recalibrated"]}
     assert set(NAMES) - {"bristle_stiffness", "bristle_damping"} < set(rows)
     mass, drive = rows["mass"], read_axis(out / "augmented.toml").drive
@@ -186,7 +200,9 @@ def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_
     assert float(drive.plant.mass) == pytest.approx(mass["with_effects"])
     stiffness = rows["bristle_stiffness.negative"]
     assert float(drive.friction.bristle_stiffness.negative) == pytest.approx(stiffness["with_effects"])
-    assert rows["mass"]["recalibrated"] == pytest.approx(float(tilted.explanation.base.own.plant.mass))
+    assert rows["mass"]["recalibrated"] == pytest.approx(
+        float(constant_force_diagnosis.explanation.base.own.plant.mass)
+    )
     text = section((out / "report.html").read_text(), "3.")
     row = re.search(r"<td>mass</td><td>kg</td><td>100</td>((<td>[^<]+</td>){3})", text)
     shown, *ends = re.findall(r"[\d.]+", row.group(1))
@@ -195,10 +211,10 @@ def test_the_recalibrated_parameters_are_told_with_their_intervals(tilted, told_
     assert [float(one) for one in ends] == pytest.approx(mass["recalibrated_interval"], abs=0.051 * half)
 
 
-def test_a_simulation_that_runs_away_is_told_with_its_reason(tilted, told_of):
+def test_a_simulation_that_runs_away_is_told_with_its_reason(constant_force_diagnosis, command_for):
     away = LoopGap(np.inf, np.inf, np.inf, np.inf, "lap: the simulation in closed loop runs away")
-    found = with_rung(tilted, 0, loop=away)
-    told, out = told_of(found)
+    found = with_rung(constant_force_diagnosis, 0, loop=away)
+    told, out = command_for(found)
     first = json.loads((out / "diagnosis.json").read_text())["ladder"][0]
     assert (first["position_rms_m"], first["command_rms_N"], first["loop_says"]) == (None, None, away.says)
     assert told["gap"]["position_rms_m"] is None
@@ -206,16 +222,16 @@ def test_a_simulation_that_runs_away_is_told_with_its_reason(tilted, told_of):
     assert len(_ladder(found).axes) == 3  # the others are drawn all the same
 
 
-def test_a_force_that_a_lost_filter_saw_is_not_told(tilted, told_of):
+def test_a_force_that_a_lost_filter_saw_is_not_told(constant_force_diagnosis, command_for):
     """Neither of the nominal drive nor of the recalibrated one; with what was found the filter follows."""
-    lost = [tilted.rungs[k].force._replace(lost=0.9) for k in range(2)]
-    told, out = told_of(with_rung(with_rung(tilted, 0, force=lost[0]), 1, force=lost[1]))
+    lost = [constant_force_diagnosis.rungs[k].force._replace(lost=0.9) for k in range(2)]
+    told, out = command_for(with_rung(with_rung(constant_force_diagnosis, 0, force=lost[0]), 1, force=lost[1]))
     written = json.loads((out / "diagnosis.json").read_text())
     assert [one["force_rms_N"] for one in written["ladder"]] == [None, None, told["ladder"][2]["force_rms_N"]]
     assert [one["force_interval_N"][0] is None for one in written["ladder"]] == [True, True, False]
     assert [one["shrink"] for one in written["ladder"]] == [None] * 3
     assert (written["gap"]["force_rms_N"], written["gap"]["recalibrated_force_rms_N"]) == (None, None)
-    assert written["gap"]["noise_floor_force_N"] == tilted.floor
+    assert written["gap"]["noise_floor_force_N"] == constant_force_diagnosis.floor
     assert (written["causes"][0]["gap_before"], written["causes"][0]["held_out"]["shrink"]) == (None, None)
     assert "lost with the recalibrated drive" in written["closed"]["says"]
     page = (out / "report.html").read_text()
@@ -223,24 +239,26 @@ def test_a_force_that_a_lost_filter_saw_is_not_told(tilted, told_of):
     assert "<td>nominal</td><td>-</td><td>-</td><td>-</td>" in section(page, "1.")
 
 
-def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(tilted, told_of):
-    lost = tilted
-    for number, rung in enumerate(tilted.rungs):
+def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(constant_force_diagnosis, command_for):
+    lost = constant_force_diagnosis
+    for number, rung in enumerate(constant_force_diagnosis.rungs):
         lost = with_rung(lost, number, force=rung.force._replace(lost=0.9))
-    told, out = told_of(lost)
+    told, out = command_for(lost)
     assert told["gap"]["noise_floor_force_N"] is None
     assert told["closed"]["share"] is told["causes"][0]["held_out"]["shrink"] is None
     assert "lost with what was found" in told["closed"]["says"]
     assert (out / "ladder.png").exists()
 
 
-def test_what_is_no_finite_number_is_null(tilted, told_of):
+def test_what_is_no_finite_number_is_null(constant_force_diagnosis, command_for):
     """Of a filter that ran away, and of a parameter that the logs leave open."""
-    away = tilted.rungs[0].force._replace(force=np.full_like(tilted.rungs[0].force.force, np.nan))
-    found = with_rung(tilted, 0, force=away, interval=(np.nan, np.nan), shrink=(np.nan,) * 3)
+    away = constant_force_diagnosis.rungs[0].force._replace(
+        force=np.full_like(constant_force_diagnosis.rungs[0].force.force, np.nan)
+    )
+    found = with_rung(constant_force_diagnosis, 0, force=away, interval=(np.nan, np.nan), shrink=(np.nan,) * 3)
     rival = found.verdict.beliefs[0]._replace(gain=-np.inf)
     found = dataclasses.replace(found, verdict=found.verdict._replace(beliefs=[rival]))
-    told, out = told_of(with_rung(found, 1, unlikely=np.full(12, np.inf)))
+    told, out = command_for(with_rung(found, 1, unlikely=np.full(12, np.inf)))
     text = (out / "diagnosis.json").read_text()
     assert not any(name in text for name in ('"nan"', '"inf"', '"-inf"'))
     written = json.loads(text)
@@ -250,9 +268,11 @@ def test_what_is_no_finite_number_is_null(tilted, told_of):
     assert told["causes"][0]["evidence"] is None  # nor is it another in Python
 
 
-def test_without_a_controller_it_is_said_why_nothing_is_simulated(tilted, told_of):
-    found = dataclasses.replace(tilted, rungs=[one._replace(loop=None) for one in tilted.rungs])
-    told, out = told_of(found)
+def test_without_a_controller_it_is_said_why_nothing_is_simulated(constant_force_diagnosis, command_for):
+    found = dataclasses.replace(
+        constant_force_diagnosis, rungs=[one._replace(loop=None) for one in constant_force_diagnosis.rungs]
+    )
+    told, out = command_for(found)
     assert "controller" in told["ladder"][0]["loop_says"]
     assert told["ladder"][0]["loop_says"] in (out / "report.html").read_text()
     assert len(_ladder(found).axes) == 1

@@ -12,11 +12,11 @@ from experiments.reports.identification.modelled_friction import friction_on, st
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
-from tests.support.sound_log import RATE, described, logged
+from tests.support.sound_log import RATE, axis_of, simulate_log
 from tuning.identification.estimates import ParameterEstimate
 from tuning.identification.problem import lanes_of
 
-TRUE = described()
+TRUE = axis_of()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3
 STROKES = ((2e-4, 1.5e-3, 0.05, 20.0), (1e-3, 3e-3, 0.3, 30.0), (2e-3, 2e-2, 0.5, 50.0), (4e-3, 0.08, 2.0, 200.0))
 MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
@@ -31,7 +31,7 @@ def test_friction_along_a_motion_is_that_of_the_simulation():
 
 
 def test_stretches_are_those_of_the_lanes():
-    log = dataclasses.replace(logged(TRUE, MOTION), gaps=(1000, 1100, 3000))
+    log = dataclasses.replace(simulate_log(TRUE, MOTION), gaps=(1000, 1100, 3000))
     lanes, pieces = lanes_of([log]), stretches_of([log])
     assert [len(one.time) for one in pieces] == np.asarray(lanes.counts).sum(axis=1).tolist()
     assert [one.position[0] for one in pieces] == np.asarray(lanes.position)[:, 0].tolist()

@@ -16,7 +16,7 @@ from diffdrive.support.atomic_write import PREFIX
 from experiments.cli.main import app
 from experiments.reports.output_folder import NO_LOCKS, OutputFolder, ReservedFile
 from experiments.reports.report import RESULT, Report
-from tests.support.small_disk import imagined
+from tests.support.small_disk import simulated_disk
 
 HOLD = (
     "import sys, pathlib, experiments.reports.output_folder as o; "
@@ -122,7 +122,7 @@ def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkey
 
 def test_room_that_is_held_is_there_when_the_disk_is_full(tmp_path, monkeypatch):
     result = ReservedFile(tmp_path / RESULT)
-    left = imagined(monkeypatch, 1000)
+    left = simulated_disk(monkeypatch, 1000)
     result.hold(100)
     result.hold(50)
     assert left == [900]
@@ -148,7 +148,7 @@ def test_a_report_on_a_full_disk_says_so_in_its_result(tmp_path, monkeypatch, ro
                 report.table(f"table_{k}", ("name", "value"), rows)
 
     with monkeypatch.context() as full:
-        imagined(full, room)
+        simulated_disk(full, room)
         with pytest.raises(OSError, match="No space left"):
             long()
     if room == 0:

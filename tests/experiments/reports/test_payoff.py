@@ -8,10 +8,10 @@ from rich.console import Console
 from diffdrive.effects.actuator import ActuatorLag
 from experiments.reports.diagnosis.payoff import payoff
 from experiments.reports.report import Report
-from tests.support.sound_log import described
+from tests.support.sound_log import axis_of
 from tuning.gains.plan import TuningPlan
 
-DRIVE = described(rate=4000.0, noise=2e-8)
+DRIVE = axis_of(rate=4000.0, noise=2e-8)
 PLAN = TuningPlan(max_load=0.0, loads=1, machines=1)
 
 

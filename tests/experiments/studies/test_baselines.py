@@ -11,7 +11,7 @@ from experiments.studies.tuning_study.baselines import (
     nelder_mead,
     random_search,
 )
-from tests.support.small_tuning import question
+from tests.support.small_tuning import small_problem
 from tuning.gains.constrained import evaluate
 from tuning.optimisation.evolution import DIVERGED_COST, Budget
 
@@ -182,7 +182,7 @@ def test_cma_leaves_no_traces(tmp_path, monkeypatch, capsys):
 
 @pytest.fixture(scope="module")
 def tiny():
-    gains, problem, space = question(name="PD")
+    gains, problem, space = small_problem(name="PD")
     drawn = np.random.default_rng(0).normal(size=(7, len(space.free)))
     points = np.vstack([drawn, np.full(len(space.free), 9.0)])  # the last one is unstable
     return gains, problem, points, [evaluate(gains, y, problem) for y in points]

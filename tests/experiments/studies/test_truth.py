@@ -17,12 +17,12 @@ from diffdrive.model.parameters import Actuator, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from experiments.benchmarks.loops import one_kernel
 from experiments.studies.recovery.truth import SCALE, TruthTable, advance, run, truth_log, truth_logs
-from tests.support.asymmetric_drive import LOPSIDED, PAPER
+from tests.support.asymmetric_drive import ASYMMETRIC, PAPER
 
 RATE, LOAD = 10_000.0, 5_000.0
 GAINS = PDGains(PAPER_KP, PAPER_KD)
-LEVEL = replace(LOPSIDED, plant=replace(LOPSIDED.plant, constant_force=0.0))
-DELAYED = replace(LOPSIDED, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
+LEVEL = replace(ASYMMETRIC, plant=replace(ASYMMETRIC.plant, constant_force=0.0))
+DELAYED = replace(ASYMMETRIC, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
 
 
 def there_and_back(distance=1e-4, speed=0.005, rate=RATE):
@@ -84,7 +84,7 @@ def radau_loop(drive, reference, deflection):
     return np.array(positions)
 
 
-@pytest.mark.parametrize("drive", [LOPSIDED, DELAYED], ids=["no delay", "delay of 1.3 periods, force limit"])
+@pytest.mark.parametrize("drive", [ASYMMETRIC, DELAYED], ids=["no delay", "delay of 1.3 periods, force limit"])
 def test_it_agrees_with_radau_through_a_reversal(drive):
     reference = there_and_back().position
     exact = radau_loop(drive, reference, 5e-7)
@@ -96,7 +96,7 @@ def test_it_agrees_with_radau_through_a_reversal(drive):
 
 @pytest.mark.parametrize("share", [None, 0.37], ids=["one force", "the force switches within the period"])
 def test_it_converges_with_fourth_order_where_the_motion_is_smooth(share):
-    drive = replace(LOPSIDED, actuator=Actuator(delay_fraction=share))
+    drive = replace(ASYMMETRIC, actuator=Actuator(delay_fraction=share))
     start = TruthTable(*as_arrays((0.0, 0.002, 1e-6)))
 
     def end(steps):
@@ -122,8 +122,8 @@ def test_it_agrees_with_the_simulator():
 
 
 def test_a_switch_within_the_period_is_two_pieces():
-    drive = as_arrays(replace(LOPSIDED, actuator=Actuator(delay_fraction=0.3141)))
-    whole = as_arrays(LOPSIDED)
+    drive = as_arrays(replace(ASYMMETRIC, actuator=Actuator(delay_fraction=0.3141)))
+    whole = as_arrays(ASYMMETRIC)
     start = TruthTable(*as_arrays((0.0, 1e-4, -1e-6)))
     ours = advance(drive, start, 200.0, -300.0, LOAD, 1e-4, 50)
     between = advance(whole, start, 0.0, 200.0, LOAD, 0.3141e-4, 50)
@@ -133,9 +133,9 @@ def test_a_switch_within_the_period_is_two_pieces():
 
 def test_a_fraction_of_a_whole_period_is_a_whole_period():
     reference = there_and_back().position
-    fraction = tables(replace(LOPSIDED, actuator=Actuator(delay_fraction=1.0)), reference)
-    whole = tables(replace(LOPSIDED, actuator=Actuator(delay_samples=1)), reference)
-    none = tables(LOPSIDED, reference)
+    fraction = tables(replace(ASYMMETRIC, actuator=Actuator(delay_fraction=1.0)), reference)
+    whole = tables(replace(ASYMMETRIC, actuator=Actuator(delay_samples=1)), reference)
+    none = tables(ASYMMETRIC, reference)
     assert np.max(np.abs(fraction.table - whole.table)) < 1e-14
     assert np.max(np.abs(fraction.table - none.table)) > 1e-8
 
@@ -186,7 +186,7 @@ def test_the_command_is_that_of_the_logged_position():
 
 
 def test_lanes_are_independent_machines():
-    drives = [replace(drive, sensor=SCALE) for drive in (PAPER, LOPSIDED)]
+    drives = [replace(drive, sensor=SCALE) for drive in (PAPER, ASYMMETRIC)]
     gains, loads = [GAINS, PDGains(0.7 * PAPER_KP, 0.7 * PAPER_KD)], [0.0, np.linspace(0.0, LOAD, 2000)]
     reference = motion.sine(amplitude=1e-5, frequency=10.0, duration=1999 / RATE, rate=RATE)
     logs = truth_logs(drives, gains, reference, loads, [3, 4])
@@ -201,9 +201,9 @@ def test_lanes_are_independent_machines():
 def test_what_cannot_be_run_is_refused():
     reference = there_and_back()
     with pytest.raises(ParameterError, match="delay_samples"):
-        truth_logs([LOPSIDED, DELAYED], GAINS, reference)
+        truth_logs([ASYMMETRIC, DELAYED], GAINS, reference)
     with pytest.raises(ParameterError, match="as many"):
-        truth_logs([LOPSIDED, LOPSIDED], [GAINS], reference)
+        truth_logs([ASYMMETRIC, ASYMMETRIC], [GAINS], reference)
     with pytest.raises(DivergenceError, match=r"drives \[1\]"):
         truth_logs([PAPER, PAPER], [GAINS, PDGains(1e12, 1e7)], reference)
 

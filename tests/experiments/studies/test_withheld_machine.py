@@ -21,9 +21,9 @@ from diffdrive.motion.builders import from_array
 from experiments.studies.withheld import machine
 from experiments.studies.withheld.faults import KNOWN
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
-from tests.support.sound_log import RATE, described
+from tests.support.sound_log import RATE, axis_of
 
-PLAIN = described(resolution=None, noise=0.0)
+PLAIN = axis_of(resolution=None, noise=0.0)
 MASS = float(PLAIN.drive.plant.mass)
 TIME = np.arange(1000) / RATE
 MOTION = from_array(TIME, 1e-3 * (1 - np.cos(2 * np.pi * 5.0 * TIME)) * np.where(TIME < 0.4, 1.0, 0.0))

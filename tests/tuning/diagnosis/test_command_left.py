@@ -11,7 +11,7 @@ import pytest
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging
 from tests.support.perturbed_machine import catalogue, fitter_of
-from tests.support.sound_log import described, logged, two_sines
+from tests.support.sound_log import axis_of, simulate_log, two_sines
 from tuning.diagnosis import command_left
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.command_left import CLOCKS, FOLLOWING, FOLLOWS, SINGLE, TAPS, doubted_by_command, follows_command
@@ -59,10 +59,10 @@ def test_it_is_told_whatever_the_noise(name):
 def test_to_first_order_it_is_what_those_commands_explain(late):
     """Against the filter itself, run with the commands added to what acts on the table."""
     best = late[1].best
-    logged, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
+    simulate_log, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
     added = command_left._last_commands(best) @ amounts
-    lanes = logged.lanes._replace(disturbance=logged.lanes.disturbance + added)
-    moved = Fitter(logged._replace(lanes=lanes)).at(best.model, best.u, best.process, best.track.course).track
+    lanes = simulate_log.lanes._replace(disturbance=simulate_log.lanes.disturbance + added)
+    moved = Fitter(simulate_log._replace(lanes=lanes)).at(best.model, best.u, best.process, best.track.course).track
     change = (np.asarray(moved.innovation) - np.asarray(best.track.innovation)) / np.asarray(best.track.scatter)
     expected = np.asarray(command_left._answers(best)) @ amounts * np.sqrt(float(best.track.size))
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(expected)
@@ -94,8 +94,8 @@ def test_a_table_that_is_slow_for_its_scale_or_hardly_slides_tells_nothing(late,
 
 def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
     """Of two thinned logs with a claimed delay, of three samples with what was found: from the second sample on."""
-    late = described(rate=4000.0, delay=3)
-    both = logged_of(late.drive, [logged(late, two_sines(0.8, 4000.0), seed=k) for k in (1, 2)])
+    late = axis_of(rate=4000.0, delay=3)
+    both = logged_of(late.drive, [simulate_log(late, two_sines(0.8, 4000.0), seed=k) for k in (1, 2)])
     assert both.thinning == 2
     found = SimpleNamespace(
         model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),), logged=both), u=None

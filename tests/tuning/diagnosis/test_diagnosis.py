@@ -18,7 +18,7 @@ from diffdrive.motion.builders import from_array
 from experiments.reports.diagnosis.diagnosis import augmented_drive, diagnose_logs, write_reference
 from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
-from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
+from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.coverage import Shortcoming, shortcomings
@@ -38,7 +38,7 @@ OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the m
 
 def log_of(*effects):
     machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
-    return logged(dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects)), two_sines())
+    return simulate_log(dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects)), two_sines())
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_a_scale_that_dithers_at_rest_does_not_move(noise):
     time = np.arange(round(10.0 * RATE)) / RATE
     dither = noise * np.random.default_rng(3).standard_normal(time.size)
     position = 5e-6 * np.round((0.02 * np.maximum(time - 5.0, 0.0) + dither) / 5e-6)
-    why = lacks_of(position, drive=described(noise=noise, resolution=5e-6).drive)
+    why = lacks_of(position, drive=axis_of(noise=noise, resolution=5e-6).drive)
     assert any("one direction" in one for one in why)
     assert any("one speed" in one for one in why)
 
@@ -200,7 +200,7 @@ def there_and_back(speed, travel, seconds, noise):
 def test_a_slow_axis_moves(speed, travel):
     """Each slower than what counts as rest on a fast axis; the last two are no faster than their noise over 5 ms."""
     slow = there_and_back(speed, travel, 30.0, 2e-8)
-    found = shortcomings_of(slow, drive=described(noise=2e-8, resolution=None).drive)
+    found = shortcomings_of(slow, drive=axis_of(noise=2e-8, resolution=None).drive)
     assert not any(one.hopeless for one in found)
     whys = [one.why for one in found if "one direction" not in one.why]  # the slowest has no time to turn
     assert len(whys) == 1
@@ -211,11 +211,11 @@ def test_a_slow_axis_moves(speed, travel):
 def test_a_table_that_stands_does_not_move_however_noisy_or_restless_it_is():
     time = np.arange(round(20.0 * RATE)) / RATE
     room = np.random.default_rng(6).standard_normal(time.size)
-    noisy = described(noise=4e-6, resolution=None).drive
-    fine, coarse = (described(noise=0.0, resolution=step).drive for step in (5e-6, 8e-6))
+    noisy = axis_of(noise=4e-6, resolution=None).drive
+    fine, coarse = (axis_of(noise=0.0, resolution=step).drive for step in (5e-6, 8e-6))
     hunts = np.round(2.4 * np.sin(2.0 * np.pi * 0.7 * time))  # steps of the scale
     for stands, drive, why in (
-        (2e-8 * room, described(noise=2e-8).drive, "too little to slide"),
+        (2e-8 * room, axis_of(noise=2e-8).drive, "too little to slide"),
         (4e-6 * room, noisy, "which may be noise"),  # it spans more than the bristle bends
         (5e-6 * hunts, fine, "too little to slide"),
         (8e-6 * hunts, coarse, "which may be noise"),
@@ -228,7 +228,7 @@ def test_a_table_that_stands_does_not_move_however_noisy_or_restless_it_is():
 def test_a_table_that_creeps_unseen_is_said_to_and_searched_all_the_same():
     time = np.arange(round(10.0 * RATE)) / RATE
     noise = 2e-6 * np.random.default_rng(7).standard_normal(time.size)
-    found = shortcomings_of(1e-5 * time + noise, drive=described(noise=2e-6, resolution=None).drive)
+    found = shortcomings_of(1e-5 * time + noise, drive=axis_of(noise=2e-6, resolution=None).drive)
     assert len(found) == 1
     assert "nowhere faster" in found[0].why
     assert not found[0].hopeless

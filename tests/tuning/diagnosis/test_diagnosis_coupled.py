@@ -8,7 +8,7 @@ import pytest
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
-from tests.support.perturbed_machine import OFF, catalogue, fitter_of
+from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
 from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis import evolving, leading
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -166,7 +166,7 @@ def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
         if one.name == "frame_vibration"
     )
     model = joined(Model(fitter.logged), candidate)
-    u = np.r_[OFF / TOLERANCE, begin(model, {name: np.array([value]) for name, value in truth.items()})]
+    u = np.r_[DEVIATIONS / TOLERANCE, begin(model, {name: np.array([value]) for name, value in truth.items()})]
     little, more = np.full(2, 0.02), np.array([[1.0, 0.1], [0.1, 0.1], [0.1, 1.0], [0.01, 0.3], [0.3, 0.01]])  # N
     there = fitter.at(model, u, more[1], standing(fitter.logged))
     for _ in range(12):

@@ -17,7 +17,7 @@ from diffdrive.logs import write_log
 from diffdrive.model.parameters import Directional, as_arrays
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.diagnosis import diagnose_logs
-from tests.support.sound_log import COUNT, DRIVE, RATE, SOUND, but, described, logged, two_sines, without
+from tests.support.sound_log import COUNT, DRIVE, RATE, SOUND, axis_of, replaced, simulate_log, two_sines, without_rows
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
@@ -38,7 +38,7 @@ def candidate_of(logs, name):
 
 
 def test_time_goes_on_through_a_gap():
-    broken = without(SOUND, range(2000, 3000), restamp=False)
+    broken = without_rows(SOUND, range(2000, 3000), restamp=False)
     broken = dataclasses.replace(broken, gaps=(2000,))
     logs = logged_of(DRIVE.drive, [broken])
     assert logs.owner == (0, 0)
@@ -110,8 +110,8 @@ def test_a_longer_delay_than_the_effect_can_hold_never_loses_the_force():
     forces = tuple([100.0] * 8)
     for delay in (7.5, 8.0, 8.5, 20.0):
         assert float(LoopDelay(delay).step(forces, jnp.asarray(100.0), 1e-3)[1].mean) == pytest.approx(100.0)
-    fast = described(rate=10_000.0)
-    logs = logged_of(fast.drive, [logged(fast, two_sines(1.0, 10_000.0))])
+    fast = axis_of(rate=10_000.0)
+    logs = logged_of(fast.drive, [simulate_log(fast, two_sines(1.0, 10_000.0))])
     model = joined(Model(logs), candidate_of(logs, "loop_delay"))
     u = np.r_[np.zeros(len(NAMES)), begin(model, {"delay": np.array([2.1])})]  # samples of the thinned log
     fit = Fitter(logs).fit(model, u, None, standing(logs), 0)
@@ -149,8 +149,8 @@ def test_the_loop_is_judged_by_what_is_held_out():
 def test_a_log_is_judged_in_closed_loop_if_its_own_reference_is_known(known):
     """Whatever is known of the other log's."""
     flat = np.full(COUNT, 0.01)
-    rest = but(name="rest", position=flat, command=0.0 * flat, reference=None if known else flat)
-    moves = but(reference=SOUND.reference if known else None)
+    rest = replaced(name="rest", position=flat, command=0.0 * flat, reference=None if known else flat)
+    moves = replaced(reference=SOUND.reference if known else None)
     found = diagnose(DRIVE.drive, DRIVE.controller, [moves, rest], without=list(EFFECTS))
     assert found.split.logs == [0]
     assert all((rung.loop is not None) is known for rung in found.rungs)
@@ -159,7 +159,7 @@ def test_a_log_is_judged_in_closed_loop_if_its_own_reference_is_known(known):
 @pytest.mark.slow
 def test_a_screw_that_the_drive_file_knows_leaves_the_noise_its_floor():
     soft = dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, effects=(Compliance(250.0, 0.05, 0.3),)))
-    log = logged(soft, two_sines())
+    log = simulate_log(soft, two_sines())
     found = diagnose(soft.drive, soft.controller, [log], without=list(EFFECTS))
     assert found.verdict.verdict == "none"
     assert 0.0 < found.floor < 2.0

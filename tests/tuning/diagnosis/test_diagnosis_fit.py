@@ -12,8 +12,8 @@ from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.model.parameters import Directional
-from tests.support.perturbed_machine import OFF, catalogue, fitter_of
-from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
+from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
+from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
@@ -57,7 +57,7 @@ def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     assert float(base.track.size) == pytest.approx(1.0, abs=0.1)
     assert least_foreseen(base).decades > CHANCE / 2
     mass = NAMES.index("mass")
-    assert TOLERANCE * base.u[mass] == pytest.approx(OFF[mass], abs=5e-4)
+    assert TOLERANCE * base.u[mass] == pytest.approx(DEVIATIONS[mass], abs=5e-4)
 
 
 def test_no_effect_that_is_all_amplitude_is_worth_it_on_a_sound_machine(sound):
@@ -290,17 +290,17 @@ def test_a_limit_is_found_that_few_samples_reach(reached):
 @pytest.mark.parametrize("astray", [1e-6, 1e-4])
 def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(astray):
     """The filter begins again after it, and is off once more."""
-    logged = fitter_of().logged
+    simulate_log = fitter_of().logged
     resting = 16_000  # samples, before the motion
     ahead = {"position": "edge", "command": "constant", "disturbance": "edge", "load": "edge", "counts": "edge"}
-    lanes = logged.lanes._replace(
+    lanes = simulate_log.lanes._replace(
         **{
-            name: jnp.pad(getattr(logged.lanes, name), ((0, 0), (resting, 0)), mode=mode)
+            name: jnp.pad(getattr(simulate_log.lanes, name), ((0, 0), (resting, 0)), mode=mode)
             for name, mode in ahead.items()
         }
     )
     lanes = lanes._replace(position=lanes.position.at[0, resting + 3000].add(astray), velocity=jnp.zeros(1))
-    base = recalibrated(Fitter(logged._replace(lanes=lanes)), TOLERANCE)
+    base = recalibrated(Fitter(simulate_log._replace(lanes=lanes)), TOLERANCE)
     assert float(base.track.size) < 0.5
     assert least_foreseen(base).decades > CHANCE / 2
 
@@ -308,8 +308,8 @@ def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(astray):
 @pytest.mark.parametrize("rate", [2000.0, 10_000.0])
 def test_a_limit_beyond_all_commands_limits_nothing(rate):
     """Where a sample is several control periods, beyond the largest of these, not of their means."""
-    fast = described(rate=rate)
-    log = logged(fast, two_sines(1.0, rate))
+    fast = axis_of(rate=rate)
+    log = simulate_log(fast, two_sines(1.0, rate))
     there = logged_of(fast.drive, [log])
     known = {one.name: one for one in candidates(setting(there.drive, there.lanes, there.sampling.period))}
     most, lasts = float(np.abs(log.command).max()), there.lasts
@@ -339,12 +339,12 @@ def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     of a heavy table tells them apart on a light one behind a scale of 10 nm.
     """
     scaled = np.array([not name.startswith("stribeck") for name in NAMES])
-    fine = described(kp=3.99e5, kd=1_217.0, noise=2e-9, resolution=1e-8)
+    fine = axis_of(kp=3.99e5, kd=1_217.0, noise=2e-9, resolution=1e-8)
     undamped = dataclasses.replace(fine.drive.plant, damping=Directional(0.0, 0.0))  # no part of what is calibrated
     heavy = dataclasses.replace(fine.drive, plant=undamped)
     light = jax.tree.map(float, calibrated(heavy, jnp.asarray(np.log(0.1) * scaled)))
     fine = dataclasses.replace(fine, drive=light)
-    fitter = Fitter(logged_of(light, [logged(fine, two_sines(1.5))]))
+    fitter = Fitter(logged_of(light, [simulate_log(fine, two_sines(1.5))]))
     base = recalibrated(fitter, TOLERANCE)
     gain = next(one for one in catalogue(fitter, base) if one.name == "force_gain")
     model = joined(base.model, gain)
@@ -367,7 +367,7 @@ def test_what_recalibration_hid_is_found_however_coarsely_the_command_was_logged
     """It begins far off, in a long valley: after a few steps it is still on its way, and looks worse than nothing."""
     machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(HIDDEN)))
     loaded = dataclasses.replace(machine, effects=(AppliedLoad(load=30e3),))
-    log = logged(dataclasses.replace(DRIVE, drive=loaded), two_sines())
+    log = simulate_log(dataclasses.replace(DRIVE, drive=loaded), two_sines())
     if step:
         log = dataclasses.replace(log, command=step * np.round(log.command / step))
     fitter = Fitter(logged_of(DRIVE.drive, [log]))

@@ -17,7 +17,7 @@ from diffdrive.model.parameters import Directional, Sensor
 from diffdrive.motion.builders import from_array
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
 from experiments.studies.withheld.score import read_key
-from tests.support.sound_log import DRIVE, RATE, described, logged, two_sines
+from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.candidates import given as those_given
@@ -43,8 +43,8 @@ PUSHES = Cogging(0.0012, 5.0, 3.0)
 @pytest.mark.parametrize("delay", [0.0, 1.0, 1.3, 7.6])
 def test_a_thinned_command_is_held_back_by_control_periods(delay):
     """What acts over each sample is the mean of what acts over its control periods, each held back by itself."""
-    fast = described(rate=10_000.0)
-    log = logged(fast, two_sines(0.3, 10_000.0))
+    fast = axis_of(rate=10_000.0)
+    log = simulate_log(fast, two_sines(0.3, 10_000.0))
     logs = logged_of(fast.drive, [log])
     effect = effect_in_lanes(LoopDelay, {"delay": np.array([delay / 5])}, logs.owner)
     acts = exposed(logs, logs.drive, (effect,), standing(logs))
@@ -58,11 +58,11 @@ def test_a_thinned_command_is_held_back_by_control_periods(delay):
 @pytest.mark.slow
 def test_noise_in_a_fast_loop_does_not_pass_for_a_missing_force():
     """The command's noise shakes the table and lets its bristle creep, most of all at rest: thinned, it still does."""
-    stiff = described(kp=7.98e6, kd=15_960.0, noise=4e-8, rate=10_000.0)
+    stiff = axis_of(kp=7.98e6, kd=15_960.0, noise=4e-8, rate=10_000.0)
     time = np.arange(24_000) / 10_000.0
     share = np.clip(time - 0.2, 0.0, 1.0) - np.clip(time - 1.4, 0.0, 1.0)  # rest, there, rest, back
     there_and_back = from_array(time, 0.02 * (share - np.sin(2 * np.pi * share) / (2 * np.pi)))
-    logs = logged_of(stiff.drive, [logged(stiff, there_and_back)])
+    logs = logged_of(stiff.drive, [simulate_log(stiff, there_and_back)])
     fitter = Fitter(logs)
     base = recalibrated(fitter, TOLERANCE)
     assert complete(fitter, base)
@@ -94,7 +94,7 @@ def test_the_velocity_at_the_first_sample_is_that_of_a_motion_that_accelerates(r
 
 def test_a_filter_of_a_fast_axis_is_nowhere_lost():
     """Segments that began with the mean velocity of their first 5 ms were 40 mm/s off at 15 m/s^2, and stayed so."""
-    axis = described(mass=20.0, kp=8e5, kd=2_400.0)
+    axis = axis_of(mass=20.0, kp=8e5, kd=2_400.0)
     free = Directional(15.0, 15.0)
     drive = dataclasses.replace(
         axis.drive,
@@ -103,7 +103,7 @@ def test_a_filter_of_a_fast_axis_is_nowhere_lost():
     )
     time = np.arange(6_000) / RATE
     there = from_array(time, 0.02 * (1.0 - np.cos(2.0 * np.pi * 4.3 * time)))
-    fitter = Fitter(logged_of(drive, [logged(dataclasses.replace(axis, drive=drive), there)]))
+    fitter = Fitter(logged_of(drive, [simulate_log(dataclasses.replace(axis, drive=drive), there)]))
     base = recalibrated(fitter, 0.02)
     assert lost_samples(base) == 0
     assert complete(fitter, base)
@@ -114,18 +114,18 @@ def with_effects(*effects):
 
 
 def test_inverse_dynamics_know_the_effects_of_a_drive():
-    log = logged(with_effects(PUSHES), two_sines())
+    log = simulate_log(with_effects(PUSHES), two_sines())
     right, wrong = (force_error(dataclasses.replace(DRIVE.drive, effects=one), log) for one in ((PUSHES,), ()))
     assert right < 0.5
     assert wrong > 4.0 * right
-    assert force_error(DRIVE.drive, logged(DRIVE, two_sines())) < 0.5
+    assert force_error(DRIVE.drive, simulate_log(DRIVE, two_sines())) < 0.5
 
 
 def test_inverse_dynamics_count_presliding_elements_once():
     """They replace the bristle's force, which the friction along the motion has: mostly a motion of presliding."""
     elements, reference = PreslidingHysteresis(1.0, 8e-6, 0.2), two_sines()
     small = from_array(reference.time, 0.01 * reference.position)
-    log = logged(with_effects(elements), small)
+    log = simulate_log(with_effects(elements), small)
     known, missing = (force_error(with_effects(*one).drive, log) for one in ((elements,), ()))
     assert known < 0.1 * missing
 
@@ -133,7 +133,7 @@ def test_inverse_dynamics_count_presliding_elements_once():
 def test_a_session_is_registered_anew():
     """Another start, so that the cogging has another phase, and another tilt; the period stays the machine's."""
     elsewhere = Cogging(0.0012, -4.0, 4.2)
-    log = logged(with_effects(elsewhere, ConstantForce(0.6)), two_sines())
+    log = simulate_log(with_effects(elsewhere, ConstantForce(0.6)), two_sines())
     carried = dataclasses.replace(DRIVE.drive, effects=(PUSHES,))
     found = registered(carried, log, seconds=2.0)
     assert force_error(found, log) < 0.2 * force_error(carried, log)
@@ -146,15 +146,15 @@ def test_a_session_is_registered_anew():
 def test_a_wave_far_larger_than_is_usual_is_registered_anew():
     """Its phase is of the session, however large the wave; only a time far away stays where it is."""
     elsewhere = InterpolationError(period=5e-4, cosine=0.0, sine=3e-6)
-    log = logged(with_effects(elsewhere), two_sines())
+    log = simulate_log(with_effects(elsewhere), two_sines())
     carried = dataclasses.replace(DRIVE.drive, effects=(InterpolationError(period=5e-4, cosine=3e-6, sine=0.0),))
     (wave,) = (one for one in registered(carried, log, seconds=2.0).effects if one.name == "interpolation_error")
     assert (float(wave.cosine), float(wave.sine)) == pytest.approx((0.0, 3e-6), abs=2e-7)
 
 
 def test_a_delay_that_is_claimed_and_not_there_is_found():
-    log = logged(DRIVE, two_sines())
-    logs = logged_of(described(delay=1).drive, [log])
+    log = simulate_log(DRIVE, two_sines())
+    logs = logged_of(axis_of(delay=1).drive, [log])
     fitter = Fitter(logs)
     at = setting(logs.drive, logs.lanes, 1.0 / RATE)
     candidate = next(one for one in candidates(at) if one.name == "loop_delay")
@@ -168,9 +168,9 @@ def test_a_delay_that_is_claimed_and_not_there_is_found():
 
 
 def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
-    fast = described(rate=10_000.0, delay=3)
-    log = logged(fast, two_sines(2.0, 10_000.0))
-    logs = logged_of(described(rate=10_000.0).drive, [log])
+    fast = axis_of(rate=10_000.0, delay=3)
+    log = simulate_log(fast, two_sines(2.0, 10_000.0))
+    logs = logged_of(axis_of(rate=10_000.0).drive, [log])
     assert (logs.thinning, logs.sampling.rate, logs.control.rate) == (5, 2000.0, 10_000.0)
     assert float(logs.lanes.counts.sum()) == len(log.time) // 5
     np.testing.assert_array_equal(np.asarray(logs.lanes.position[0, :100]), log.position[:500:5])
@@ -188,9 +188,9 @@ def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
 
 
 def test_a_lag_shorter_than_a_thinned_sample_is_measured():
-    fast = described(kp=4e6, kd=12_000.0, noise=4e-8, rate=10_000.0)
+    fast = axis_of(kp=4e6, kd=12_000.0, noise=4e-8, rate=10_000.0)
     slow = dataclasses.replace(fast, drive=dataclasses.replace(fast.drive, effects=(ActuatorLag(3e-4),)))
-    logs = logged_of(fast.drive, [logged(slow, two_sines(2.0, 10_000.0))])
+    logs = logged_of(fast.drive, [simulate_log(slow, two_sines(2.0, 10_000.0))])
     fitter = Fitter(logs)
     at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
     candidate = next(one for one in candidates(at) if one.name == "actuator_lag")
@@ -205,10 +205,10 @@ def test_a_lag_shorter_than_a_thinned_sample_is_measured():
 
 def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
     """Two programs, two integrators, one machine: without noise and on a fine scale they move alike."""
-    plain = described(resolution=None, noise=0.0)
+    plain = axis_of(resolution=None, noise=0.0)
     time = np.arange(600) / RATE
     motion = from_array(time, 1e-3 * (1 - np.cos(2 * np.pi * 5.0 * time)))
-    ours = logged(plain, motion)
+    ours = simulate_log(plain, motion)
     flat = np.zeros(600)
     told = MachineInputs(motion.position, flat, flat, flat, flat)
     gains = (float(plain.controller.tracking.gains.kp), float(plain.controller.tracking.gains.kd))
@@ -235,13 +235,13 @@ def test_less_than_no_delay_is_none_to_the_simulator():
 @pytest.mark.parametrize(("rate", "thinning"), [(4000.0, 2), (8000.0, 4), (10_000.0, 5), (3000.0, 1), (500.0, 1)])
 @pytest.mark.parametrize("off", [0.0, -1e-6, 1e-6])
 def test_a_clock_that_is_a_little_off_thins_a_log_as_a_right_one_does(rate, thinning, off):
-    log = logged(described(rate=rate), two_sines(1.0, rate))
+    log = simulate_log(axis_of(rate=rate), two_sines(1.0, rate))
     log = dataclasses.replace(log, time=log.time / (1.0 + off))
     assert logged_of(DRIVE.drive, [log]).thinning == thinning
 
 
 def test_a_given_effect_makes_no_hypothesis_coarse():
-    logs = logged_of(DRIVE.drive, [logged(DRIVE, two_sines(1.0))])
+    logs = logged_of(DRIVE.drive, [simulate_log(DRIVE, two_sines(1.0))])
     at = setting(logs.drive, logs.lanes, logs.sampling.period)
     dwell = next(one for one in candidates(at) if one.name == "friction_dwell")
     (known,) = those_given([FrictionDwell()], at)

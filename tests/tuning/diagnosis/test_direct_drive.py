@@ -14,7 +14,7 @@ from diffdrive.effects.forces import Cogging
 from diffdrive.motion.builders import from_array
 from diffdrive.runtime import configure
 from experiments.studies import laas
-from tests.support.sound_log import logged
+from tests.support.sound_log import simulate_log
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.candidates import _cogging, _strong_cogging
 from tuning.diagnosis.diagnose import diagnose
@@ -50,7 +50,7 @@ MOTOR = parse_axis(
 def run_with(wave):
     time = np.arange(0.0, 3.0, 1e-3)
     machine = dataclasses.replace(MOTOR.drive, effects=(Cogging(period=PERIOD, cosine=0.6 * wave, sine=0.8 * wave),))
-    return logged(dataclasses.replace(MOTOR, drive=machine), from_array(time, 8e-3 * time))
+    return simulate_log(dataclasses.replace(MOTOR, drive=machine), from_array(time, 8e-3 * time))
 
 
 def test_a_wave_many_times_the_friction_is_cogging_and_no_error_of_the_scale():

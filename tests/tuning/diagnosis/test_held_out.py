@@ -8,7 +8,7 @@ import pytest
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.friction import AppliedLoad
-from tests.support.sound_log import DRIVE, logged, two_sines
+from tests.support.sound_log import DRIVE, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.explain import Explanation
@@ -214,7 +214,7 @@ def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(le
 def test_what_begins_in_the_last_part_of_a_single_log_is_proved_in_other_parts():
     """At 70 % of it: the first 60 % cannot tell how large it is."""
     loaded = dataclasses.replace(DRIVE.drive, effects=(AppliedLoad(more=40e3, start=3.5, end=1e9),))
-    log = logged(dataclasses.replace(DRIVE, drive=loaded), two_sines(5.0))
+    log = simulate_log(dataclasses.replace(DRIVE, drive=loaded), two_sines(5.0))
     others = [name for name in EFFECTS if name not in ("applied_load", "constant_force", "friction_shape")]
     found = diagnose(DRIVE.drive, DRIVE.controller, [log], without=others, most_effects=1)
     assert found.split.says.startswith("every other tenth of the log held out")

@@ -9,7 +9,7 @@ from diffdrive.effects.base import Seen
 from diffdrive.effects.oscillator import Oscillator
 from diffdrive.effects.transmission import Backlash, Compliance, MotorState
 from diffdrive.model.friction import coulomb
-from tests.support.perturbed_machine import OFF, catalogue, fitter_of
+from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis import hidden
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -104,9 +104,9 @@ def test_the_filter_finds_a_motor_that_is_not_where_it_begins():
     model = joined(bare.model, candidate)
     values = {name: np.array([value]) for name, value in PLAY.items()}
     own = begin(model, values)
-    true = fitter.fit(model, np.r_[OFF / TOLERANCE, own], process, standing(fitter.logged), 0)
+    true = fitter.fit(model, np.r_[DEVIATIONS / TOLERANCE, own], process, standing(fitter.logged), 0)
     file = fitter.fit(model, np.r_[np.zeros(len(NAMES)), own], process, standing(fitter.logged), 0)
     wide = begin(model, {**values, "gap": np.array([1.3 * PLAY["gap"]])})
-    wrong = fitter.fit(model, np.r_[OFF / TOLERANCE, wide], process, standing(fitter.logged), 0)
+    wrong = fitter.fit(model, np.r_[DEVIATIONS / TOLERANCE, wide], process, standing(fitter.logged), 0)
     assert lost_share(fitter, true, process) < 2e-3
     assert true.cost < min(file.cost, wrong.cost) - 100.0

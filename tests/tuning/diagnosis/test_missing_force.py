@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.perturbed_machine import OFF, fitter_of
+from tests.support.perturbed_machine import DEVIATIONS, fitter_of
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import force_floor, force_gap
@@ -20,7 +20,11 @@ def shaken(size):
     missing = size * np.random.default_rng(2).standard_normal(lanes.command.shape)
     fitter = Fitter(fitter.logged._replace(lanes=lanes._replace(command=lanes.command - missing)))
     process = np.array([1e-3, max(size, fitter.least)])
-    return fitter, fitter.fit(Model(fitter.logged), OFF / TOLERANCE, process, standing(fitter.logged), 0), process
+    return (
+        fitter,
+        fitter.fit(Model(fitter.logged), DEVIATIONS / TOLERANCE, process, standing(fitter.logged), 0),
+        process,
+    )
 
 
 def test_a_sudden_force_that_the_filter_may_invent_counts_as_missing():

@@ -12,8 +12,8 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.loop.simulate import loop_inputs
 from diffdrive.motion.motion import Limits, require_within
 from diffdrive.motion.text import parse_motion
-from tests.support.fake_fits import hypothesis
-from tests.support.sound_log import DRIVE, RATE, logged, two_sines
+from tests.support.fake_fits import fake_fit
+from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis import next_experiment as module
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates as hypotheses
@@ -103,7 +103,7 @@ def test_a_fit_that_stopped_on_its_way_is_not_believed(monkeypatch):
 
 def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
     pushed = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(6.0),))
-    log = logged_of(DRIVE.drive, [logged(dataclasses.replace(DRIVE, drive=pushed), two_sines())])
+    log = logged_of(DRIVE.drive, [simulate_log(dataclasses.replace(DRIVE, drive=pushed), two_sines())])
     fitter = Fitter(log)
     base = recalibrated(fitter, TOLERANCE)
     known = {one.name: one for one in hypotheses(setting(log.drive, log.lanes, 1.0 / RATE))}
@@ -156,7 +156,7 @@ def test_a_rival_that_is_surer_in_another_round_is_read_as_it_was_beside_the_cau
     """There it stands beside the cause itself, and no motion would tell the two apart."""
     read = []
     monkeypatch.setattr(module, "_told", lambda truth, rival, *_: read.append((truth, rival)) or 50.0)
-    beside = hypothesis("lead_error", evidence=-900.0)
+    beside = fake_fit("lead_error", evidence=-900.0)
     first = belief("cogging", alternatives=["lead_error", "constant_force"])
     others = belief("lead_error", found=False, round=1), belief("constant_force", found=False, round=1)
     offer = next_experiment(diagnosed("effect", first, *reversed(others), rounds=([beside], ())), DRIVE)

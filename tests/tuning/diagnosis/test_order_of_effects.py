@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive.model.parameters import Sampling
-from tests.support.fake_fits import hypothesis, names, seeing  # noqa: F401
+from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis import explain, leftover, search
 from tuning.diagnosis.calibration import NAMES
@@ -24,7 +24,7 @@ AXIS = Setting(
 )  # fmt: skip
 
 
-pytestmark = pytest.mark.usefixtures("seeing")
+pytestmark = pytest.mark.usefixtures("no_filter_lost")
 
 
 @pytest.mark.parametrize(
@@ -40,30 +40,28 @@ pytestmark = pytest.mark.usefixtures("seeing")
 )
 def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
     monkeypatch.setattr(explain, "complete", lambda *_: whole)
-    best = hypothesis("cogging", evidence=-before, strain=strain_then)
-    assert (
-        _enough(None, hypothesis(evidence=0.0), best, ended, [hypothesis("backlash", evidence=-2.0 * before)]) == enough
-    )
+    best = fake_fit("cogging", evidence=-before, strain=strain_then)
+    assert _enough(None, fake_fit(evidence=0.0), best, ended, [fake_fit("backlash", evidence=-2.0 * before)]) == enough
 
 
 def test_impossible_parameters_are_explained_by_what_brings_them_back():
-    before = hypothesis(evidence=0.0, strain=10.0)
-    believed = hypothesis(evidence=5000.0)
-    gain = hypothesis("force_gain", evidence=100.0, strain=1.0)  # SLIGHT of what the strain gained: allowed
-    cogging = hypothesis("cogging", evidence=-150.0, strain=9.0)
+    before = fake_fit(evidence=0.0, strain=10.0)
+    believed = fake_fit(evidence=5000.0)
+    gain = fake_fit("force_gain", evidence=100.0, strain=1.0)  # SLIGHT of what the strain gained: allowed
+    cogging = fake_fit("cogging", evidence=-150.0, strain=9.0)
     looked = _ranked(before, believed, [], [cogging, gain])
     assert names(looked) == ["force_gain", "cogging"]
     assert looked.rivals == 1
     assert looked.allowance == SLIGHT * 5000.0
     for fits in (
         [cogging],
-        [cogging, hypothesis("force_gain", evidence=300.0, strain=1.0)],
+        [cogging, fake_fit("force_gain", evidence=300.0, strain=1.0)],
     ):
         looked = _ranked(before, believed, [], fits)
         assert names(looked)[0] == "cogging"
         assert (looked.rivals, looked.allowance) == (len(fits), 0.0)
     assert names(_ranked(before, None, [], [gain, cogging])) == ["cogging", "force_gain"]
-    dwell = hypothesis("friction_dwell", evidence=-9000.0, strain=9.0)  # far more than those parameters explained
+    dwell = fake_fit("friction_dwell", evidence=-9000.0, strain=9.0)  # far more than those parameters explained
     assert names(_ranked(before, believed, [], [dwell, gain]))[0] == "friction_dwell"
 
 
@@ -76,9 +74,9 @@ def test_impossible_parameters_are_explained_by_what_brings_them_back():
     ],
 )
 def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(strain, more, first):
-    before, believed = hypothesis(evidence=0.0, strain=10.0), hypothesis(evidence=5000.0)
-    gain = hypothesis("force_gain", evidence=-100.0, strain=1.0)
-    backlash = hypothesis("backlash", evidence=-100.0 - more, strain=strain)
+    before, believed = fake_fit(evidence=0.0, strain=10.0), fake_fit(evidence=5000.0)
+    gain = fake_fit("force_gain", evidence=-100.0, strain=1.0)
+    backlash = fake_fit("backlash", evidence=-100.0 - more, strain=strain)
     assert names(_ranked(before, believed, [], [gain, backlash]))[0] == first
 
 
@@ -91,7 +89,7 @@ def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(stra
     ],
 )
 def test_what_elements_before_sliding_take_over_was_not_moved(moved, effect, far):
-    one = hypothesis(effect, evidence=0.0)
+    one = fake_fit(effect, evidence=0.0)
     one.u[NAMES.index(moved)] = -9.0
     assert strain(one) == far
     assert strain(one, NAMES) == 9.0
@@ -99,7 +97,7 @@ def test_what_elements_before_sliding_take_over_was_not_moved(moved, effect, far
 
 def strained(*effects, evidence, by):
     """A fit that moves the bristle by that many tolerances."""
-    one = hypothesis(*effects, evidence=evidence)
+    one = fake_fit(*effects, evidence=evidence)
     one.u[NAMES.index("bristle_stiffness")] = by
     return one
 
@@ -107,30 +105,30 @@ def strained(*effects, evidence, by):
 def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     """The bristle stays where it was; that it means nothing any more is no merit."""
     monkeypatch.setattr(explain, "complete", lambda *_: False)
-    base, dwell = hypothesis(evidence=0.0), strained("friction_dwell", evidence=-5000.0, by=4.5)
+    base, dwell = fake_fit(evidence=0.0), strained("friction_dwell", evidence=-5000.0, by=4.5)
     elements = strained("friction_dwell", "presliding_hysteresis", evidence=-5020.0, by=4.5)
     assert _enough(None, base, dwell, False, [elements]) == pytest.approx(SLIGHT * 5000.0)
     back = strained("friction_dwell", "cogging", evidence=-5020.0, by=1.0)
     assert _enough(None, base, dwell, False, [back]) == WORTH
-    before, believed = strained(evidence=0.0, by=7.0), hypothesis(evidence=2000.0)
+    before, believed = strained(evidence=0.0, by=7.0), fake_fit(evidence=2000.0)
     cogging = strained("cogging", evidence=-150.0, by=6.5)
     worse = strained("presliding_hysteresis", evidence=60.0, by=7.0)
     looked = _ranked(before, believed, [], [cogging, worse])
     assert names(looked) == ["cogging", "presliding_hysteresis"]
     assert looked.allowance == 0.0
     assert not relieves(worse, before, IMPOSSIBLE)
-    assert relieves(hypothesis("cogging", evidence=0.0, strain=1.0), before, IMPOSSIBLE)
+    assert relieves(fake_fit("cogging", evidence=0.0, strain=1.0), before, IMPOSSIBLE)
 
 
 @pytest.mark.parametrize("share", [0.5 * AGAIN, 1.5 * AGAIN])
 def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, share):
     """Where that is much of what the effect seemed to explain, everything is looked at again from there."""
-    stopped, further = hypothesis(evidence=0.0), hypothesis(evidence=-1000.0 * share)
+    stopped, further = fake_fit(evidence=0.0), fake_fit(evidence=-1000.0 * share)
     looks = []
 
     def look(fitter, before, *_):
         looks.append(before)
-        found = [hypothesis("cogging" if len(looks) == 1 else "backlash", evidence=-1000.0)]
+        found = [fake_fit("cogging" if len(looks) == 1 else "backlash", evidence=-1000.0)]
         return Round(before, [], found, 1, 0.0)
 
     monkeypatch.setattr(explain, "look", look)
@@ -160,32 +158,32 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
 @pytest.mark.parametrize("ended", [False, True])
 def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, ended):
     monkeypatch.setattr(explain, "complete", lambda *_: True)
-    best = hypothesis("backlash", evidence=-1e4, coarse=True, strain=4.5)
-    fits = [hypothesis("cogging", evidence=-2e4, strain=4.2)]
-    assert _enough(None, hypothesis(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
-    assert _enough(None, hypothesis(evidence=10.0 - 1e4), best, True, fits) == RELIEF
+    best = fake_fit("backlash", evidence=-1e4, coarse=True, strain=4.5)
+    fits = [fake_fit("cogging", evidence=-2e4, strain=4.2)]
+    assert _enough(None, fake_fit(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
+    assert _enough(None, fake_fit(evidence=10.0 - 1e4), best, True, fits) == RELIEF
 
 
 def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(monkeypatch):
     monkeypatch.setattr(explain, "complete", lambda *_: False)
     monkeypatch.setattr(explain, "blind", lambda *_: True)
-    base, best = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1e4)
-    assert _enough(None, base, best, False, [hypothesis("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
+    base, best = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e4)
+    assert _enough(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
 
 
 def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
     def fitter(further):
         return SimpleNamespace(fit=lambda *_: further)
 
-    one = hypothesis("frame_vibration", evidence=-100.0)
+    one = fake_fit("frame_vibration", evidence=-100.0)
     one.steps, one.process, one.track = MOST_STEPS, None, SimpleNamespace(course=None)
-    runaway, impossible = hypothesis("frame_vibration", evidence=np.inf), hypothesis("frame_vibration", evidence=-900.0)
+    runaway, impossible = fake_fit("frame_vibration", evidence=np.inf), fake_fit("frame_vibration", evidence=-900.0)
     impossible.model.possible = lambda u: False
     for further in (runaway, impossible):
         further.steps = 3
         assert to_its_end(fitter(further), one) is one
         assert led_on(fitter(further), [one]) == [one]
-    sound = hypothesis("frame_vibration", evidence=-200.0)
+    sound = fake_fit("frame_vibration", evidence=-200.0)
     sound.steps = 3
     assert to_its_end(fitter(sound), one) is sound
     assert led_on(fitter(sound), [one]) == [sound]
@@ -193,7 +191,7 @@ def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
 
 def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
     """The first effect's fit had stopped on its way: whatever else a round found, there is nothing left to explain."""
-    further = hypothesis("cogging", evidence=-1400.0)
+    further = fake_fit("cogging", evidence=-1400.0)
     offered = [SimpleNamespace(name=one, noisy=one == "lead_error") for one in ("cogging", "force_gain", "lead_error")]
     looks = []
 
@@ -201,14 +199,14 @@ def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
         looks.append([one.name for one in few])
         there = [one.candidate.name for one in before.model.members]
         name = "force_gain" if there else "cogging"
-        fits = [hypothesis(*there, name, evidence=before.evidence - 1000.0)] if name in looks[-1] else []
+        fits = [fake_fit(*there, name, evidence=before.evidence - 1000.0)] if name in looks[-1] else []
         return Round(before, [], fits, 1, 0.0)
 
     monkeypatch.setattr(explain, "look", look)
     monkeypatch.setattr(explain, "complete", lambda fitter, one: one is further)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if fits and len(looks) > 1 else None)
-    found = explain.explain(None, hypothesis(evidence=0.0), offered, lambda *_: None)
+    found = explain.explain(None, fake_fit(evidence=0.0), offered, lambda *_: None)
     assert found.best is found.rounds[0].fits[0] is further
     everything = ["cogging", "force_gain", "lead_error"]
     assert looks == [everything, everything, ["lead_error"]]  # which may pass for noise
@@ -224,7 +222,7 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
 
     monkeypatch.setattr(explain, "look", look)
     monkeypatch.setattr(explain, "complete", lambda *_: True)
-    explain.explain(SimpleNamespace(twist=twist), hypothesis(evidence=0.0), candidates(AXIS), lambda *_: None)
+    explain.explain(SimpleNamespace(twist=twist), fake_fit(evidence=0.0), candidates(AXIS), lambda *_: None)
     names = {one.name for one in looked}
     assert "constant_force" in names
     assert names.isdisjoint({"cogging", "loop_delay", "friction_dwell"})
@@ -238,7 +236,7 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
 def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
     ran = {0.0: base, -1.0: after, -2.0: 1.0}
     monkeypatch.setattr(leftover, "missing", lambda fitter, one: ran[one.evidence])
-    before, runaway, sound = (hypothesis(evidence=one) for one in ran)
+    before, runaway, sound = (fake_fit(evidence=one) for one in ran)
     for one, process in ((before, 2.0), (runaway, 1.0), (sound, 0.1)):
         one.process = np.array([process, 0.0])
     assert unexplained(None, before, runaway) == 1.0
@@ -247,7 +245,7 @@ def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
 
 def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypatch):
     monkeypatch.setattr(leftover, "missing", lambda fitter, one: 1e4)
-    before, after = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-900.0)
+    before, after = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-900.0)
     before.process, after.process = np.array([2.0, 0.0]), np.array([0.2, 0.0])
     assert unexplained(None, before, after) == 1.0
     monkeypatch.setattr(leftover, "blind", lambda *_: True)
@@ -257,7 +255,7 @@ def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypat
 @pytest.mark.parametrize(("here", "gains"), [(-500.0, True), (-5.0, False)])
 def test_a_filter_that_was_trusted_too_little_is_no_evidence_for_an_effect(monkeypatch, here, gains):
     """Where the richer fit ended differs from the simpler one's in nothing but how far its filter trusts the model."""
-    before, best = hypothesis(evidence=0.0, strain=1.0), hypothesis("force_gain", evidence=-500.0, strain=3.0)
+    before, best = fake_fit(evidence=0.0, strain=1.0), fake_fit("force_gain", evidence=-500.0, strain=3.0)
     for one, force in ((before, 1.0), (best, 0.1)):
         one.process, one.track = np.array([force, force]), SimpleNamespace(course=None)
     monkeypatch.setattr(explain, "_without", lambda *_: [best.u])  # far off: what makes up for an effect bends
@@ -269,7 +267,7 @@ def test_a_filter_that_was_trusted_too_little_is_no_evidence_for_an_effect(monke
     fitter = SimpleNamespace(
         at=at,
         with_process=lambda one, *_: one,
-        fit=lambda model, u, *_: hypothesis(evidence=at(model, u, None, 0).cost),
+        fit=lambda model, u, *_: fake_fit(evidence=at(model, u, None, 0).cost),
     )
     found = _further(fitter, before, [best])
     assert (found is not None and found.evidence == here) if gains else found is None
@@ -289,13 +287,13 @@ def test_screws_that_bring_nearly_as_much_as_the_best_are_searched_for_again(mon
 
     def searched_again(fitter, before, one):
         known.append(one.model.members[-1].candidate.name)
-        return hypothesis(known[-1], evidence=one.evidence - 1.0)
+        return fake_fit(known[-1], evidence=one.evidence - 1.0)
 
     monkeypatch.setattr(search, "searched_again", searched_again)
-    base, far = hypothesis(evidence=0.0), hypothesis("friction_dwell", "compliance", evidence=-CLOSE * 1000.0 + 1.0)
+    base, far = fake_fit(evidence=0.0), fake_fit("friction_dwell", "compliance", evidence=-CLOSE * 1000.0 + 1.0)
     fits = [
-        hypothesis("cogging", evidence=-1000.0, strain=strain), hypothesis("backlash", evidence=-800.0),
-        hypothesis("compliance", evidence=-900.0), far,
+        fake_fit("cogging", evidence=-1000.0, strain=strain), fake_fit("backlash", evidence=-800.0),
+        fake_fit("compliance", evidence=-900.0), far,
     ]  # fmt: skip
     found = _again(None, base, fits, lambda one: left)
     assert sorted(known) == asked

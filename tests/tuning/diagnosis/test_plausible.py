@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive.model.parameters import Sensor
-from tests.support.sound_log import DRIVE, RATE, SOUND, logged, two_sines
+from tests.support.sound_log import DRIVE, RATE, SOUND, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
@@ -139,7 +139,7 @@ def test_what_cannot_be_less_than_nothing_is_not(effect, name):
 )
 def test_a_process_force_swings_while_it_is_on(frequency, end, beside, swings):
     """On for 0.1 s in one log and for longer in the other: few swings, small ones, or none within the log are none."""
-    logs = logged_of(DRIVE.drive, [logged(DRIVE, two_sines(2.5))] * 2)
+    logs = logged_of(DRIVE.drive, [simulate_log(DRIVE, two_sines(2.5))] * 2)
     process = next(
         one for one in candidates(setting(logs.drive, logs.lanes, logs.sampling.period)) if one.name == "process_force"
     )

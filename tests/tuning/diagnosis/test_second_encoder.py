@@ -10,7 +10,7 @@ from diffdrive.effects.scale import LeadError
 from diffdrive.effects.transmission import Compliance
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import as_arrays
-from tests.support.sound_log import DRIVE, RATE, logged, two_sines
+from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.following import Process, follow
@@ -27,7 +27,7 @@ def sliding(speed=0.02, seconds=1.0, beside=0.0):
     """
     drive, n = as_arrays(DRIVE.drive), round(seconds * RATE)
     position = jnp.asarray(speed * PERIOD * np.arange(n))[None]
-    at = logged_of(DRIVE.drive, [logged(DRIVE, two_sines())])
+    at = logged_of(DRIVE.drive, [simulate_log(DRIVE, two_sines())])
     one = jnp.ones((1, n))
     level = float(coulomb(drive.friction, 1.0, 0.0))
     friction = level + speed * float(drive.friction.viscous.positive + drive.plant.damping.positive)
@@ -94,7 +94,7 @@ def test_a_twist_that_was_not_measured_says_nothing():
 
 
 def test_a_log_has_a_twist_where_it_has_a_second_encoder():
-    log = logged(DRIVE, two_sines())
+    log = simulate_log(DRIVE, two_sines())
     lanes = logged_of(DRIVE.drive, [log]).lanes
     assert twist_of([log], lanes, 1e-8) is None
     both = dataclasses.replace(log, motor_position=log.position + 2e-6)

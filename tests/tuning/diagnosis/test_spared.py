@@ -2,13 +2,13 @@
 
 import pytest
 
-from tests.support.fake_fits import hypothesis, names, seeing  # noqa: F401
+from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
 from tuning.diagnosis import explain
 from tuning.diagnosis.explain import Explanation, _Search
 from tuning.diagnosis.leftover import SLIGHT, WORTH
 from tuning.diagnosis.search import Round
 
-pytestmark = pytest.mark.usefixtures("seeing")
+pytestmark = pytest.mark.usefixtures("no_filter_lost")
 
 
 def quiet(*_):
@@ -17,10 +17,10 @@ def quiet(*_):
 
 def stepwise(monkeypatch, alone):
     """A process, found first, and a vibrating frame beside it; the frame `alone` explains so much."""
-    base, process = hypothesis(evidence=0.0), hypothesis("process_force", evidence=-6000.0)
-    frame = hypothesis("frame_vibration", evidence=-3000.0)
-    both = hypothesis("process_force", "frame_vibration", evidence=-24_000.0)
-    rival = hypothesis("process_force", "compliance", evidence=-23_990.0)
+    base, process = fake_fit(evidence=0.0), fake_fit("process_force", evidence=-6000.0)
+    frame = fake_fit("frame_vibration", evidence=-3000.0)
+    both = fake_fit("process_force", "frame_vibration", evidence=-24_000.0)
+    rival = fake_fit("process_force", "compliance", evidence=-23_990.0)
     rounds = [Round(base, [], [process, frame], 2, 0.0), Round(process, [], [both, rival], 2, 50.0)]
     asked = []
 
@@ -28,7 +28,7 @@ def stepwise(monkeypatch, alone):
         asked.append((one, index))
         if alone is None or index:
             return None
-        return hypothesis(names(Round(None, [], [one], 1, 0.0))[0], evidence=alone + (15.0 if one is rival else 0.0))
+        return fake_fit(names(Round(None, [], [one], 1, 0.0))[0], evidence=alone + (15.0 if one is rival else 0.0))
 
     monkeypatch.setattr(explain, "but_one", but_one)
     monkeypatch.setattr(explain, "complete", lambda *_: False)
@@ -70,7 +70,7 @@ def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monke
     """It may have but set the fit before it going, which seems to be its own merit."""
     found, _ = stepwise(monkeypatch, None)
     found.rounds[0].fits[0].evidence = first
-    fewer = hypothesis("process_force", evidence=evidence, coarse=coarse)
+    fewer = fake_fit("process_force", evidence=evidence, coarse=coarse)
     monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
     other = _Search(None, quiet, 2).spared(found)
     assert other.best is (found.best if kept else fewer)
@@ -88,7 +88,7 @@ def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monke
 def test_what_was_found_last_need_bring_little_where_a_number_becomes_impossible_without(monkeypatch, evidence, kept):
     found, _ = stepwise(monkeypatch, None)
     found.rounds[1] = found.rounds[1]._replace(allowance=0.0)
-    fewer = hypothesis("process_force", evidence=evidence, strain=9.0)
+    fewer = fake_fit("process_force", evidence=evidence, strain=9.0)
     monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
     other = _Search(None, quiet, 2).spared(found)
     assert other.best is (found.best if kept else fewer)
@@ -100,7 +100,7 @@ def test_what_brought_less_than_all_before_it_set_nothing_going(monkeypatch, evi
     """Nor did it where the others end no better without it."""
     found, _ = stepwise(monkeypatch, None)
     found.rounds[0].fits[0].evidence = first
-    fewer = hypothesis("process_force", evidence=evidence)
+    fewer = fake_fit("process_force", evidence=evidence)
     monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
     assert _Search(None, quiet, 2).spared(found) is found
 
@@ -111,7 +111,7 @@ def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(
 
     def but_one(fitter, one, index):
         name = names(Round(None, [], [one], 1, 0.0))[0]
-        return hypothesis(name, evidence=-23_950.0, strain=ends[name])
+        return fake_fit(name, evidence=-23_950.0, strain=ends[name])
 
     monkeypatch.setattr(explain, "but_one", but_one)
     (first,) = _Search(None, quiet, 2).spared(found).rounds
@@ -121,7 +121,7 @@ def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(
 def test_an_effect_is_not_dropped_where_a_number_becomes_impossible_without(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
     found.best.u[0] = 5.0
-    fewer = hypothesis("frame_vibration", evidence=-23_900.0, strain=9.0)
+    fewer = fake_fit("frame_vibration", evidence=-23_900.0, strain=9.0)
     monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: None if index else fewer)
     assert _Search(None, quiet, 2).spared(found) is found
 
@@ -134,7 +134,7 @@ def test_where_nothing_is_left_an_effect_need_not_bring_more_than_a_small_one_br
 
 def test_an_effect_that_keeps_a_number_where_it_can_be_is_not_dropped(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
-    fewer = hypothesis("frame_vibration", evidence=-23_900.0, strain=9.0)
+    fewer = fake_fit("frame_vibration", evidence=-23_900.0, strain=9.0)
     monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: None if index else fewer)
     assert _Search(None, quiet, 2).spared(found) is found
     fewer.evidence = found.best.evidence + 0.9 * WORTH
@@ -142,11 +142,11 @@ def test_an_effect_that_keeps_a_number_where_it_can_be_is_not_dropped(monkeypatc
 
 
 def test_of_three_effects_the_first_is_dropped_and_the_others_stay_in_their_order(monkeypatch):
-    base = hypothesis(evidence=0.0)
-    chain = [hypothesis(*("cogging", "backlash", "lead_error")[: k + 1], evidence=-1e4 * (k + 1)) for k in range(3)]
+    base = fake_fit(evidence=0.0)
+    chain = [fake_fit(*("cogging", "backlash", "lead_error")[: k + 1], evidence=-1e4 * (k + 1)) for k in range(3)]
     rounds = [Round(before, [], [one], 1, 0.0) for before, one in zip([base, *chain], chain, strict=False)]
-    fewer = {id(chain[1]): hypothesis("backlash", evidence=-1.9e4)}
-    fewer[id(chain[2])] = hypothesis("backlash", "lead_error", evidence=-2.99e4)
+    fewer = {id(chain[1]): fake_fit("backlash", evidence=-1.9e4)}
+    fewer[id(chain[2])] = fake_fit("backlash", "lead_error", evidence=-2.99e4)
 
     def but_one(fitter, one, index):
         return fewer[id(one)] if index == 0 else None
@@ -163,7 +163,7 @@ def test_of_three_effects_the_first_is_dropped_and_the_others_stay_in_their_orde
 
 def offered(monkeypatch, coupled):
     """Which effects are looked for beside a first one that leaves nothing."""
-    base, first = hypothesis(evidence=0.0), hypothesis("friction_dwell", evidence=-1e4)
+    base, first = fake_fit(evidence=0.0), fake_fit("friction_dwell", evidence=-1e4)
     first.model.coupled = coupled
     asked = []
 

@@ -5,65 +5,65 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.support.fake_fits import hypothesis, names, seeing  # noqa: F401
+from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
 from tuning.diagnosis import explain, leading, verdict
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.explain import Explanation, _better, _credibly, _other_first, _searched_beside
 from tuning.diagnosis.leftover import IMPOSSIBLE, SLIGHT, WORTH
 from tuning.diagnosis.search import Round
 
-pytestmark = pytest.mark.usefixtures("seeing")
+pytestmark = pytest.mark.usefixtures("no_filter_lost")
 
 
 def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not():
-    base = hypothesis(evidence=0.0, strain=6.0)
-    backlash = hypothesis("backlash", evidence=-900.0, strain=5.5)
-    tilt = hypothesis("constant_force", evidence=-100.0, strain=1.0)
-    cogging = hypothesis("cogging", evidence=-300.0, strain=5.0)
+    base = fake_fit(evidence=0.0, strain=6.0)
+    backlash = fake_fit("backlash", evidence=-900.0, strain=5.5)
+    tilt = fake_fit("constant_force", evidence=-100.0, strain=1.0)
+    cogging = fake_fit("cogging", evidence=-300.0, strain=5.0)
     looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
     first = _other_first(Explanation(base, [looked], backlash))
     assert names(first) == ["constant_force", "backlash", "cogging"]
     assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
-    calm = hypothesis("backlash", evidence=-900.0, strain=3.0)
+    calm = fake_fit("backlash", evidence=-900.0, strain=3.0)
     assert _other_first(Explanation(base, [looked], calm)) is None
-    weak = looked._replace(fits=[backlash, hypothesis("constant_force", evidence=-WORTH, strain=1.0)])
+    weak = looked._replace(fits=[backlash, fake_fit("constant_force", evidence=-WORTH, strain=1.0)])
     assert _other_first(Explanation(base, [weak], backlash)) is None
     assert _other_first(Explanation(base, [looked], base)) is None
 
 
 def test_what_explains_nearly_as_much_is_tried_first_as_well():
-    base = hypothesis(evidence=0.0)
-    backlash, spring = (hypothesis(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
+    base = fake_fit(evidence=0.0)
+    backlash, spring = (fake_fit(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
     looked = Round(base, [], [backlash, spring], 2, 0.0)
     first = _other_first(Explanation(base, [looked], backlash))
     assert names(first) == ["position_spring", "backlash"]
-    strained = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-1200.0, strain=9.0)])
+    strained = looked._replace(fits=[backlash, fake_fit("position_spring", evidence=-1200.0, strain=9.0)])
     assert _other_first(Explanation(base, [strained], backlash)) is None  # it stands behind since it cannot be
-    far = looked._replace(fits=[backlash, hypothesis("position_spring", evidence=-700.0)])
+    far = looked._replace(fits=[backlash, fake_fit("position_spring", evidence=-700.0)])
     assert _other_first(Explanation(base, [far], backlash)) is None
     assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
 
 
 def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
-    base = hypothesis(evidence=5000.0)
-    impossible, possible = hypothesis(evidence=-900.0, strain=9.0), hypothesis(evidence=-100.0, strain=5.0)
+    base = fake_fit(evidence=5000.0)
+    impossible, possible = fake_fit(evidence=-900.0, strain=9.0), fake_fit(evidence=-100.0, strain=5.0)
     assert not _better(base, impossible, possible)
-    assert _better(base, possible, hypothesis(evidence=-50.0, strain=9.0))
-    assert _better(base, impossible, hypothesis(evidence=-100.0, strain=8.0))
+    assert _better(base, possible, fake_fit(evidence=-50.0, strain=9.0))
+    assert _better(base, impossible, fake_fit(evidence=-100.0, strain=8.0))
     for lacks, better in ((0.9, True), (1.1, False)):
-        far = hypothesis(evidence=-1000.0, strain=9.0)
-        near = hypothesis(evidence=-1000.0 + lacks * SLIGHT * 6000.0, strain=5.0)
+        far = fake_fit(evidence=-1000.0, strain=9.0)
+        near = fake_fit(evidence=-1000.0 + lacks * SLIGHT * 6000.0, strain=5.0)
         assert _better(base, near, far) == better
-    assert not _better(base, hypothesis(evidence=-999.0), hypothesis(evidence=-1000.0))
-    soft = hypothesis(evidence=-100.0, strain=5.0)  # what a table that slides tells counts before how the bristle bends
+    assert not _better(base, fake_fit(evidence=-999.0), fake_fit(evidence=-1000.0))
+    soft = fake_fit(evidence=-100.0, strain=5.0)  # what a table that slides tells counts before how the bristle bends
     soft.u[NAMES.index("bristle_stiffness")] = 9.0
     assert not _better(base, impossible, soft)
 
 
 def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(monkeypatch):
-    base = hypothesis(evidence=0.0)
-    play, both = hypothesis("backlash", evidence=-500.0), hypothesis("backlash", "cogging", evidence=-700.0)
-    nearer, searched = (hypothesis("backlash", evidence=-900.0), hypothesis("backlash", "cogging", evidence=-950.0))
+    base = fake_fit(evidence=0.0)
+    play, both = fake_fit("backlash", evidence=-500.0), fake_fit("backlash", "cogging", evidence=-700.0)
+    nearer, searched = (fake_fit("backlash", evidence=-900.0), fake_fit("backlash", "cogging", evidence=-950.0))
     rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [both], 1, 0.0)]
     monkeypatch.setattr(explain, "searched_again", lambda *_: searched)
     monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: nearer if fits == [searched] else None)
@@ -79,15 +79,15 @@ def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(m
 def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_is_not_found(
     monkeypatch, together, found
 ):
-    base, play = hypothesis(evidence=0.0), hypothesis("backlash", evidence=-500.0)
-    both, searched = (hypothesis("backlash", "cogging", evidence=one) for one in (-700.0, together))
-    nearer, asked = hypothesis("backlash", evidence=-900.0), []
+    base, play = fake_fit(evidence=0.0), fake_fit("backlash", evidence=-500.0)
+    both, searched = (fake_fit("backlash", "cogging", evidence=one) for one in (-700.0, together))
+    nearer, asked = fake_fit("backlash", evidence=-900.0), []
 
     def look(fitter, before, *_):
         asked.append(before)
         if before is base:
             return Round(before, [], [play], 1, 0.0)
-        more = [both] if before is play else [hypothesis("backlash", "cogging", evidence=before.evidence - 1.0)]
+        more = [both] if before is play else [fake_fit("backlash", "cogging", evidence=before.evidence - 1.0)]
         return Round(before, [], more, 1, 0.0)
 
     monkeypatch.setattr(explain, "look", look)
@@ -114,7 +114,7 @@ class Nearby:
 
     def sought(self, model, u, process, course, most, free=None):
         self.begun.append((u, most, free))
-        there = hypothesis("backlash", "cogging", evidence=-4000.0 if most else -1000.0)
+        there = fake_fit("backlash", "cogging", evidence=-4000.0 if most else -1000.0)
         there.u, there.process, there.track = u, "begun", SimpleNamespace(course=None)
         return there, 0
 
@@ -126,10 +126,9 @@ class Nearby:
 
 def far_and_near(monkeypatch, evidence, strain):
     """A search that ended 7.6 tolerances off at -9000, and the fitter that leads to another end from the file's own."""
-    base, play = hypothesis(evidence=0.0), hypothesis("backlash", evidence=-8000.0)
+    base, play = fake_fit(evidence=0.0), fake_fit("backlash", evidence=-8000.0)
     far, near = (
-        hypothesis("backlash", "cogging", evidence=by, strain=moved)
-        for by, moved in ((-9000.0, 7.6), (evidence, strain))
+        fake_fit("backlash", "cogging", evidence=by, strain=moved) for by, moved in ((-9000.0, 7.6), (evidence, strain))
     )
     for one in (far, near):
         one.u = np.r_[one.u, 0.3, 0.4]
@@ -167,7 +166,7 @@ def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_
 def test_the_files_own_numbers_are_returned_to_as_long_as_that_leads_further(monkeypatch, gain, reached):
     """Each time beside the effects as they were found the time before: a gap is found a little closer."""
     fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
-    fitter.later = [hypothesis("backlash", "cogging", evidence=by, strain=6.5) for by in (-8000.0, -8000.0 - gain)]
+    fitter.later = [fake_fit("backlash", "cogging", evidence=by, strain=6.5) for by in (-8000.0, -8000.0 - gain)]
     for effects, one in zip(([0.5, 0.5], [0.6, 0.6]), fitter.later, strict=True):
         one.u, one.track = np.r_[one.u, effects], SimpleNamespace(course=None)
     found = _credibly(fitter, far)
@@ -179,7 +178,7 @@ def test_the_files_own_numbers_are_returned_to_as_long_as_that_leads_further(mon
 
 def test_a_search_that_leads_off_once_more_is_not_followed(monkeypatch):
     fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
-    off = hypothesis("backlash", "cogging", evidence=-9500.0, strain=9.0)
+    off = fake_fit("backlash", "cogging", evidence=-9500.0, strain=9.0)
     monkeypatch.setattr(leading, "searched_again", lambda fitter, before, one: off)
     assert _credibly(fitter, far).best is fitter.near
     off.u[0] = 2.0
@@ -196,7 +195,7 @@ def test_a_rival_that_needs_numbers_that_cannot_be_is_none_of_what_does_without(
     """And one that does without them and explains more stands in front."""
     fitter, far = far_and_near(monkeypatch, -8900.0, 5.0)
     impossible, likelier, other = (
-        hypothesis("backlash", name, evidence=by, strain=moved)
+        fake_fit("backlash", name, evidence=by, strain=moved)
         for name, by, moved in (("lead_error", -8990.0, 8.0), ("constant_force", -8950.0, 2.0), ("stiction", -9.0, 0.0))
     )
     looked = far.rounds[1]._replace(fits=[far.best, impossible, likelier, other], rivals=3)
@@ -214,12 +213,12 @@ def test_a_rival_that_needs_numbers_that_cannot_be_is_none_of_what_does_without(
 
 def test_the_search_goes_on_from_numbers_that_can_be(monkeypatch):
     """What stood in for a second effect is gone then: it is looked for."""
-    base = hypothesis(evidence=0.0, strain=9.0)
-    far, near = (hypothesis("backlash", evidence=by, strain=moved) for by, moved in ((-9000.0, 7.6), (-8900.0, 3.0)))
-    tilted = hypothesis("backlash", "constant_force", evidence=-9500.0)
+    base = fake_fit(evidence=0.0, strain=9.0)
+    far, near = (fake_fit("backlash", evidence=by, strain=moved) for by, moved in ((-9000.0, 7.6), (-8900.0, 3.0)))
+    tilted = fake_fit("backlash", "constant_force", evidence=-9500.0)
 
     def look(fitter, before, *_):
-        nothing = hypothesis("backlash", "cogging", evidence=-9001.0, strain=7.6)
+        nothing = fake_fit("backlash", "cogging", evidence=-9001.0, strain=7.6)
         return Round(before, [], [far if before is base else nothing if before is far else tilted], 1, 0.0)
 
     monkeypatch.setattr(explain, "look", look)
@@ -250,7 +249,7 @@ def both_ways(monkeypatch, joint):
                 (("constant_force", "cogging"), joint + 10.0, 1.0),
             ],
         }[tuple(there)]
-        fits = [hypothesis(*one, evidence=by, strain=far) for one, by, far in ends]
+        fits = [fake_fit(*one, evidence=by, strain=far) for one, by, far in ends]
         known = {one.name for one in catalogue}
         fits = [one for one in fits if one.model.members[-1].candidate.name in known]
         return Round(before, [], fits, len(fits), 0.0)
@@ -264,7 +263,7 @@ def both_ways(monkeypatch, joint):
         monkeypatch.setattr(module, "unexplained", lambda *_: 0.001)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     catalogue = [SimpleNamespace(name=one, relieves=False) for one in ("backlash", "constant_force", "cogging")]
-    return explain.explain(None, hypothesis(evidence=0.0, strain=8.0), catalogue, lambda *_: None), asked
+    return explain.explain(None, fake_fit(evidence=0.0, strain=8.0), catalogue, lambda *_: None), asked
 
 
 def test_a_second_way_that_ends_better_has_everything_looked_for_beside_it(monkeypatch):
@@ -309,8 +308,8 @@ def test_a_way_refused_for_numbers_that_cannot_be_is_no_rival(monkeypatch):
 def test_a_rival_of_a_round_that_ends_the_other_way_is_not_counted_twice(monkeypatch):
     monkeypatch.setattr(verdict, "complete", lambda *_: False)
     monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
-    base = hypothesis(evidence=0.0)
-    fits = [hypothesis(name, evidence=by) for name, by in (("cogging", -1000.0), ("lead_error", -995.0))]
+    base = fake_fit(evidence=0.0)
+    fits = [fake_fit(name, evidence=by) for name, by in (("cogging", -1000.0), ("lead_error", -995.0))]
     first = Round(base, [], fits, 2, 0.0)
     other = Explanation(base, [first._replace(fits=fits[::-1])], fits[1])
     told = {one.effect: one for one in verdict.judge(None, Explanation(base, [first], fits[0], other)).beliefs}
@@ -322,9 +321,9 @@ def test_what_was_found_is_not_said_to_be_open(monkeypatch):
     """Of two effects found together, either may have been a near rival of the other in the first round."""
     monkeypatch.setattr(verdict, "complete", lambda *_: False)
     monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
-    base, one = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1000.0)
-    both = hypothesis("cogging", "lead_error", evidence=-3000.0)
-    rounds = [Round(base, [], [one, hypothesis("lead_error", evidence=-999.0)], 2, 0.0), Round(one, [], [both], 1, 0.0)]
+    base, one = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1000.0)
+    both = fake_fit("cogging", "lead_error", evidence=-3000.0)
+    rounds = [Round(base, [], [one, fake_fit("lead_error", evidence=-999.0)], 2, 0.0), Round(one, [], [both], 1, 0.0)]
     assert verdict.judge(None, Explanation(base, rounds, both)).says == "cogging and lead_error explain the gap"
 
 
@@ -332,8 +331,8 @@ def test_what_was_found_is_not_said_to_be_open(monkeypatch):
 def test_an_effect_that_leaves_a_number_where_it_cannot_be_does_not_explain_how_it_came_there(monkeypatch, left, says):
     """Nothing is missing: how far the drive file's numbers were moved is all that speaks for an effect."""
     monkeypatch.setattr(verdict, "complete", lambda *_: True)
-    base = hypothesis(evidence=0.0, strain=17.0)
-    gain = hypothesis("force_gain", evidence=-100.0, strain=left)
+    base = fake_fit(evidence=0.0, strain=17.0)
+    gain = fake_fit("force_gain", evidence=-100.0, strain=left)
     for one in (base, gain):
         one.model.tolerance = 0.02
     told = verdict.judge(None, Explanation(base, [Round(base, [], [gain], 1, 0.0)], gain))
@@ -346,7 +345,7 @@ def test_no_cause_is_sure_where_the_logs_say_unknown(monkeypatch):
     """Also where what is left is but a little more than what the details of a model may leave."""
     monkeypatch.setattr(verdict, "complete", lambda *_: False)
     monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.021)
-    base, one = hypothesis(evidence=0.0), hypothesis("cogging", evidence=-1e5)
+    base, one = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e5)
     told = verdict.judge(None, Explanation(base, [Round(base, [], [one], 1, 0.0)], one))
     assert told.verdict == "unknown"
     assert told.beliefs[0].confidence == verdict.UNSURE

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.fake_fits import hypothesis
+from tests.support.fake_fits import fake_fit
 from tuning.diagnosis import verdict
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.search import Round
@@ -22,10 +22,10 @@ def leaving(monkeypatch):
 
 def explained(*effects, coarse=False):
     """These effects found one after the other, each by far."""
-    fits = [hypothesis(evidence=0.0)]
+    fits = [fake_fit(evidence=0.0)]
     rounds = []
     for count in range(1, len(effects) + 1):
-        fits.append(hypothesis(*effects[:count], evidence=-1e5 * count, coarse=coarse))
+        fits.append(fake_fit(*effects[:count], evidence=-1e5 * count, coarse=coarse))
         rounds.append(Round(fits[-2], [], [fits[-1]], 1, 0.0))
     return Explanation(fits[0], rounds, fits[-1])
 
@@ -115,8 +115,8 @@ def test_of_each_effect_there_is_one_belief(leaving):
     """What was found of it, however sure it seemed in another round; else what is surest."""
     leaving(0.001)
     found = explained("cogging", "lead_error")
-    rival, worse = hypothesis("lead_error", evidence=-1e5 + 1e3), hypothesis("backlash", evidence=-1e4)
-    nearer = hypothesis("cogging", "backlash", evidence=-2e5 + 1e3)
+    rival, worse = fake_fit("lead_error", evidence=-1e5 + 1e3), fake_fit("backlash", evidence=-1e4)
+    nearer = fake_fit("cogging", "backlash", evidence=-2e5 + 1e3)
     first, second = found.rounds
     first = first._replace(fits=[*first.fits, rival, worse], rivals=3)
     second = second._replace(fits=[*second.fits, nearer], rivals=2)
@@ -132,8 +132,8 @@ def test_of_each_effect_there_is_one_belief(leaving):
 
 def second(gain, enough):
     """How sure a second effect is that brings so much evidence, where so much is enough."""
-    first, both = hypothesis("cogging", evidence=-1e5), hypothesis("cogging", "lead_error", evidence=-1e5 - gain)
-    base = hypothesis(evidence=0.0)
+    first, both = fake_fit("cogging", evidence=-1e5), fake_fit("cogging", "lead_error", evidence=-1e5 - gain)
+    base = fake_fit(evidence=0.0)
     rounds = [Round(base, [], [first], 1, 0.0), Round(first, [], [both], 1, 0.0, enough)]
     best = both if gain >= enough else first
     told = verdict.judge(None, Explanation(base, rounds, best)).beliefs

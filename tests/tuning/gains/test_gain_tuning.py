@@ -12,7 +12,7 @@ from diffdrive.errors import CheckpointError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays
 from experiments.studies.paper import scenario as paper
-from tests.support.small_tuning import LIMITS, controller, drive, lanes, question, requirements
+from tests.support.small_tuning import LIMITS, controller, drive, lanes, requirements, small_problem
 from tuning.gains.constrained import ConstrainedGains, evaluate, linearise_at, tuning_problem
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import LoopLimits
@@ -50,7 +50,7 @@ QUESTIONS = {
 
 @pytest.mark.parametrize("name", ["PD", *(pytest.param(name, marks=pytest.mark.slow) for name in QUESTIONS)])
 def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
-    gains, problem, space = question(objective=QUESTIONS.get(name, Objective()), name=name)
+    gains, problem, space = small_problem(objective=QUESTIONS.get(name, Objective()), name=name)
     y = jnp.asarray(0.2 * np.random.default_rng(1).normal(size=len(space.free)))
     at, h = linearise_at(gains, y, problem), 1e-4
     for k in range(len(y)):
@@ -225,7 +225,7 @@ def test_a_search_that_runs_out_of_steps_says_so():
 
 
 def test_a_start_that_diverges_is_reported_and_not_searched():
-    gains, problem, space = question()
+    gains, problem, space = small_problem()
     found = search(gains, problem, SearchState(tuple(30.0 for _ in space.free)))
     assert (
         found.state.steps == 0

@@ -21,7 +21,7 @@ from diffdrive.model.parameters import Actuator, Directional, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.motion import load
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
-from tests.support.asymmetric_drive import LOPSIDED
+from tests.support.asymmetric_drive import ASYMMETRIC
 from tuning.identification.filter_gain import PROCESS_FORCES, filter_lanes, most_likely
 from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
 from tuning.identification.problem import IdentificationProblem, Innovations, lanes_of, sampling_of
@@ -32,7 +32,7 @@ from tuning.optimisation.space import search_space
 
 RATE = 4_000.0
 SAMPLING = sampling_of(RATE, 50e-6)
-DELAYED = replace(LOPSIDED, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
+DELAYED = replace(ASYMMETRIC, actuator=Actuator(force_limit=105.0, delay_samples=1, delay_fraction=0.3))
 NOISE = 3e-8  # m
 CONTROLLER = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
 
@@ -236,7 +236,7 @@ def eqx_value(unknowns, path):
     return unknowns
 
 
-PATHS = free_paths(unknowns_of(LOPSIDED, 1.3))
+PATHS = free_paths(unknowns_of(ASYMMETRIC, 1.3))
 
 
 @cache

@@ -13,10 +13,10 @@ from diffdrive.logs import Log, read_log
 from diffdrive.logs.checks.examine import examine, examine_together
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.logs.write import write_csv
-from tests.support.sound_log import FORCE_PER_VOLT, described, logged
+from tests.support.sound_log import FORCE_PER_VOLT, axis_of, simulate_log
 
 RATE = 2_000.0
-DRIVE = described(kp=4e6, kd=3e4, noise=0.0)
+DRIVE = axis_of(kp=4e6, kd=3e4, noise=0.0)
 UNKNOWN = dataclasses.replace(DRIVE, controller=UnknownController())
 
 
@@ -25,7 +25,7 @@ def triangle():
 
 
 def of(machine, controller=DRIVE) -> Log:
-    return logged(dataclasses.replace(machine, controller=controller.controller), triangle())
+    return simulate_log(dataclasses.replace(machine, controller=controller.controller), triangle())
 
 
 SOUND = of(DRIVE)
@@ -120,8 +120,8 @@ HAPPENED = {
 
 
 OTHERS = {
-    "cascade": described("cascade", 60.0, 2e4, ki=2e6, noise=0.0),
-    "pd+fc": described("pd+fc", 4e6, 1.2e4, noise=0.0),
+    "cascade": axis_of("cascade", 60.0, 2e4, ki=2e6, noise=0.0),
+    "pd+fc": axis_of("pd+fc", 4e6, 1.2e4, noise=0.0),
 }
 
 
@@ -129,7 +129,7 @@ OTHERS = {
 def remembering(request):
     """A controller that remembers, and a sound log of it."""
     drive = OTHERS[request.param]
-    return drive, logged(drive, triangle())
+    return drive, simulate_log(drive, triangle())
 
 
 def complaints(findings):
@@ -171,7 +171,7 @@ def test_what_single_channels_show_of_exchanged_columns_is_not_said_beside(remem
 def test_a_cascade_with_a_velocity_over_four_samples_is_another_controller():
     drive = OTHERS["cascade"]
     other = dataclasses.replace(drive, controller=dataclasses.replace(drive.controller, velocity_samples=4))
-    [finding] = complaints(examine(logged(other, triangle()), drive))
+    [finding] = complaints(examine(simulate_log(other, triangle()), drive))
     assert finding.cause == "other controller"
     assert "its velocity over 4 samples" in finding.message
     assert "no channel is to be shifted" in finding.remedy

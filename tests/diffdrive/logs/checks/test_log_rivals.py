@@ -24,7 +24,7 @@ from tests.diffdrive.logs.checks.test_log_hypotheses import (
     triangle,
 )
 from tests.support import sound_log
-from tests.support.sound_log import FORCE_PER_VOLT, described, held, logged
+from tests.support.sound_log import FORCE_PER_VOLT, axis_of, frozen, simulate_log
 
 COUNT = len(SOUND.time)
 STEPS = 1e-4 * (np.arange(COUNT) // 1000 % 2)
@@ -98,14 +98,14 @@ def test_a_shift_that_hardly_explains_more_than_nothing_is_not_certain():
     some = {name: signal[2000:2400] for name, signal in sound_log.SOUND.channels.items()}
     noise = 0.03 * np.std(some["command"]) * np.random.default_rng(1).standard_normal(400)
     some["command"] = np.roll(some["command"], 1) + noise
-    first = complaints(examine(sound_log.but(**some), sound_log.DRIVE))[0]
+    first = complaints(examine(sound_log.replaced(**some), sound_log.DRIVE))[0]
     assert (first.severity, first.cause, first.rivals, first.repair) == ("warning", "shifted", ("nothing",), None)
     assert "nothing at all" in first.remedy
 
 
 def test_a_known_disturbance_is_no_part_of_the_gains():
     """Its coefficient in the command is 0 but for rounding, of either sign."""
-    log = logged(described(kp=2.8e6, kd=4e4, noise=0.0), triangle())
+    log = simulate_log(axis_of(kp=2.8e6, kd=4e4, noise=0.0), triangle())
     disturbance = np.random.default_rng(1).choice([-1.0, 1.0], 41).repeat(200)[: len(log.time)]
     [finding] = complaints(examine(dataclasses.replace(log, disturbance=disturbance), DRIVE))
     assert "whose parts are 0.7, 1.333 times" in finding.message
@@ -148,7 +148,7 @@ def test_a_motor_in_millimetres_has_no_lost_motion():
 
 def test_a_drive_that_is_switched_off_after_its_motion_is_looked_at():
     cascade = OTHERS["cascade"]
-    log = logged(cascade, triangle())
+    log = simulate_log(cascade, triangle())
     rest = np.zeros(2 * len(log.time))
     after = {name: np.r_[signal, rest + signal[-1]] for name, signal in log.channels.items()}
     after |= {"time": np.arange(3 * len(log.time)) / RATE, "command": np.r_[log.command, rest]}
@@ -158,18 +158,18 @@ def test_a_drive_that_is_switched_off_after_its_motion_is_looked_at():
 @pytest.mark.parametrize("drive", [DRIVE, *OTHERS.values()], ids=["pd", *OTHERS])
 def test_a_set_point_in_steps_is_not_frozen(drive):
     time = np.arange(int(8 * RATE)) / RATE
-    findings = examine(logged(drive, from_array(time, 1e-4 * np.floor(time / 0.8))), drive)
+    findings = examine(simulate_log(drive, from_array(time, 1e-4 * np.floor(time / 0.8))), drive)
     assert not [one for one in findings if one.severity == "fatal" or one.channel == "reference"]
 
 
 @pytest.mark.parametrize("stop", [3008, 3200, 3900])
 def test_a_reference_that_stands_while_the_table_moves_is_frozen(stop):
-    [finding] = complaints(examine(but(reference=held(SOUND.reference, 3000, stop)), DRIVE))
+    [finding] = complaints(examine(but(reference=frozen(SOUND.reference, 3000, stop)), DRIVE))
     assert (finding.severity, finding.cause, finding.channel) == ("fatal", "frozen", "reference")
 
 
 def test_a_second_encoder_that_is_dead_hides_no_sign_and_is_no_rival_of_it():
-    findings = complaints(examine(but(command=-SOUND.command, motor_position=held(motor(0.0), 2000, 4000)), DRIVE))
+    findings = complaints(examine(but(command=-SOUND.command, motor_position=frozen(motor(0.0), 2000, 4000)), DRIVE))
     assert [one.cause for one in findings] == ["reversed", "frozen"]
     sign = findings[0]
     assert (sign.rivals, sign.repair) == ((), None)

@@ -22,13 +22,13 @@ from tests.support.sound_log import (
     FORCE_PER_VOLT,
     RATE,
     SOUND,
+    axis_of,
     both,
-    but,
     complaints,
-    described,
-    logged,
+    delayed,
     matching,
-    moved,
+    replaced,
+    simulate_log,
     two_sines,
 )
 
@@ -39,7 +39,7 @@ def test_sound_log_passes_with_and_without_a_drive_file():
 
 
 def test_the_worst_comes_first():
-    log = but(command=-SOUND.command, motor_position=SOUND.position, time=SOUND.time * (1 + 1e-5))
+    log = replaced(command=-SOUND.command, motor_position=SOUND.position, time=SOUND.time * (1 + 1e-5))
     order = [("fatal", "warning", "note").index(one.severity) for one in examine(log, DRIVE)]
     assert order == sorted(order)
     assert {0, 1} <= set(order)
@@ -47,17 +47,17 @@ def test_the_worst_comes_first():
 
 def test_units_of_position_and_of_command_are_told_apart_by_coulomb_friction():
     """Both leave the same factor between command and controller; without stroke and counts only friction tells."""
-    loose = dataclasses.replace(DRIVE, limits=motion.Limits(), drive=described(resolution=None).drive)
+    loose = dataclasses.replace(DRIVE, limits=motion.Limits(), drive=axis_of(resolution=None).drive)
     slow = {name: signal / 10 for name, signal in both.items()}
-    blamed = examine(but(**slow), loose)
+    blamed = examine(replaced(**slow), loose)
     assert matching(blamed, "fatal", "position", r"reference are 0\.1 times what they should be")
-    blamed = examine(but(command=SOUND.command / 10), loose)
+    blamed = examine(replaced(command=SOUND.command / 10), loose)
     assert matching(blamed, "fatal", "command", r"multiply the command by 10 N")
 
 
 def test_a_unit_delay_of_the_actuator_is_confirmed_outside_the_recording():
-    drive = described(kp=1e6, kd=8e3, delay=1)
-    findings = examine(logged(drive, two_sines()), drive)
+    drive = axis_of(kp=1e6, kd=8e3, delay=1)
+    findings = examine(simulate_log(drive, two_sines()), drive)
     assert complaints(findings) == []
     assert matching(
         findings, "note", "command", r"no unit delay is in the recording, so actuator.delay_samples = 1 must"
@@ -69,13 +69,13 @@ def test_a_clip_at_the_known_limit_is_no_complaint():
         DRIVE,
         drive=dataclasses.replace(DRIVE.drive, actuator=dataclasses.replace(DRIVE.drive.actuator, force_limit=150.0)),
     )
-    findings = examine(but(command=np.clip(SOUND.command, -150, 150)), drive)
+    findings = examine(replaced(command=np.clip(SOUND.command, -150, 150)), drive)
     assert matching(findings, "note", "command", "force_limit")
     assert complaints(findings) == []
 
 
 def test_an_unquantised_position_is_noted():
-    findings = examine(logged(described(resolution=None), two_sines()))
+    findings = examine(simulate_log(axis_of(resolution=None), two_sines()))
     assert matching(findings, "note", "position", "no count grid")
     assert complaints(findings) == []
 
@@ -83,7 +83,7 @@ def test_an_unquantised_position_is_noted():
 @given(st.floats(-4.0, 4.0))
 @settings(max_examples=12)
 def test_every_unit_of_the_command_is_recovered(power):
-    findings = examine(but(command=10**power * SOUND.command), DRIVE)
+    findings = examine(replaced(command=10**power * SOUND.command), DRIVE)
     told = [re.search(r"by ([\d.e+-]+) N per unit", one.remedy) for one in findings if one.channel == "command"]
     factors = [float(one.group(1)) for one in told if one]
     if abs(10**power - 1) > 0.1:
@@ -95,7 +95,7 @@ def test_every_unit_of_the_command_is_recovered(power):
 @given(st.integers(-2, 2), st.integers(-2, 2))
 @settings(max_examples=8)
 def test_every_shift_is_recovered(command, position):
-    log = but(command=moved(SOUND.command, command), position=moved(SOUND.position, position))
+    log = replaced(command=delayed(SOUND.command, command), position=delayed(SOUND.position, position))
     found = [one for one in examine(log, DRIVE) if "shift" in one.message and one.severity != "note"]
     if command == 0 and position == 0:
         assert not found
@@ -124,7 +124,7 @@ def test_every_shift_is_recovered(command, position):
 @given(st.floats(60.0, 200.0))
 @settings(max_examples=6)
 def test_every_clipping_level_is_told(level):
-    findings = examine(but(command=np.clip(SOUND.command, -level, level)), DRIVE)
+    findings = examine(replaced(command=np.clip(SOUND.command, -level, level)), DRIVE)
     told = [float(re.search(r"sits at (\S+)", one.message).group(1)) for one in findings if "clipped" in one.message]
     if np.mean(SOUND.command > level) > 0.01:
         assert max(told) == pytest.approx(level, rel=1e-5)
@@ -140,7 +140,7 @@ def test_every_clipping_level_is_told(level):
 )
 @settings(max_examples=12)
 def test_sound_logs_of_other_axes_pass(mass, gain, noise, resolution, which, seed):
-    drive = described(
+    drive = axis_of(
         kp=3.99e6 * gain, kd=12_170 * gain * (mass / 100) ** 0.5, mass=mass, noise=noise, resolution=resolution
     )
     reference = {
@@ -150,7 +150,7 @@ def test_sound_logs_of_other_axes_pass(mass, gain, noise, resolution, which, see
         "one way": lambda: motion.constant_speed(speed=0.01, ramp=0.1, duration=3.0, rate=RATE),
         "chirp": lambda: motion.chirp(amplitude=1e-3, from_frequency=0.5, to_frequency=8.0, duration=3.0, rate=RATE),
     }[which]()
-    log = logged(drive, reference, seed)
+    log = simulate_log(drive, reference, seed)
     assert complaints(examine(log, drive)) == []
     assert complaints(examine(log)) == []
 
@@ -169,10 +169,10 @@ def test_sound_logs_of_other_axes_pass(mass, gain, noise, resolution, which, see
 def test_sound_logs_of_every_controller_pass(kind, more):
     rate = RATE if kind == "cascade" else 10_000.0
     gains = {"kp": 160.0, "kd": 8e3} if kind == "cascade" else {"kp": 7.98e6, "kd": 15_960.0}
-    drive = described(kind, rate=rate, **gains, **more)
-    log = logged(drive, motion.jerk_limited(distance=0.05, speed=0.08, acceleration=2.0, jerk=50.0, rate=rate))
+    drive = axis_of(kind, rate=rate, **gains, **more)
+    log = simulate_log(drive, motion.jerk_limited(distance=0.05, speed=0.08, acceleration=2.0, jerk=50.0, rate=rate))
     assert complaints(examine(log, drive)) == []
-    volts = examine(but(log, command=log.command / FORCE_PER_VOLT), drive)
+    volts = examine(replaced(log, command=log.command / FORCE_PER_VOLT), drive)
     assert matching(volts, "fatal", "command", r"multiply the command by 1(59|60)(\.\d+)? N per unit"), volts
 
 
@@ -249,7 +249,7 @@ def test_emps_tells_its_own_traps_and_no_others(which, newtons, told):
 @without_emps
 def test_emps_volts_are_told_from_mass_and_friction_alone():
     log, drive = emps_log("estimation", newtons=False)
-    (volts,) = matching(examine(but(log, reference=None), drive), "fatal", "command", "than|times what mass")
+    (volts,) = matching(examine(replaced(log, reference=None), drive), "fatal", "command", "than|times what mass")
     assert float(re.search(r"about ([\d.]+) N per unit", volts.remedy).group(1)) == pytest.approx(35.15, rel=0.1)
 
 
@@ -257,7 +257,7 @@ def test_emps_volts_are_told_from_mass_and_friction_alone():
 @pytest.mark.parametrize("newtons", [True, False])
 def test_emps_pulses_are_seen_although_no_channel_holds_them(newtons):
     log, drive = emps_log("pulses", newtons=newtons)
-    findings = examine(but(log, disturbance=None), drive)
+    findings = examine(replaced(log, disturbance=None), drive)
     assert matching(findings, "warning", "command", r"a force of 178\.\d N is added .* 49 times switched, in 50 %")
     assert bool(matching(findings, *VOLTS)) != newtons
     assert len(complaints(findings)) == (3 if newtons else 4)
@@ -266,7 +266,7 @@ def test_emps_pulses_are_seen_although_no_channel_holds_them(newtons):
 @without_emps
 def test_single_precision_is_neither_a_filter_nor_a_unit():
     log, drive = emps_log("estimation", newtons=True)
-    rounded = but(log, position=log.position.astype(np.float32).astype(float))
+    rounded = replaced(log, position=log.position.astype(np.float32).astype(float))
     assert [one.channel for one in complaints(examine(rounded, drive))] == ["time"]
 
 
