@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -70,9 +70,9 @@ class Log:
             f"up to {speed:.3g} mm/s{gaps}; {', '.join(self.channels)}"
         )
 
-    def replace(self, **signals: Any) -> "Log":
+    def replace(self, **signals: Signal | None) -> "Log":
         """The log with other signals, by channel: arrays of the same length, or None for none."""
-        return dataclasses.replace(self, **signals)
+        return dataclasses.replace(self, **signals)  # type: ignore[arg-type]  # mypy asks for a type that fits every field
 
     @property
     def rate(self) -> float:

@@ -5,7 +5,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePath
-from typing import Any
+from typing import cast
 
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
@@ -107,15 +107,18 @@ class ColumnMapping:
         self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()
     ) -> "ColumnMapping":
         """The mapping with a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1`."""
-        more = {"columns": _assignments(columns, "--column"), "units": _assignments(units, "--unit")}
-        gains = {key: _parse_gain(key, more["units"].pop(key), "--unit") for key in FORCE_PER if key in more["units"]}
-        changed = {table: getattr(self, table) | more[table] for table in more}
+        new_columns, new_units = _assignments(columns, "--column"), _assignments(units, "--unit")
+        gains = {key: _parse_gain(key, new_units.pop(key), "--unit") for key in FORCE_PER if key in new_units}
         new_shifts = {key: _parse_samples(key, samples) for key, samples in _assignments(shifts, "--shift").items()}
         # a shift that the command line states for all logs replaces the file's for a single one
         kept_shifts = {
             key: samples for key, samples in self.shifts.items() if log_and_channel(key)[1] not in new_shifts
         }
-        return dataclasses.replace(self, **changed, **gains, shifts=kept_shifts | new_shifts)
+        return ColumnMapping(
+            self.columns | new_columns, self.units | new_units,
+            gains.get("force_per_volt", self.force_per_volt), gains.get("force_per_ampere", self.force_per_ampere),
+            kept_shifts | new_shifts,
+        )  # fmt: skip
 
 
 def log_and_channel(key: str) -> tuple[str, str]:
@@ -136,20 +139,27 @@ def matches_log(log: str, path: Path) -> bool:
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
-def parse_mapping(columns: dict[str, Any], units: dict[str, Any], shifts: dict[str, Any]) -> ColumnMapping:
+def parse_mapping(columns: dict[str, object], units: dict[str, object], shifts: dict[str, object]) -> ColumnMapping:
     """From the tables of a drive file; raises `LogError` naming the key and the remedy."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {short_repr(table)}")
     gains = {key: _parse_gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
     column_units = {key: unit for key, unit in units.items() if key not in FORCE_PER}
-    return ColumnMapping(dict(columns), column_units, **gains, shifts=dict(shifts))
+    # the values are checked where the mapping is made
+    names, channel_units = cast(dict[str, str], dict(columns)), cast(dict[str, str], column_units)
+    return ColumnMapping(
+        names, channel_units, gains.get("force_per_volt"), gains.get("force_per_ampere"),
+        cast(dict[str, int], dict(shifts)),
+    )  # fmt: skip
 
 
-def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, Any]]:
+def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, object]]:
     """The tables of a drive file that `parse_mapping` reads back to the same mapping; none where it is empty."""
     gains = {key: getattr(mapping, key) for key in FORCE_PER if getattr(mapping, key) is not None}
-    tables = {"columns": dict(mapping.columns), "units": dict(mapping.units) | gains, "shifts": dict(mapping.shifts)}
+    tables: dict[str, dict[str, object]] = {
+        "columns": {**mapping.columns}, "units": {**mapping.units, **gains}, "shifts": {**mapping.shifts},
+    }  # fmt: skip
     return {name: table for name, table in tables.items() if table}
 
 
@@ -158,7 +168,7 @@ def _suggestion(name: str, known: list[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
 
 
-def _parse_gain(key: str, value: Any, where: str) -> float:
+def _parse_gain(key: str, value: object, where: str) -> float:
     unit = f"N/{FORCE_PER[key]}"
     if isinstance(value, str):
         try:

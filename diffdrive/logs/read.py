@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,7 +44,7 @@ def read_table(path: str | Path) -> Table:
 
 
 def read_log(
-    source: Any,
+    source: object,
     axis: "Axis | None" = None,
     *,
     columns: TextByChannel | None = None,
@@ -83,15 +83,15 @@ def read_log(
     if columns or units or shifts:
         mapping = mapping.updated(columns or {}, units or {}, shifts or {})
     rate = rate if rate is not None or axis is None else axis.rate
-    is_file = isinstance(source, str | Path)
-    name = name or (Path(source).stem if is_file else "log")
+    file = Path(source) if isinstance(source, str | Path) else None
+    name = name or ("log" if file is None else file.stem)
     if rate is not None and not (np.isfinite(rate) and rate > 0):
-        raise LogError(f"{source if is_file else name}: the rate must be positive and finite, in Hz, got {rate!r}")
-    table = read_table(source) if is_file else _table_from_memory(source, name)
-    return _log_from_table(table, Path(source) if is_file else Path(name), name, mapping, rate)
+        raise LogError(f"{name if file is None else source}: the rate must be positive and finite, in Hz, got {rate!r}")
+    table = _table_from_memory(source, name) if file is None else read_table(file)
+    return _log_from_table(table, Path(name) if file is None else file, name, mapping, rate)
 
 
-def _table_from_memory(source: Any, name: str) -> Table:
+def _table_from_memory(source: object, name: str) -> Table:
     from diffdrive.logs.formats.frame import read_frame
 
     table = read_frame(source, name)
@@ -128,7 +128,7 @@ def _log_from_table(table: Table, path: Path, name: str, mapping: ColumnMapping,
 
 
 def read_logs(
-    sources: Iterable[Any],
+    sources: Iterable[object],
     axis: "Axis | None" = None,
     *,
     mapping: ColumnMapping | None = None,

@@ -147,23 +147,23 @@ def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str)
     file_unit = table.units.get(column) or split_unit(column, channel)[1]
     mapped_unit = mapping.units.get(channel)
     where = f"{table.source}: column '{column}'"
-    if mapped_unit is None and file_unit is None:
+    if file_unit is None:
+        if mapped_unit is not None:
+            return mapping.conversion(channel, mapped_unit, where), []
         if channel in FORCES and mapping.force_per:
             raise LogError(
                 f"{where}: [units] has a force per volt or ampere, and nothing says whether the {channel} is in V, A "
                 f'or N; write [units] {channel} = "V", "A" or "N", or give --unit {channel}=N'
             )
         return Conversion(1.0), []
-    if mapped_unit is None and not is_unit_of(channel, file_unit):
+    if mapped_unit is None:
+        if is_unit_of(channel, file_unit):
+            return mapping.conversion(channel, file_unit, where), []
         raise LogError(
             f"{where}: '{file_unit}' is no unit of the {channel}; correct the file's header, or write what one unit of "
             f'the column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'
         )
-    if mapped_unit is None:
-        return mapping.conversion(channel, file_unit, where), []
     chosen = mapping.conversion(channel, mapped_unit, where)
-    if file_unit is None:
-        return chosen, []
     try:
         agrees = np.allclose(mapping.conversion(channel, file_unit, where), chosen, rtol=1e-12, atol=0.0)
     except LogError:

@@ -1,6 +1,6 @@
 """The command against mass and friction: what the log implies beside the drive file, and what would explain it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -125,12 +125,12 @@ def _leads_reference(signals: LoopSignals) -> bool:
 
 
 def _fault_findings(best: LogExplanation, rivals: list[LogExplanation]) -> Iterator[Finding]:
-    may_be_unchanged = any(not one.faults for one in rivals)
-    causes = tuple("other machine" if one == "nothing" else one for one in causes_of(best, rivals))
-    if any(one.cause == "gain" for one in best.faults):  # that of a machine which is known within a factor of two alone
+    may_be_unchanged = any(not rival.faults for rival in rivals)
+    causes = tuple("other machine" if cause == "nothing" else cause for cause in causes_of(best, rivals))
+    if any(fault.cause == "gain" for fault in best.faults):  # the machine itself is known within a factor of two
         causes = (*causes, *(("other machine",) if "other machine" not in causes else ()))
     rivals_note = rivals_text(best, rivals, lambda fault: _DESCRIPTIONS[fault.cause](fault)[1], CAUSES["other machine"])
-    is_repairable = not causes and all(one.steps for one in best.faults)
+    is_repairable = not causes and all(fault.steps for fault in best.faults)
     for fault in best.faults:
         message, remedy = _DESCRIPTIONS[fault.cause](fault)
         repair = Repair(fault.steps) if is_repairable else None
@@ -184,7 +184,7 @@ def _decimated(fault: ChannelFault) -> tuple[str, str]:
     )
 
 
-_DESCRIPTIONS = {
+_DESCRIPTIONS: dict[str, Callable[[ChannelFault], tuple[str, str]]] = {
     "gain": _gain,
     "reversed": _reversed,
     "decimated": _decimated,

@@ -6,7 +6,7 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.logs.checks.factors import unit_error_text
-from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.finding import Finding, Severity
 from diffdrive.logs.checks.statistics import sampling_period
 from diffdrive.logs.log import Log
 
@@ -76,7 +76,7 @@ def stamps(log: Log) -> Iterator[Finding]:
     elif jitter > CLOCK_ERROR * period:
         median_rate = float(1.0 / np.median(regular))
         median_error = abs(median_rate * period - 1)
-        severity = "warning" if median_error > CLOCK_ERROR else "note"
+        severity: Severity = "warning" if median_error > CLOCK_ERROR else "note"
         drift_text = (
             f"even their median is off by {median_error:.2g}, a rate of {median_rate:.8g} Hz, which drifts by "
             f"{1e3 * median_error * log.duration:.3g} ms over the log"

@@ -11,7 +11,7 @@ from diffdrive.logs.checks import balance, consistency, fault_texts, rivals
 from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, ConsistencyResult
 from diffdrive.logs.checks.explanation import WRONG_UNIT
-from diffdrive.logs.checks.finding import Finding
+from diffdrive.logs.checks.finding import Finding, Severity
 from diffdrive.logs.checks.relation import ControllerRelation, controller_relation
 from diffdrive.logs.checks.repair import Repair, shift_signal
 from diffdrive.logs.checks.replay import is_memoryless
@@ -126,7 +126,7 @@ def fault_findings(log: Log, result: ConsistencyResult, axis: Axis) -> Iterator[
     )
     for fault in best.faults:
         text = fault_texts.describe_fault(fault, log, result, axis)
-        severity = "warning" if may_be_sound and text.severity == "fatal" else text.severity
+        severity: Severity = "warning" if may_be_sound and text.severity == "fatal" else text.severity
         repair = Repair(fault.steps) if is_repairable else None
         yield Finding(
             severity, text.channel, text.message, text.remedy + rivals_note, fault.cause, rival_causes, repair,
@@ -137,7 +137,7 @@ def fault_findings(log: Log, result: ConsistencyResult, axis: Axis) -> Iterator[
 def disturbance_in_command(log: Log, result: ConsistencyResult) -> Iterator[Finding]:
     """How much of the known disturbance is in the command: none, if it is a force beside the command."""
     fit = result.best.fit
-    if result.relation.disturbance is None or fit is None or len(fit.coefficients) < 3:
+    if log.disturbance is None or result.relation.disturbance is None or fit is None or len(fit.coefficients) < 3:
         return
     ratio, content = float(fit.coefficients[0]), float(fit.coefficients[-2])
     if abs(content) * np.std(log.disturbance) < max(10 * fit.error, 1e-3) * np.std(log.command) or ratio == 0:

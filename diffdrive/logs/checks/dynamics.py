@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from diffdrive.logs.checks.statistics import SMOOTHING, Signal, derivative, smooth_signal, window_length
+from diffdrive.logs.checks.statistics import SMOOTHING, derivative, smooth_signal, window_length
+from diffdrive.logs.log import Signal
 from diffdrive.model.parameters import Directional, Drive
 
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.

@@ -80,7 +80,8 @@ def _unreadable_findings(log: Log) -> list[Finding]:
 def _all_findings(log: Log, axis: Axis | None) -> list[Finding]:
     """All findings of a readable log: of the log without its overflows, where there are any."""
     resolution = None if axis is None else axis.drive.sensor.resolution
-    overflows = [*wraps.wrapped_positions(log, resolution), *wraps.wrapped_command(log)]
+    count = None if resolution is None else float(resolution)
+    overflows = [*wraps.wrapped_positions(log, count), *wraps.wrapped_command(log)]
     return [*overflows, *_findings_but_overflows(_repaired(log, overflows), axis)]
 
 

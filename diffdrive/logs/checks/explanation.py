@@ -208,7 +208,7 @@ def _constant_interpretations(
     displacement = 1e-6
     commands = relation.controller_commands([signals._replace(reference=signals.reference + displacement), signals])
     stiffness = float(np.median(commands[0] - commands[1])) / displacement
-    alternatives = [
+    alternatives: list[tuple[tuple[ChannelFault, ...], float]] = [
         (
             (ChannelFault("offset", "command", {"newtons": constant / ratio}, (AddToChannel("command", -constant),)),),
             constant,

@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from diffdrive.controllers import Cascade, UnknownController
+from diffdrive.controllers import Cascade, Controller, UnknownController
 from diffdrive.logs.checks.dynamics import NOMINAL_STD
 from diffdrive.logs.checks.factors import FACTORS
 from diffdrive.logs.checks.grid import COARSER, coarse_step, fit_count_grid
@@ -53,12 +53,6 @@ class Hypothesis:
     control_signals: LoopSignals | None = None
 
 
-def _match_filtered_channel(signals: LoopSignals, channel: str, channel_filter: "ChannelFilter") -> LoopSignals:
-    """The signals with the two other channels through the filter that `channel` has passed."""
-    others = {name: channel_filter.apply(getattr(signals, name)) for name in ("reference", "position", "command")}
-    return signals._replace(**others | {channel: getattr(signals, channel)})
-
-
 @dataclass(frozen=True)
 class ChannelFilter:
     """A moving average over `length` samples, centred or of the last ones; or a first-order lag of `lag` samples."""
@@ -77,6 +71,12 @@ class ChannelFilter:
         padded = np.concatenate([np.full(self.length - 1 - after, first), signal, np.full(after, signal[-1])]) - first
         sums = np.concatenate([[0.0], np.cumsum(padded)])
         return first + (sums[self.length :] - sums[: -self.length]) / self.length
+
+    def apply_to_all(self, signals: LoopSignals) -> LoopSignals:
+        """All channels through it."""
+        return LoopSignals(
+            self.apply(signals.reference), self.apply(signals.position), self.apply(signals.command), signals.period
+        )
 
     @property
     def delay(self) -> float:
@@ -149,6 +149,7 @@ def shift(relation: ControllerRelation, reference_shift: float, position_shift: 
         reference=shift_signal(logged.reference, reference_shift),
         position=shift_signal(logged.position, position_shift),
     )
+    steps: tuple[RepairStep, ...]
     if reference_shift == position_shift:
         channel, steps = "command", (ShiftChannel("command", -reference_shift),)
     else:
@@ -166,6 +167,8 @@ def shift(relation: ControllerRelation, reference_shift: float, position_shift: 
 def filtered(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """One channel was averaged or low-passed before it was logged."""
     for channel_filter in candidate_filters():
+        # the filter alone makes all channels smoother, and so more alike
+        control_signals = channel_filter.apply_to_all(relation.logged)
         for channel in ("position", "command", "reference"):
             parameters = {
                 "length": float(channel_filter.length),
@@ -173,9 +176,7 @@ def filtered(relation: ControllerRelation) -> Iterator[Hypothesis]:
                 "delay": channel_filter.delay,
                 "centred": float(channel_filter.centred),
             }
-            repaired = _match_filtered_channel(relation.logged, channel, channel_filter)
-            # the filter alone makes all channels smoother, and so more alike
-            control_signals = repaired._replace(**{channel: channel_filter.apply(getattr(relation.logged, channel))})
+            repaired = control_signals._replace(**{channel: getattr(relation.logged, channel)})
             yield Hypothesis("filtered", channel, repaired, (), parameters, control_signals=control_signals)
 
 
@@ -205,7 +206,12 @@ def rounded(relation: ControllerRelation) -> Iterator[Hypothesis]:
             parameters = {"step": grid.step, "ratio": grid.step / float(resolution)}
             for seconds in SMOOTHING_WINDOWS:
                 length = min(window_length(1.0 / logged.period, seconds), len(logged.position) // 2 * 2 - 1)
-                repaired = LoopSignals(*(savgol_filter(signal, length, 2) for signal in logged[:3]), logged.period)
+                repaired = LoopSignals(
+                    savgol_filter(logged.reference, length, 2),
+                    savgol_filter(logged.position, length, 2),
+                    savgol_filter(logged.command, length, 2),
+                    logged.period,
+                )
                 yield Hypothesis("rounded", channel, repaired, (), parameters)
 
 
@@ -280,8 +286,7 @@ def other_gains(relation: ControllerRelation, output: Signal) -> Iterator[Hypoth
     controller = relation.axis.controller
     if isinstance(controller, UnknownController):
         return
-    holder = controller if isinstance(controller, Cascade) else controller.tracking.gains  # type: ignore[attr-defined]
-    names = [name for name in GAINS if float(getattr(holder, name, 0.0) or 0.0) != 0.0]
+    names = [name for name in GAINS if float(getattr(_gains(controller), name, 0.0) or 0.0) != 0.0]
     parts = [output - _output_without(relation, (name,)) for name in names]
     if len(names) == 3:  # the products of a cascade with an integral
         parts = [parts[0], output - _output_without(relation, ("ki",)), _output_without(relation, ("kp", "ki"))]
@@ -290,13 +295,17 @@ def other_gains(relation: ControllerRelation, output: Signal) -> Iterator[Hypoth
     yield Hypothesis("other controller", "command", relation.logged, (), {}, tuple(regressors), len(parts))
 
 
+def _gains(controller: Controller) -> eqx.Module:
+    """What holds the feedback gains of a known controller."""
+    return controller if isinstance(controller, Cascade) else controller.tracking.gains  # type: ignore[attr-defined]
+
+
 def _output_without(relation: ControllerRelation, gains: tuple[str, ...]) -> Signal:
     """The controller's command with some of its gains at zero."""
     axis = relation.axis
 
-    def gains_of(controller: object) -> list[object]:
-        holder = controller if isinstance(controller, Cascade) else controller.tracking.gains  # type: ignore[attr-defined]
-        return [getattr(holder, name) for name in gains]
+    def gains_of(controller: Controller) -> list[object]:
+        return [getattr(_gains(controller), name) for name in gains]
 
     controller = eqx.tree_at(gains_of, axis.controller, [0.0] * len(gains))
     modified = replace(relation, axis=replace(axis, controller=controller))
@@ -310,8 +319,7 @@ def slower_velocity(relation: ControllerRelation, output: Signal) -> Iterator[Hy
     if not isinstance(cascade, Cascade) or is_memoryless(cascade):
         return
     logged = relation.logged
-    averaged = replace(axis, controller=replace(cascade, velocity_samples=1))
-    inner_loop = replace(relation, axis=replace(averaged, controller=replace(averaged.controller, kp=0.0)))
+    inner_loop = replace(relation, axis=replace(axis, controller=replace(cascade, velocity_samples=1, kp=0.0)))
     window_lengths = [n for n in range(1, SLOWEST_VELOCITY + 1) if n != cascade.velocity_samples]
     variants = [
         logged._replace(position=ChannelFilter(n).apply(logged.position))

@@ -1,7 +1,7 @@
 """Repairs of a log, as data: steps that are applied one after the other."""
 
 import abc
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,10 +24,6 @@ class RepairStep(abc.ABC):
         """The log after it."""
 
 
-def _with_channel(log: Log, channel: str, signal: Signal | None) -> Log:
-    return replace(log, **{channel: signal})  # type: ignore[arg-type]
-
-
 def _require_channel(log: Log, channel: str) -> Signal:
     signal = log.channels.get(channel)
     if signal is None:
@@ -45,7 +41,7 @@ class ScaleChannel(RepairStep):
     def apply(self, log: Log) -> Log:
         signal = _require_channel(log, self.channel)
         origin = float(signal[0]) if self.channel == "time" else 0.0
-        return _with_channel(log, self.channel, origin + self.factor * (signal - origin))
+        return log.replace(**{self.channel: origin + self.factor * (signal - origin)})
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class AddToChannel(RepairStep):
     amount: float
 
     def apply(self, log: Log) -> Log:
-        return _with_channel(log, self.channel, _require_channel(log, self.channel) + self.amount)
+        return log.replace(**{self.channel: _require_channel(log, self.channel) + self.amount})
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,7 @@ class ShiftChannel(RepairStep):
     samples: float
 
     def apply(self, log: Log) -> Log:
-        return _with_channel(log, self.channel, shift_signal(_require_channel(log, self.channel), self.samples))
+        return log.replace(**{self.channel: shift_signal(_require_channel(log, self.channel), self.samples)})
 
 
 @dataclass(frozen=True)
@@ -78,9 +74,8 @@ class SwapChannels(RepairStep):
     second: str
 
     def apply(self, log: Log) -> Log:
-        return replace(
-            log, **{self.first: _require_channel(log, self.second), self.second: _require_channel(log, self.first)}
-        )
+        first, second = _require_channel(log, self.first), _require_channel(log, self.second)
+        return log.replace(**{self.first: second, self.second: first})
 
 
 @dataclass(frozen=True)
@@ -91,7 +86,7 @@ class UnwrapChannel(RepairStep):
     span: float  # of the counter, in the channel's unit
 
     def apply(self, log: Log) -> Log:
-        return _with_channel(log, self.channel, np.unwrap(_require_channel(log, self.channel), period=self.span))
+        return log.replace(**{self.channel: np.unwrap(_require_channel(log, self.channel), period=self.span)})
 
 
 @dataclass(frozen=True)

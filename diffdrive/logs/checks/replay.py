@@ -1,20 +1,22 @@
 """The drive file's controller replayed on the logged reference and position: the command that it should have given."""
 
-from typing import Any
+from typing import cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
 from diffdrive.model import actuator
 from diffdrive.model.friction import lugre_coefficients
-from diffdrive.model.parameters import Drive, as_arrays, require_double_precision
+from diffdrive.model.parameters import Drive, Scalar, as_arrays, require_double_precision
 
 WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
+Carry = tuple[PyTree, actuator.ActuatorState]  # the controller's state and the actuator's
 SETTLE = 10  # samples until the controller's differences are those of the log
 
 
@@ -23,26 +25,27 @@ def _controller_commands(
     controller: Controller,
     drive: Drive,
     references: Reference,
-    positions: Any,
-    speed: Any,
-    logged_commands: Any,
-    period: Any,
-) -> Any:
-    def replay(reference: Reference, position: Any) -> Any:
-        def body(carry: Any, inputs: Any) -> Any:
+    positions: Float[Array, "m n"],
+    speed: Float[Array, ""],
+    logged_command: Float[Array, " n"] | None,
+    period: Float[Array, ""],
+) -> Float[Array, "m n"]:
+    def replay(reference: Reference, position: Float[Array, " n"]) -> Float[Array, " n"]:
+        def body(carry: Carry, inputs: tuple[Reference, Scalar, Scalar | None]) -> tuple[Carry, Scalar]:
             state, actuator_state = carry
-            state, command = controller.step(state, inputs[0], inputs[1], actuator_state.applied, period)
+            reference, position, logged_force = inputs
+            state, command = controller.step(state, reference, position, actuator_state.applied, cast(float, period))
             # without the log's command, the controller's own: a wrong unit does not reach its observer
-            force = command.force if logged_commands is None else inputs[2]
+            force = command.force if logged_force is None else logged_force
             return (state, actuator.step(drive.actuator, actuator_state, force)), command.force
 
         initial = (_initial_state(controller, position[0], speed), actuator.init(drive.actuator))
-        return lax.scan(body, initial, (reference, position, logged_commands))[1]
+        return cast(Array, lax.scan(body, initial, (reference, position, logged_command))[1])
 
     return jax.vmap(replay)(references, positions)
 
 
-def _initial_state(controller: Controller, position: Any, speed: Any) -> Any:
+def _initial_state(controller: Controller, position: Scalar, speed: Scalar) -> PyTree:
     """The controller's state at a speed (m/s). An observer that begins at rest would take the motion for a shock."""
     state = controller.init(position)
     if not isinstance(controller, FrictionCompensation):
@@ -83,14 +86,19 @@ def controller_commands(
     padding = ((0, 0), (0, width - count))
     rates = np.gradient(references, period, axis=1)
     reference = Reference(
-        np.pad(references, padding, mode="edge"),
-        np.pad(rates, padding),
-        np.pad(np.gradient(rates, period, axis=1), padding),
+        _array(np.pad(references, padding, mode="edge")),
+        _array(np.pad(rates, padding)),
+        _array(np.pad(np.gradient(rates, period, axis=1), padding)),
     )
-    positions = np.pad(positions, padding, mode="edge")
-    logged_command = None if logged_command is None else np.pad(logged_command, (0, width - count), mode="edge")
-    signals = as_arrays((reference, positions, np.asarray(speed), logged_command, np.asarray(period)))
-    return np.asarray(_controller_commands(*arrays, *signals))[:, :count]
+    position = _array(np.pad(positions, padding, mode="edge"))
+    command = None if logged_command is None else _array(np.pad(logged_command, (0, width - count), mode="edge"))
+    return np.asarray(_controller_commands(*arrays, reference, position, _array(speed), command, _array(period)))[
+        :, :count
+    ]
+
+
+def _array(values: np.ndarray | float) -> Array:
+    return jnp.asarray(values, dtype=jnp.float64)
 
 
 def is_memoryless(controller: Controller) -> bool:

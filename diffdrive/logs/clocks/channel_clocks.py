@@ -60,16 +60,20 @@ def _period(times: Signal) -> float | None:
 
 def _clock_seconds(table: Table, own: str, common: str, to_si: Conversion) -> tuple[Signal, Signal]:
     """Both clocks in seconds since one instant, as a float64 would round counters of many digits."""
-    dates = parse_dates(table, own), parse_dates(table, common)
-    if all(clock is not None for clock in dates):
-        origin = dates[1][int(np.argmin(np.isnat(dates[1])))]
-        since = [clock - origin for clock in dates]
-        return tuple(np.where(np.isnat(stamps), np.nan, stamps.astype(np.int64) * 1e-9) for stamps in since)
-    columns = table.columns[own], table.columns[common]
-    if all(column.dtype.kind in "iu" for column in columns):
-        begin = int(columns[1][0])
-        return tuple(to_si((column - begin).astype(np.float64)) for column in columns)
+    own_dates, dates = parse_dates(table, own), parse_dates(table, common)
+    if own_dates is not None and dates is not None:
+        origin = dates[int(np.argmin(np.isnat(dates)))]
+        return _seconds(own_dates - origin), _seconds(dates - origin)
+    own_counts, counts = table.columns[own], table.columns[common]
+    if own_counts.dtype.kind in "iu" and counts.dtype.kind in "iu":
+        begin = int(counts[0])
+        return to_si((own_counts - begin).astype(np.float64)), to_si((counts - begin).astype(np.float64))
     return to_si(table.numbers(own)), to_si(table.numbers(common))
+
+
+def _seconds(since: np.ndarray) -> Signal:
+    """Seconds of time differences in ns, NaN where there is none."""
+    return np.where(np.isnat(since), np.nan, since.astype(np.int64) * 1e-9)
 
 
 def _align(values: Signal, stamps: Signal, times: Signal, period: float) -> Signal | None:

@@ -48,12 +48,13 @@ def parse_with_arrow(body: str, dialect: Dialect) -> list[np.ndarray] | None:
     if any(pa.types.is_floating(column.type) and pc.any(pc.is_inf(column)).as_py() for column in table.columns):
         return None  # numbers of too many digits, or infinity in words
     text_names = [field.name for field in table.schema if field.type not in (pa.int64(), pa.float64())]
-    text_columns = (
-        read(column_types=dict.fromkeys(text_names, pa.string()), include_columns=text_names) if text_names else None
-    )
+    columns = {name: table[name] for name in table.column_names}
+    if text_names:
+        text_columns = read(column_types=dict.fromkeys(text_names, pa.string()), include_columns=text_names)
+        columns |= {name: text_columns[name] for name in text_names}
     return [
-        parse_column(tuple(text_columns[name].to_pylist()), dialect) if name in text_names else _array(table[name])
-        for name in table.column_names
+        parse_column(tuple(column.to_pylist()), dialect) if name in text_names else _array(column)
+        for name, column in columns.items()
     ]
 
 

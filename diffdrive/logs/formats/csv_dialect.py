@@ -66,7 +66,8 @@ def _decimal_sign(lines: list[str], dialect: Dialect) -> str:
     """The decimal sign of most numbers; those that may be thousands in groups count only where there are no others."""
     spread = (dialect.split(line) for line in lines[:: max(1, len(lines) // _SPREAD)])
     cells = [cell for row in spread if len(row) == dialect.width for cell in row if is_number_of_any_style(cell)]
-    certain, doubtful = Counter(), Counter()
+    certain: Counter[str] = Counter()
+    doubtful: Counter[str] = Counter()
     for cell in cells:
         if sign := _LAST_SIGN.search(cell):
             has_both = "." in cell and "," in cell  # in 1.004,5 the comma is the decimal sign for sure

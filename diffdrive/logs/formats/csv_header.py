@@ -97,7 +97,8 @@ def _is_called(name: str, channel: str) -> bool:
 
 def _unique(names: list[str]) -> list[str]:
     """Names that occur several times are numbered: nobody can say which of them is meant."""
-    total, seen, numbered = Counter(names), Counter(), []
+    total, numbered = Counter(names), list[str]()
+    seen: Counter[str] = Counter()
     for name in names:
         seen[name] += 1
         numbered.append(name if total[name] == 1 else f"{name}#{seen[name]}")

@@ -7,7 +7,6 @@ column, 'data(1,2)' for an element of matrices in time. Single values and texts 
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.io
@@ -55,7 +54,7 @@ def write_mat(path: Path, columns: dict[str, np.ndarray], units: dict[str, str])
         scipy.io.savemat(file, {**columns, "units": units}, oned_as="column", do_compression=True)
 
 
-def _columns(path: str, value: Any) -> Iterator[Column]:
+def _columns(path: str, value: object) -> Iterator[Column]:
     if isinstance(value, dict):
         yield from _structure(path, value)
     elif isinstance(value, list) and value and all(isinstance(item, str) for item in value):
@@ -68,48 +67,54 @@ def _columns(path: str, value: Any) -> Iterator[Column]:
             yield name, values, None
 
 
-def _structure(path: str, fields: dict[str, Any]) -> Iterator[Column]:
-    if isinstance(fields.get("X"), dict) and isinstance(fields.get("Y"), dict) and "Data" in fields["Y"]:
-        yield from _dspace(path, fields["X"], fields["Y"])
-    elif isinstance(fields.get("signals"), dict) and "values" in fields["signals"]:
-        yield from _simulink(path, fields)
+def _structure(path: str, fields: dict[str, object]) -> Iterator[Column]:
+    clocks, recorded, logged = fields.get("X"), fields.get("Y"), fields.get("signals")
+    if isinstance(clocks, dict) and isinstance(recorded, dict) and "Data" in recorded:
+        yield from _dspace(path, clocks, recorded)
+    elif isinstance(logged, dict) and "values" in logged:
+        yield from _simulink(path, fields.get("time"), logged)
     else:
         for name, value in fields.items():
             yield from _columns(f"{path}.{name}" if path else name, value)
 
 
-def _dspace(path: str, clocks: dict[str, Any], signals: dict[str, Any]) -> Iterator[Column]:
+def _dspace(path: str, clocks: dict[str, object], signals: dict[str, object]) -> Iterator[Column]:
     """A ControlDesk recording: X(i).Data are the clocks, Y(i).Name and Y(i).Data the signals."""
     for k, data in enumerate(_as_list(clocks.get("Data", []))):
-        for name, values in _signals(f"{path}.X.time" if k == 0 else f"{path}.X({k + 1}).time", data):
-            yield name, values, None
-    data, names = _as_list(signals["Data"]), _as_list(signals.get("Name", []))
+        for column, values in _signals(f"{path}.X.time" if k == 0 else f"{path}.X({k + 1}).time", data):
+            yield column, values, None
+    recordings, names = _as_list(signals["Data"]), _as_list(signals.get("Name", []))
     units = _as_list(signals.get("Unit", []))
-    for k, values in enumerate(data):
-        name = names[k] if k < len(names) and isinstance(names[k], str) else f"({k + 1})"
-        unit = units[k] if k < len(units) and isinstance(units[k], str) else None
-        for column, array in _signals(f"{path}.Y.{name}", values):
+    for k, recorded in enumerate(recordings):
+        name, unit = _text(names, k), _text(units, k)
+        for column, array in _signals(f"{path}.Y.{f'({k + 1})' if name is None else name}", recorded):
             yield column, array, unit
 
 
-def _simulink(path: str, fields: dict[str, Any]) -> Iterator[Column]:
+def _simulink(path: str, time: object, signals: dict[str, object]) -> Iterator[Column]:
     """'Structure with time': time, signals(i).values and signals(i).label."""
-    for name, values in _signals(f"{path}.time", fields.get("time")):
-        yield name, values, None
-    signals, count = fields["signals"], np.size(fields.get("time"))
+    for name, column in _signals(f"{path}.time", time):
+        yield name, column, None
+    count = np.size(time)  # type: ignore[arg-type]  # 1 of whatever is no array
     values, labels = _as_list(signals["values"]), _as_list(signals.get("label", []))
     for k, data in enumerate(values):
-        label = labels[k] if k < len(labels) and isinstance(labels[k], str) and labels[k] else f"signals({k + 1})"
+        label = _text(labels, k) or f"signals({k + 1})"
         for name, column in _signals(f"{path}.{label}", data, count):
             yield name, column, None
 
 
-def _as_list(value: Any) -> list[Any]:
+def _as_list(value: object) -> list[object]:
     """A structure array of one element comes without its list."""
     return value if isinstance(value, list) else [value]
 
 
-def _why_no_signal(value: Any) -> str | None:
+def _text(values: list[object], k: int) -> str | None:
+    """The text at k; None where there is none."""
+    value = values[k] if k < len(values) else None
+    return value if isinstance(value, str) else None
+
+
+def _why_no_signal(value: object) -> str | None:
     """Why a variable is no signal; None where it is one."""
     if isinstance(value, str) or getattr(getattr(value, "dtype", None), "kind", None) in ("U", "S"):
         return TEXT
@@ -124,14 +129,16 @@ def _why_no_signal(value: Any) -> str | None:
     return f"has {value.ndim} dimensions" if value.ndim > 3 else None
 
 
-def _signals(path: str, value: Any, count: int | None = None) -> Iterator[tuple[str, np.ndarray | str]]:
+def _signals(path: str, value: object, count: int | None = None) -> Iterator[tuple[str, np.ndarray | str]]:
     """A vector as it is, a matrix column by column, signals in time along its longer side, or the one of `count`.
 
     In an array of three dimensions time is the last one, as Simulink writes matrices.
     """
     if (why := _why_no_signal(value)) is not None:
         yield path, why
-    elif value.ndim == 1:
+        return
+    assert isinstance(value, np.ndarray)
+    if value.ndim == 1:
         yield path, value
     elif value.ndim == 3:
         for i, j in np.ndindex(value.shape[:2]):
