@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,9 @@ class Status:
     signal: str | None = None
     time: float | None = None
     code: str = "ok"
+
+
+AnyResult = TypeVar("AnyResult", bound="Result")
 
 
 class Result(abc.ABC):
@@ -57,7 +60,7 @@ class Result(abc.ABC):
         write_text(path, json.dumps(as_json(document), indent=2, allow_nan=False) + "\n")
         return path
 
-    def require_ok(self) -> Self:
+    def require_ok(self: AnyResult) -> AnyResult:
         """The result itself; raises `ResultError` with the status's message where that is not ok."""
         if not self.status.ok:
             raise ResultError(self.status.message)

@@ -1,7 +1,7 @@
 """The [controller] table of a drive file: which controller, with which gains."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from diffdrive.controllers import KINDS, Controller
 from diffdrive.controllers.kinds import Section
@@ -10,6 +10,7 @@ from diffdrive.support.messages import short_repr
 from diffdrive.support.typing import TomlTable
 
 
+@runtime_checkable
 class ControllerSection(Section, Protocol):
     """The section [controller], whose keys depend on the kind."""
 

@@ -126,12 +126,12 @@ class TomlSection:
 
     def build(self, cls: type[Parameters], **values: object) -> Parameters:
         """An instance of a parameter class from the keys of this section, beside `values`."""
-        for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # parameters are dataclasses
+        for field in dataclasses.fields(cls):
             if "quantity" in field.metadata and field.name not in values:
                 values[field.name] = self.quantity(field.name, field.metadata["quantity"], field.default)
         try:
             built = cls(**values)
-            check(built, self.name)  # type: ignore[arg-type]
+            check(built, self.name)
         except ParameterError as error:
             raise DriveFileError(f"{self.source}: {error}") from None
         return built

@@ -3,12 +3,13 @@
 import dataclasses
 from collections.abc import Container, Iterator
 
+import equinox as eqx
+
 from diffdrive.controllers import KINDS, Keys
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Actuator, Friction, Plant, Quantity, Sensor
-from diffdrive.support.typing import DataclassInstance
 
-_PARTS: tuple[tuple[str, type[DataclassInstance]], ...] = (
+_PARTS: tuple[tuple[str, type[eqx.Module]], ...] = (
     ("plant", Plant),
     ("friction", Friction),
     ("actuator", Actuator),
@@ -78,7 +79,7 @@ def _default(field: dataclasses.Field[object], declared: Quantity) -> str:
 
 
 def _parameter_rows(
-    table: str, kind: str, cls: type[DataclassInstance], names: Container[str] | None = None
+    table: str, kind: str, cls: type[eqx.Module], names: Container[str] | None = None
 ) -> Iterator[tuple[str, ...]]:
     """Rows of the parameters of a class, or of those `names`."""
     for field in dataclasses.fields(cls):

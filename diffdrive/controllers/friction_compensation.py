@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+import equinox as eqx
 from jaxtyping import PyTree
 
 from diffdrive.controllers.base import (
@@ -33,7 +34,7 @@ from diffdrive.observers.friction_observer import (
     Tuning,
 )
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
-from diffdrive.support.typing import DataclassInstance, TomlTable
+from diffdrive.support.typing import TomlTable
 
 
 class FrictionCompensationState(NamedTuple):
@@ -109,7 +110,7 @@ def _build_with_load_state(section: Section, drive: Drive) -> FrictionCompensati
     return FrictionCompensation(tracking, observer)
 
 
-def _keys(tuning: type[DataclassInstance], estimator: type[DataclassInstance]) -> tuple[Keys, ...]:
+def _keys(tuning: type[eqx.Module], estimator: type[eqx.Module]) -> tuple[Keys, ...]:
     return (TRACKING_KEYS, Keys("controller.observer", tuning), Keys("controller.load_estimator", estimator))
 
 

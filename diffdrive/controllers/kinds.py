@@ -5,16 +5,18 @@ A `Kind` builds a controller from the table [controller] of a file; the controll
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import equinox as eqx
 
 from diffdrive.controllers.base import Controller, Feedforward, PDGains, Tracking
 from diffdrive.model.parameters import Drive
 from diffdrive.support.messages import short_repr
-from diffdrive.support.typing import DataclassInstance
 
-Parameters = TypeVar("Parameters")  # a class of parameters
+Parameters = TypeVar("Parameters", bound=eqx.Module)
 
 
+@runtime_checkable
 class Section(Protocol):
     """One table of a drive file, from which a kind takes keys; a key that is left over is an error."""
 
@@ -55,7 +57,7 @@ class Keys(NamedTuple):
     """The declared parameters of a class as keys of a table, without those taken from the plant."""
 
     table: str  # "controller", or one below it
-    parameters: type[DataclassInstance]
+    parameters: type[eqx.Module]
     from_plant: frozenset[str] = frozenset()
 
     def names(self) -> Iterator[str]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import ParameterError, PrecisionError
 from diffdrive.support.messages import short_repr
-from diffdrive.support.typing import DataclassInstance, TomlTable
+from diffdrive.support.typing import TomlTable
 from diffdrive.support.units import in_unit
 
 LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
@@ -239,14 +239,14 @@ class Sampling(eqx.Module):
         return self.substeps or int(np.ceil(round(self.period / LONGEST_SUBSTEP, 6)))
 
 
-def quantities(module: DataclassInstance, path: str = "") -> Iterator[tuple[str, Quantity, PyTree]]:
+def quantities(module: eqx.Module, path: str = "") -> Iterator[tuple[str, Quantity, PyTree]]:
     """Every declared parameter below `module`: its dotted path, its declaration and its value."""
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         name = f"{path}.{field.name}" if path else field.name
         if "quantity" in field.metadata:
             yield name, field.metadata["quantity"], value
-        elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        elif isinstance(value, eqx.Module):
             yield from quantities(value, name)
         elif isinstance(value, tuple):
             for item in value:
@@ -267,7 +267,7 @@ def _range_text(numbers: np.ndarray) -> str:
     return f"{low:.6g} to {high:.6g}" if low < high else f"{low:.12g}"
 
 
-def check(module: DataclassInstance, path: str = "") -> None:
+def check(module: eqx.Module, path: str = "") -> None:
     """Raise `ParameterError` naming every parameter below `module` that is not finite or out of its range.
 
     Traced values (inside `jit`, `grad`, `vmap`) are skipped.
@@ -342,7 +342,7 @@ def check_drive(drive: Drive) -> None:
             )
 
 
-def quantity_table(module: DataclassInstance) -> TomlTable:
+def quantity_table(module: eqx.Module) -> TomlTable:
     """The declared parameters of one module as TOML values; absent ones are left out."""
     table: TomlTable = {}
     for field in dataclasses.fields(module):
