@@ -21,8 +21,9 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 OLDEST, END = (3, 11), (3, 15)
 NAMES = [f"python3.{minor}" for minor in range(END[1] - 1, OLDEST[1] - 1, -1)] + ["python3", "python"]
@@ -34,7 +35,12 @@ IN_PARALLEL = ["-n", "auto", "--maxprocesses", "8", "--dist", "loadfile"]  # of 
 STAMP = VENV / "diffdrive-setup.json"
 SCRIPTS, EXE = (VENV / "Scripts", ".exe") if os.name == "nt" else (VENV / "bin", "")
 VENV_PYTHON, VENV_DIFFDRIVE = SCRIPTS / f"python{EXE}", SCRIPTS / f"diffdrive{EXE}"
-UNHEARD: dict = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "cwd": str(ROOT)}
+UNHEARD: dict[str, Any] = {
+    "stdin": subprocess.DEVNULL,
+    "stdout": subprocess.PIPE,
+    "stderr": subprocess.STDOUT,
+    "cwd": str(ROOT),
+}
 
 PROBE = """import json, platform, sys, sysconfig
 print(json.dumps([list(sys.version_info), sys.implementation.name, sys.maxsize > 2**32, sys._base_executable,
@@ -81,7 +87,7 @@ def environment() -> dict[str, str]:
     return {**kept, "PIP_USER": "0", "PIP_NO_INPUT": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
 
 
-def quiet(command: list, timeout: float | None = None) -> tuple[int, str]:
+def quiet(command: Sequence[object], timeout: float | None = None) -> tuple[int, str]:
     """Run a command without a word; its exit code and all that it printed. One that cannot start counts as 127."""
     try:
         done = subprocess.run([*map(str, command)], **UNHEARD, timeout=timeout, env=environment(), check=False)
@@ -128,7 +134,7 @@ def working(paths: list[str]) -> list[Python]:
     return sorted(once.values(), key=lambda python: python.version, reverse=True)
 
 
-def read_stamp() -> dict:
+def read_stamp() -> dict[str, Any]:
     """What an earlier call noted about .venv; empty where nothing was."""
     try:
         return dict(json.loads(STAMP.read_text(encoding="utf-8")))
@@ -136,7 +142,7 @@ def read_stamp() -> dict:
         return {}
 
 
-def write_stamp(**content) -> None:
+def write_stamp(**content: object) -> None:
     """Note the state of .venv; `ready` is written last, so an interrupted set-up is seen by the next call."""
     STAMP.write_text(json.dumps({**content, "root": str(ROOT)}), encoding="utf-8")
 
@@ -225,7 +231,7 @@ def prepare(extras: list[str]) -> None:
 def main(arguments: list[str]) -> int:
     """Set up and run one job; its exit code."""
     verb, rest = (arguments or [""])[0], arguments[1:]
-    jobs: dict[str, tuple[list[str], list, Path]] = {
+    jobs: dict[str, tuple[list[str], list[Any], Path]] = {
         "demo": ([], [VENV_DIFFDRIVE, "demo", "--out", "results/demo"], ROOT),
         "test": (["test"], [VENV_PYTHON, "-m", "pytest", *IN_PARALLEL], ROOT),
         "run": ([], [VENV_DIFFDRIVE], Path.cwd()),

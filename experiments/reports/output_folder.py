@@ -140,14 +140,15 @@ class ReservedFile:
         Raises `OSError` where there is room for none.
         """
         self.hold(0)
-        assert self._temporary is not None
+        temporary = self._temporary
+        assert temporary is not None
         for k, text in enumerate(texts):
             try:
-                with self._temporary.open("r+b") as file:
+                with temporary.open("r+b") as file:
                     file.write(text.encode())
                     file.truncate()
                     os.fsync(file.fileno())
-                self._temporary.replace(self._path)
+                temporary.replace(self._path)
                 self._temporary, self._size = None, 0
                 return k
             except OSError as problem:
