@@ -31,11 +31,11 @@ START = time.monotonic()
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
 VENV = ROOT / ".venv"
-IN_PARALLEL = ["-n", "auto", "--maxprocesses", "8", "--dist", "loadfile"]  # of one file in one process: they share
+PARALLEL_TESTS = ["-n", "auto", "--maxprocesses", "8", "--dist", "loadfile"]  # of one file in one process: they share
 STAMP = VENV / "diffdrive-setup.json"
 SCRIPTS, EXE = (VENV / "Scripts", ".exe") if os.name == "nt" else (VENV / "bin", "")
 VENV_PYTHON, VENV_DIFFDRIVE = SCRIPTS / f"python{EXE}", SCRIPTS / f"diffdrive{EXE}"
-UNHEARD: dict[str, Any] = {
+CAPTURED: dict[str, Any] = {
     "stdin": subprocess.DEVNULL,
     "stdout": subprocess.PIPE,
     "stderr": subprocess.STDOUT,
@@ -53,7 +53,7 @@ on Linux (glibc; x86-64 or ARM), macOS (Apple silicon) or Windows (x86-64). Inst
   Windows          winget install Python.Python.3.13"""
 
 # what a failing pip says -> what to do; any other failure may be one of this Python, so the next older one is tried
-CURES = {
+REMEDIES = {
     r"CERTIFICATE_VERIFY_FAILED": "A certificate was refused: for a company's own one set PIP_CERT=/path/to/file.pem.",
     r"Retry\(total=0|ProxyError|NewConnectionError|NameResolutionError|ReadTimeout|build dependencies did not run": (
         "The packages could not be fetched. Offline? Behind a proxy set HTTPS_PROXY, for a mirror PIP_INDEX_URL."
@@ -75,7 +75,7 @@ class SetupError(Exception):
     """The set-up cannot go on; its text tells the user why and what to do."""
 
 
-def say(text: str) -> None:
+def log(text: str) -> None:
     """Print one line of progress with the seconds since the start; standard output is left to the job."""
     print(f"[{time.monotonic() - START:5.1f} s] {text}", file=sys.stderr, flush=True)
 
@@ -83,41 +83,41 @@ def say(text: str) -> None:
 def environment() -> dict[str, str]:
     """The caller's environment without what would leak another Python's packages or folders into .venv."""
     leaks = {"PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV", "__PYVENV_LAUNCHER__", "PIP_TARGET", "PIP_PREFIX"}
-    kept = {name: value for name, value in os.environ.items() if name not in leaks}
-    return {**kept, "PIP_USER": "0", "PIP_NO_INPUT": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    variables = {name: value for name, value in os.environ.items() if name not in leaks}
+    return {**variables, "PIP_USER": "0", "PIP_NO_INPUT": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
 
 
-def quiet(command: Sequence[object], timeout: float | None = None) -> tuple[int, str]:
+def run_quietly(command: Sequence[object], timeout: float | None = None) -> tuple[int, str]:
     """Run a command without a word; its exit code and all that it printed. One that cannot start counts as 127."""
     try:
-        done = subprocess.run([*map(str, command)], **UNHEARD, timeout=timeout, env=environment(), check=False)
+        finished = subprocess.run([*map(str, command)], **CAPTURED, timeout=timeout, env=environment(), check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return 127, str(error)
-    return done.returncode, done.stdout.decode("utf-8", "replace")
+    return finished.returncode, finished.stdout.decode("utf-8", "replace")
 
 
-def on_path(folders: str) -> list[str]:
+def pythons_on_path(folders: str) -> list[str]:
     """What is named like a Python in these folders: all, as an earlier one may be a dead shim; not macOS's own 3.9."""
     found = [shutil.which(name, path=folder) for folder in folders.split(os.pathsep) if folder for name in NAMES]
     return [path for path in found if path and (sys.platform != "darwin" or path != "/usr/bin/python3")]
 
 
-def everywhere() -> list[str]:
+def candidate_paths() -> list[str]:
     """What may be an interpreter: on PATH, the running one, and what pyenv, uv and the installers keep off PATH."""
     pyenv = os.environ.get("PYENV_ROOT") or "~/.pyenv"
     patterns = [f"{pyenv}/versions/*/bin/python", f"{pyenv}/pyenv-win/versions/*/python.exe"]
     patterns += ["~/.local/share/uv/python/*/bin/python3", "~/AppData/Roaming/uv/python/*/python.exe"]
     patterns += ["/Library/Frameworks/Python.framework/Versions/3.*/bin/python3"]
-    kept_off = [path for pattern in patterns for path in sorted(glob.glob(os.path.expanduser(pattern)))]
-    launcher = quiet(["py", "-0p"], timeout=30)[1] if os.name == "nt" else ""
-    kept_off += re.findall(r"([A-Za-z]:\\.*?python[\d.]*\.exe)\s*$", launcher, re.MULTILINE)
+    off_path = [path for pattern in patterns for path in sorted(glob.glob(os.path.expanduser(pattern)))]
+    launcher = run_quietly(["py", "-0p"], timeout=30)[1] if os.name == "nt" else ""
+    off_path += re.findall(r"([A-Za-z]:\\.*?python[\d.]*\.exe)\s*$", launcher, re.MULTILINE)
     folders = [os.environ.get("PATH", os.defpath), "/usr/local/bin", "/opt/homebrew/bin"]
-    return [*on_path(os.pathsep.join(folders)), sys.executable, *kept_off]
+    return [*pythons_on_path(os.pathsep.join(folders)), sys.executable, *off_path]
 
 
 def probe(path: str) -> Python | None:
     """Run the interpreter and ask what it is; None unless it works and is one this project runs on."""
-    code, text = quiet([path, "-c", PROBE], timeout=60)
+    code, text = run_quietly([path, "-c", PROBE], timeout=60)
     try:
         version, name, is_64_bit, base, machine, without_gil = json.loads(text.strip().splitlines()[-1])
     except (ValueError, IndexError, TypeError):
@@ -128,10 +128,10 @@ def probe(path: str) -> Python | None:
     return Python(tuple(version[:3]), "Python {}.{}.{}".format(*version), machine, base or path)
 
 
-def working(paths: list[str]) -> list[Python]:
+def usable_pythons(paths: list[str]) -> list[Python]:
     """Those of the paths that are interpreters fit for this project, each once, the newest first."""
-    once = {os.path.realpath(python.path): python for python in map(probe, dict.fromkeys(paths)) if python}
-    return sorted(once.values(), key=lambda python: python.version, reverse=True)
+    by_path = {os.path.realpath(python.path): python for python in map(probe, dict.fromkeys(paths)) if python}
+    return sorted(by_path.values(), key=lambda python: python.version, reverse=True)
 
 
 def read_stamp() -> dict[str, Any]:
@@ -151,7 +151,7 @@ def clear_venv() -> None:
     """An empty .venv with our mark; an earlier one of ours goes, one that somebody else made is moved aside."""
     if VENV.exists() and os.listdir(str(VENV)) and not STAMP.exists():
         aside = ROOT / f".venv-old-{time.strftime('%Y%m%d-%H%M%S')}"
-        say(f"the .venv here was not made by this script: it is now {aside.name}")
+        log(f"the .venv here was not made by this script: it is now {aside.name}")
         VENV.rename(aside)
     VENV.mkdir(exist_ok=True)
     write_stamp(ready=False)
@@ -168,8 +168,8 @@ def make_venv(python: Python) -> bool:
     ]
     for way in ways:
         clear_venv()
-        if all(quiet([python.path, "-m", *arguments])[0] == 0 for arguments in way):
-            return quiet([VENV_PYTHON, "-m", "pip", "--version"])[0] == 0
+        if all(run_quietly([python.path, "-m", *arguments])[0] == 0 for arguments in way):
+            return run_quietly([VENV_PYTHON, "-m", "pip", "--version"])[0] == 0
     return False
 
 
@@ -178,38 +178,38 @@ def install(extras: list[str]) -> str:
     before, python = read_stamp(), probe(str(VENV_PYTHON))
     write_stamp(ready=False)
     options = ["--quiet", "--only-binary", ":all:", "--editable", f".[{','.join(extras)}]" if extras else "."]
-    code, text = quiet([VENV_PYTHON, "-m", "pip", "install", *options])
+    code, text = run_quietly([VENV_PYTHON, "-m", "pip", "install", *options])
     if code == 0:
-        code, text = quiet([VENV_PYTHON, "-c", "import jax.numpy"])
+        code, text = run_quietly([VENV_PYTHON, "-c", "import jax.numpy"])
     if code == 0 and python:
         write_stamp(ready=True, project=PROJECT, python=python.version, extras=extras)
         return ""
     tail = "\n".join(f"    {line[:200]}" for line in text.strip().splitlines()[-15:])
-    for sign, cure in CURES.items():
-        if re.search(sign, text):
+    for pattern, remedy in REMEDIES.items():
+        if re.search(pattern, text):
             write_stamp(**before)  # pip fetches first and installs then: nothing has changed
-            raise SetupError(f"{tail}\nThe installation failed; the end of its output is above.\n{cure}")
+            raise SetupError(f"{tail}\nThe installation failed; the end of its output is above.\n{remedy}")
     return tail or "    (pip said nothing)"
 
 
 def build(extras: list[str]) -> None:
     """Make .venv anew with the newest Python that can; each one that cannot is named."""
     failed, tails = set(), []
-    for python in working(everywhere()):
+    for python in usable_pythons(candidate_paths()):
         kind = (python.version[:2], python.machine)
         if kind in failed:
             continue
-        say(f"making .venv with {python.name} ({python.path})")
+        log(f"making .venv with {python.name} ({python.path})")
         if not make_venv(python):
-            say(f"{python.name} cannot make a virtual environment (no python3-venv?): trying the next")
+            log(f"{python.name} cannot make a virtual environment (no python3-venv?): trying the next")
             continue
-        say("installing, this takes some minutes")
+        log("installing, this takes some minutes")
         tail = install(extras)
         if not tail:
-            return say(".venv is ready")
+            return log(".venv is ready")
         failed.add(kind)
         tails.append(f"With {python.name} the installation failed:\n{tail}")
-        say(f"{python.name} on {python.machine} gets no installation: trying the next older one")
+        log(f"{python.name} on {python.machine} gets no installation: trying the next older one")
     raise SetupError("\n".join([*tails, NO_PYTHON]))
 
 
@@ -220,12 +220,12 @@ def prepare(extras: list[str]) -> None:
     usable = python and list(python.version) == stamp["python"] and VENV_DIFFDRIVE.exists()
     current = usable and stamp["project"] == PROJECT and set(extras) <= set(stamp["extras"])
     if usable and not current:
-        say("updating .venv")
+        log("updating .venv")
         current = not install(sorted({*extras, *stamp["extras"]}))
     if not current:
         build(extras)
     if tuple(read_stamp()["python"]) < (3, 12):
-        say("note: on Python 3.11 jax is older than 0.12 and slower; for full speed install 3.12+, delete .venv")
+        log("note: on Python 3.11 jax is older than 0.12 and slower; for full speed install 3.12+, delete .venv")
 
 
 def main(arguments: list[str]) -> int:
@@ -233,18 +233,22 @@ def main(arguments: list[str]) -> int:
     verb, rest = (arguments or [""])[0], arguments[1:]
     jobs: dict[str, tuple[list[str], list[Any], Path]] = {
         "demo": ([], [VENV_DIFFDRIVE, "demo", "--out", "results/demo"], ROOT),
-        "test": (["test"], [VENV_PYTHON, "-m", "pytest", *IN_PARALLEL], ROOT),
+        "test": (["test"], [VENV_PYTHON, "-m", "pytest", *PARALLEL_TESTS], ROOT),
         "run": ([], [VENV_DIFFDRIVE], Path.cwd()),
     }
     if verb not in jobs:
-        found = [f"{python.name} {python.path}" for python in working(everywhere())] if verb == "which" else [__doc__]
+        found = (
+            [f"{python.name} {python.path}" for python in usable_pythons(candidate_paths())]
+            if verb == "which"
+            else [__doc__]
+        )
         print("\n".join(found or [NO_PYTHON]))
         return 0 if verb in ("which", "-h", "--help", "help") else 2
     extras, job, folder = jobs[verb]
     env = {**environment(), "PATH": os.pathsep.join([str(SCRIPTS), os.environ.get("PATH", os.defpath)])}
     try:
         prepare(extras)
-        say("running " + " ".join([job[0].name, *job[1:], *rest]))
+        log("running " + " ".join([job[0].name, *job[1:], *rest]))
         code = subprocess.call([str(job[0]), *job[1:], *rest], cwd=str(folder), env=env)
     except (SetupError, OSError, KeyboardInterrupt) as error:
         print(f"\n{str(error) or 'interrupted'}", file=sys.stderr)

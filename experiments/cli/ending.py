@@ -38,7 +38,7 @@ SWALLOWED = 0  # on the wake-up socket, beside the numbers of signals
 SHOW_CURSOR = b"\x1b[?25h"
 
 
-class Watch:
+class SignalWatch:
     """The signals of this process, from `begin` to `end`."""
 
     def __init__(self, out: Path | None = None) -> None:
@@ -114,7 +114,7 @@ class Watch:
         def last_words() -> None:
             if os.isatty(1):
                 os.write(1, SHOW_CURSOR)  # which a progress bar hides
-            os.write(2, f"\ninterrupted, {how}; {left_in(self.out, self.began)}\n".encode())
+            os.write(2, f"\ninterrupted, {how}; {describe_folder(self.out, self.began)}\n".encode())
 
         for step in (end_children, close_all, sys.stdout.flush, sys.stderr.flush, last_words):
             _within(LAST_WORDS, step)
@@ -122,9 +122,9 @@ class Watch:
 
 
 @contextlib.contextmanager
-def watched(out: Path | None) -> Iterator[Watch]:
-    """A `Watch` over what is within; it stays after a signal, since threads that compute keep a process from ending."""
-    watch = Watch(out)
+def watch_signals(out: Path | None) -> Iterator[SignalWatch]:
+    """A `SignalWatch` over the block; it stays after a signal: threads that compute keep a process from ending."""
+    watch = SignalWatch(out)
     watch.begin()
     try:
         yield watch
@@ -133,7 +133,7 @@ def watched(out: Path | None) -> Iterator[Watch]:
             watch.end()
 
 
-def out_of(arguments: Sequence[str]) -> Path | None:
+def out_folder(arguments: Sequence[str]) -> Path | None:
     """The folder that a command line names with --out."""
     for argument, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
         name, equals, value = argument.partition("=")
@@ -142,7 +142,7 @@ def out_of(arguments: Sequence[str]) -> Path | None:
     return None
 
 
-def left_in(out: Path | None, since: float) -> str:
+def describe_folder(out: Path | None, since: float) -> str:
     """What a folder holds that was written after `since` (s, as `time.time` has it), and what can be continued from.
 
     Unfinished files are hidden, and no part of it.

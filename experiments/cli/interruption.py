@@ -12,7 +12,7 @@ from tuning.optimisation.least_squares import StepProgress
 
 
 @contextlib.contextmanager
-def at_next_step(progress: StepProgress, say: Callable[[str], None]) -> Iterator[StepProgress]:
+def stop_at_next_step(progress: StepProgress, say: Callable[[str], None]) -> Iterator[StepProgress]:
     """Yields `progress` for a search: after a Ctrl-C it ends the search between two steps, where that keeps its best.
 
     SIGTERM is taken like it. What comes after the search (covariance, intervals) is still computed, as far as the time

@@ -6,7 +6,19 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import Believed, Columns, Loads, Logs, Out, Seed, Shifts, Svg, Units, count_of, finite
+from experiments.cli.options import (
+    Columns,
+    DriveOption,
+    Loads,
+    Logs,
+    Out,
+    Seed,
+    Shifts,
+    Svg,
+    Units,
+    count_of,
+    finite,
+)
 
 logs = typer.Typer()
 
@@ -14,7 +26,7 @@ logs = typer.Typer()
 @logs.command(cls=Computing)
 def check(
     log: Logs,
-    drive: Believed,
+    drive: DriveOption,
     out: Out = None,
     column: Columns = None,
     unit: Units = None,
@@ -37,7 +49,7 @@ def check(
 @logs.command(cls=Computing)
 def identify(
     log: Logs,
-    drive: Believed,
+    drive: DriveOption,
     out: Out = None,
     column: Columns = None,
     unit: Units = None,
@@ -51,7 +63,8 @@ def identify(
     ] = None,
     load: Loads = None,
     starts: Annotated[
-        int, typer.Option(callback=count_of, min=1, help="How many starts; the first is the inverse dynamics' answer.")
+        int,
+        typer.Option(callback=count_of, min=1, help="How many starts; the first is the inverse dynamics' answer."),
     ] = 6,
     seed: Seed = 0,
     held_out: Annotated[
@@ -84,7 +97,7 @@ def identify(
 @logs.command(cls=Computing)
 def diagnose(
     log: Logs,
-    drive: Believed,
+    drive: DriveOption,
     out: Out = None,
     column: Columns = None,
     unit: Units = None,

@@ -11,7 +11,7 @@ from rich.console import Console
 from diffdrive.support.atomic_write import NO_SPACE
 from diffdrive.support.messages import printable
 from experiments.cli.drives import drives
-from experiments.cli.ending import INTERRUPTED, out_of, watched
+from experiments.cli.ending import INTERRUPTED, out_folder, watch_signals
 from experiments.cli.logs import logs
 from experiments.cli.reference import reference
 from experiments.cli.studies import studies
@@ -61,7 +61,7 @@ def main() -> None:
     """Run the command line: expected errors in one line, without a traceback, and code 2."""
     error = Console(stderr=True, markup=False, emoji=False, highlight=False)
     warnings.showwarning = _plain_warning(error)
-    with watched(out_of(sys.argv[1:])) as watch:
+    with watch_signals(out_folder(sys.argv[1:])) as watch:
         try:
             _expected(error)
         except SystemExit as ended:

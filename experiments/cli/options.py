@@ -33,7 +33,7 @@ def count_of(param: typer.CallbackParam, value: int | None) -> int | None:
     return value
 
 
-def folder_of(text: str) -> Path:
+def parse_folder(text: str) -> Path:
     """A folder by its name; one without a name would be the current one."""
     if not text.strip():
         raise typer.BadParameter("is empty; name a folder, or . for the current one")
@@ -53,7 +53,7 @@ Out = Annotated[
     Path | None,
     typer.Option(
         "--out",
-        parser=folder_of,
+        parser=parse_folder,
         metavar="PATH",
         help="Folder for figures, tables and result.json; made if it does not exist.",
     ),
@@ -62,7 +62,7 @@ StudyFolder = Annotated[
     Path,
     typer.Option(
         "--out",
-        parser=folder_of,
+        parser=parse_folder,
         metavar="PATH",
         help="Folder; a study that was interrupted goes on from what is in it.",
     ),
@@ -72,7 +72,7 @@ Logs = Annotated[
     list[Path],
     typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
 ]
-Believed = Annotated[
+DriveOption = Annotated[
     Path, typer.Option("--drive", help="Drive file: what is believed about the axis, and how its logs read.")
 ]
 Columns = Annotated[

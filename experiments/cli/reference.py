@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.options import Out
-from experiments.cli.texts import kept, text
+from experiments.cli.texts import cached, text
 
 reference = typer.Typer()
 
@@ -30,7 +30,7 @@ def template(
 @reference.command()
 def keys(out: Out = None) -> None:
     """Print every key that a drive file may hold, with unit, range, default and meaning (a Markdown table)."""
-    text(lambda: kept(_keys, "keys.md"), out, "keys.md")
+    text(lambda: cached(_keys, "keys.md"), out, "keys.md")
 
 
 def _keys() -> str:
@@ -42,7 +42,7 @@ def _keys() -> str:
 @reference.command()
 def motions(out: Out = None) -> None:
     """Print every motion and every shape of load, with settings, units and defaults (two Markdown tables)."""
-    text(lambda: kept(_motions, "motions.md"), out, "motions.md")
+    text(lambda: cached(_motions, "motions.md"), out, "motions.md")
 
 
 def _motions() -> str:

@@ -48,7 +48,8 @@ def withheld(
         typer.Option(help="Machines that are there instead: folders of a drive.toml and log-*.parquet, and key.json."),
     ] = None,
     workers: Annotated[
-        int, typer.Option(callback=count_of, min=1, help="Machines that are diagnosed at once; each takes 2 to 4 GB.")
+        int,
+        typer.Option(callback=count_of, min=1, help="Machines that are diagnosed at once; each takes 2 to 4 GB."),
     ] = 1,
     twice: Annotated[
         bool, typer.Option("--twice", help="Ask again with nothing but the true effects, and without them.")
@@ -218,7 +219,8 @@ def log_study(
     cases: Annotated[int, typer.Option(min=1, callback=count_of, help="How many logs with a fault.")] = 60,
     sound: Annotated[int, typer.Option(min=0, callback=count_of, help="How many sound logs.")] = 40,
     pairs: Annotated[
-        int, typer.Option(min=0, callback=count_of, help="How many pairs of logs, two thirds of them of two machines.")
+        int,
+        typer.Option(min=0, callback=count_of, help="How many pairs of logs, two thirds of them of two machines."),
     ] = 30,
     seed: Seed = 1,
 ) -> None:

@@ -22,7 +22,7 @@ def text(make: Callable[[], str], out: Path | None, name: str) -> None:
         report.values("written", file=name)
 
 
-def kept(make: Callable[[], str], name: str) -> str:
+def cached(make: Callable[[], str], name: str) -> str:
     """The text that `make` makes of the package's sources, or a copy of it that an earlier call kept.
 
     A copy is of exactly these sources, by their names, sizes and times. It is in the user's cache folder; where that

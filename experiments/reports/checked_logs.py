@@ -17,7 +17,7 @@ from tuning.checked_logs import CheckedLogs, check_logs, require_sound
 EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
 
-def described(
+def axis_with_overrides(
     drive: Path, columns: Sequence[str], units: Sequence[str], shifts: Sequence[str], logs: Sequence[Path]
 ) -> Axis:
     """A drive file, its mapping of columns, units and shifts as texts on the command line override it.
@@ -32,7 +32,7 @@ def described(
     return replace(description, mapping=description.mapping.overridden(columns, units, shifts))
 
 
-def looked_over(
+def read_and_check(
     paths: Sequence[Path],
     description: Axis,
     report: Report,
@@ -78,7 +78,7 @@ def _list(report: Report, found: Sequence[tuple[str, Finding]], title: str) -> N
     report.print("")
 
 
-def read_checked(
+def read_sound_logs(
     paths: Sequence[Path],
     description: Axis,
     report: Report,
@@ -88,8 +88,8 @@ def read_checked(
     loads: Mapping[str, float] | None = None,
     beside: Sequence[Log] = (),
 ) -> tuple[Log, ...]:
-    """Logs that were `looked_over`; raises `LogError` for a fatal finding, too, unless it is to go on by `force`."""
-    checked = looked_over(paths, description, report, name=name, loads=loads, beside=beside)
+    """Logs that were `read_and_check`; raises `LogError` for a fatal finding, too, unless it is to go on by `force`."""
+    checked = read_and_check(paths, description, report, name=name, loads=loads, beside=beside)
     if not force:
         require_sound(checked, "--force identifies all the same, and fits that as mass or friction")
     if checked.fatal:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.logs.log import CHANNELS, Log
-from experiments.reports.checked_logs import EXTRA, described, looked_over, parse_loads
+from experiments.reports.checked_logs import EXTRA, axis_with_overrides, parse_loads, read_and_check
 from experiments.reports.report import Report
 
 SMOOTH = 5e-3  # s, over which a speed is taken
@@ -27,10 +27,10 @@ def check_logs(
     `columns`, `units`, `shifts` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
     `ParameterError`, one line each.
     """
-    description = described(drive, columns, units, shifts, paths)
+    description = axis_with_overrides(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
         with report.result_first() as result:
-            checked = looked_over(
+            checked = read_and_check(
                 paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA
             )
             found, fatal = checked.findings, checked.fatal

@@ -10,17 +10,17 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run
 from diffdrive.results import Result
 from experiments.reports.axis_file import write_axis_file
-from experiments.reports.diagnosis.figures import draw as draw_diagnosis
+from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
-from experiments.reports.diagnosis.page import page, tell
-from experiments.reports.identification.figures import draw as draw_identification
-from experiments.reports.identification.identification import tell as tell_identified
+from experiments.reports.diagnosis.page import print_answers, write_page
+from experiments.reports.identification.figures import save_identification_figures
+from experiments.reports.identification.identification import print_identification
 from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.report import Report
 from experiments.reports.simulation import run_figure, write_run
-from experiments.reports.sweep.sweep import draw as draw_sweep
-from experiments.reports.sweep.tables import tell as tell_sweep
-from experiments.reports.tuning import figure_of, gains_table, loop_figures, margins_table, verification_table
+from experiments.reports.sweep.sweep import save_sweep_figures
+from experiments.reports.sweep.tables import print_sweep
+from experiments.reports.tuning import gains_table, loop_figures, margins_table, tuning_figure, verification_table
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.workflow import TuningResult, margins_at
 from tuning.identification.workflow import IdentificationResult
@@ -50,67 +50,69 @@ def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
     out = Path(folder)
     with Report(
         f"{result.schema.split('/')[0]}: {result.headline()}", out, Console(quiet=True) if quiet else None
-    ) as one:
+    ) as writer:
         result.save(out)
-        section(result, one)
+        section(result, writer)
     return out
 
 
 @singledispatch
-def section(result: Any, one: Report) -> None:
+def section(result: Any, writer: Report) -> None:
     """What is written of a result of this kind."""
     raise ParameterError(f"no report is known of a {type(result).__name__}")
 
 
 @section.register
-def _(result: Run, one: Report) -> None:
-    one.values("run", status=result.status.message, **result.as_dict())
-    write_run(_out(one) / "run.csv", result)
-    one.figure("run", run_figure(result))
+def _(result: Run, writer: Report) -> None:
+    writer.values("run", status=result.status.message, **result.as_dict())
+    write_run(_out(writer) / "run.csv", result)
+    writer.figure("run", run_figure(result))
 
 
 @section.register
-def _(result: IdentificationResult, one: Report) -> None:
-    tell_identified(one, result.fit)
-    write_uncertainty(_out(one), result.fit)
-    write_axis_file(one, result.axis, "identified.toml")
-    draw_identification(one, result.fit, result.initial_axis.drive, result.logs.logs)
+def _(result: IdentificationResult, writer: Report) -> None:
+    print_identification(writer, result.fit)
+    write_uncertainty(_out(writer), result.fit)
+    write_axis_file(writer, result.axis, "identified.toml")
+    save_identification_figures(writer, result.fit, result.initial_axis.drive, result.logs.logs)
 
 
 @section.register
-def _(result: DiagnosisResult, one: Report) -> None:
-    told = dict(result.details)
-    tell(one, told)
-    write_reference(one, result.next_motion.reference)
-    augmented = write_augmented(one, result)
-    draw_diagnosis(one, result.diagnosis, result.logs.logs)
-    page(one, told, augmented)
+def _(result: DiagnosisResult, writer: Report) -> None:
+    details = dict(result.details)
+    print_answers(writer, details)
+    write_reference(writer, result.next_motion.reference)
+    augmented = write_augmented(writer, result)
+    save_diagnosis_figures(writer, result.diagnosis, result.logs.logs)
+    write_page(writer, details, augmented)
 
 
 @section.register
-def _(result: TuningResult, one: Report) -> None:
-    gains_table(one, result.search)
+def _(result: TuningResult, writer: Report) -> None:
+    gains_table(writer, result.search)
     for note in result.notes:
-        one.say(note)
+        writer.say(note)
     given = result.initial_axis
-    margins_table(one, margins_at(given, [given.controller, result.search.controller], result.plan))
-    loop_figures(one, given, result.search.controller, result.plan, result.limits)
-    verification_table(one, list(result.runs))
-    one.figure("tuning", figure_of(result.search, list(result.runs), result.plan))
+    margins_table(writer, margins_at(given, [given.controller, result.search.controller], result.plan))
+    loop_figures(writer, given, result.search.controller, result.plan, result.limits)
+    verification_table(writer, list(result.runs))
+    writer.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))
     if result.accepted:
-        write_axis_file(one, result.axis, "tuned.toml")
+        write_axis_file(writer, result.axis, "tuned.toml")
 
 
 @section.register
-def _(result: SweepResult, one: Report) -> None:
+def _(result: SweepResult, writer: Report) -> None:
     plan = result.plan
     found = groups(as_dataset(result.frame), list(plan.controllers), list(plan.motions))
-    told = [(each, group_influences(plan, each, result.by)) for each in found]
-    tell_sweep(one, plan, told, result.tolerance, result.by)
+    influences = [(group, group_influences(plan, group, result.by)) for group in found]
+    print_sweep(writer, plan, influences, result.tolerance, result.by)
     for motion in plan.motions:
-        draw_sweep(one, plan, [each for each in told if each[0].motion == motion], result.tolerance, result.by)
+        save_sweep_figures(
+            writer, plan, [group for group in influences if group[0].motion == motion], result.tolerance, result.by
+        )
 
 
-def _out(one: Report) -> Path:
-    assert one.out is not None
-    return one.out
+def _out(writer: Report) -> Path:
+    assert writer.out is not None
+    return writer.out

@@ -10,7 +10,7 @@ from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
 from diffdrive.model.parameters import quantities
-from experiments.cli.interruption import at_next_step
+from experiments.cli.interruption import stop_at_next_step
 from experiments.reports import readable
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
@@ -69,7 +69,7 @@ def tune_drive(
     checkpoint = None if report.out is None else report.out / CHECKPOINT
     with (
         report.progress(f"tuning {len(space.names)} gains by gradient", max_steps) as advance,
-        at_next_step(advance, report.say) as progress,
+        stop_at_next_step(advance, report.say) as progress,
     ):
         tuned = tune(
             description.controller, lanes, requirements, space, objective=objective, starts=starts, seed=plan.seed,
@@ -87,7 +87,7 @@ def tune_drive(
             runs = verify(description, tuned.controller, prepared, plan.settle)
         verification_table(report, runs)
         result(verdict(tuned, runs))
-    report.figure("tuning", figure_of(tuned, runs, plan))
+    report.figure("tuning", tuning_figure(tuned, runs, plan))
     if pareto:
         _pareto(report, description, lanes, requirements, objective, pareto, prepared.held_out, plan)
     if noisy := noise_warning(prepared, runs):
@@ -276,7 +276,7 @@ def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> d
     }
 
 
-def figure_of(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> Any:
+def tuning_figure(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> Any:
     """The search, and one held-out scenario before and after."""
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.best.state.history

@@ -12,11 +12,11 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
-from experiments.reports.checked_logs import described, looked_over, parse_loads
-from experiments.reports.diagnosis.figures import draw
+from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_and_check
+from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import AUGMENTED, NEXT, write_augmented, write_reference
-from experiments.reports.diagnosis.page import page, tell
-from experiments.reports.diagnosis.payoff import in_words, payoff
+from experiments.reports.diagnosis.page import print_answers, write_page
+from experiments.reports.diagnosis.payoff import payoff, summarise_payoff
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.calibration import TOLERANCE
@@ -62,9 +62,9 @@ def diagnose_logs(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
-    description = described(drive, columns, units, shifts, paths)
+    description = axis_with_overrides(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
-        checked = read(report, paths, description, loads)
+        checked = read_diagnosis_logs(report, paths, description, loads)
         parts = FolderStore.in_folder(out, PARTS)
         with report.stages() as progress:
             found = diagnose_checked(
@@ -79,31 +79,31 @@ def diagnose_logs(
         with report.working("looking for the motion that would decide"):
             offer = next_motion_of(description, checked, found)
         result = diagnosis_result(description, checked, found, offer)
-        told = dict(result.details)
-        tell(report, told)
-        if told["scale_noise"]:
-            report.say(told["scale_noise"])
+        details = dict(result.details)
+        print_answers(report, details)
+        if details["scale_noise"]:
+            report.say(details["scale_noise"])
         if report.out is not None:
             augmented = write_augmented(report, result)
             write_reference(report, offer.reference)
             with report.working("drawing"):
-                draw(report, found, checked.logs)
+                save_diagnosis_figures(report, found, checked.logs)
             _save(report, result, augmented)
             report.values("written", **_written(augmented, offer))
             if tuned:
                 heaviest = max((float(np.max(log.load)) for log in checked.logs if log.load is not None), default=0.0)
-                told["payoff"] = _pay(report, told, description, augmented, heaviest)
+                details["payoff"] = _pay(report, details, description, augmented, heaviest)
                 _save(
-                    report, dataclasses.replace(result, details=told), augmented
+                    report, dataclasses.replace(result, details=details), augmented
                 )  # again: what was found is not lost where the tuning is interrupted
         if parts is not None:  # while no other run may write here
             parts.remove()
-    return told
+    return details
 
 
-def read(report: Report, paths: Sequence[Path], description: Axis, loads: Sequence[str]) -> CheckedLogs:
+def read_diagnosis_logs(report: Report, paths: Sequence[Path], description: Axis, loads: Sequence[str]) -> CheckedLogs:
     """The logs, and what is wrong with them: where it is fatal that lowers the confidence, no more."""
-    checked = looked_over(
+    checked = read_and_check(
         paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=("motor_position",)
     )
     if checked.fatal:
@@ -125,15 +125,15 @@ def _save(report: Report, result: DiagnosisResult, augmented: str | None) -> Non
     """diagnosis.json and report.html."""
     assert report.out is not None
     result.save(report.out)
-    page(report, dict(result.details), augmented)
+    write_page(report, dict(result.details), augmented)
 
 
 def _pay(
-    report: Report, told: dict[str, Any], description: Axis, augmented: str | None, max_load: float
+    report: Report, details: dict[str, Any], description: Axis, augmented: str | None, max_load: float
 ) -> dict[str, Any]:
     """Tune on both drives; what that tells, in words and, if there was something to tune on, each gains' numbers."""
     assert report.out is not None
-    if not told["ladder"][2:]:
+    if not details["ladder"][2:]:
         says, gains = "Nothing to tune on: no effect was added.", {}
     elif augmented is None:
         says, gains = "Nothing to tune on: no drive file can say what was found.", {}
@@ -142,9 +142,9 @@ def _pay(
     else:
         plan = TuningPlan(max_load=max_load, loads=TuningPlan.loads if max_load > 0 else 1)
         gains = payoff(report, description, read_axis(report.out / augmented), plan)
-        says = in_words(gains)
-        if told["verdict"] != "effect":
-            says = f"The verdict is {told['verdict']}, and what was found may not act. If it does: {says}"
+        says = summarise_payoff(gains)
+        if details["verdict"] != "effect":
+            says = f"The verdict is {details['verdict']}, and what was found may not act. If it does: {says}"
     report.say(says)
     return {"says": says, "gains": gains}
 

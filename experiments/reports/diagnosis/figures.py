@@ -19,7 +19,7 @@ BLANK = "blank where the table rests, and where nothing is held out"
 ROOM = 1.8  # times the largest value, above it, and below the least
 
 
-def draw(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
+def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
     """Save every figure."""
     report.figure("ladder", _ladder(found))
     report.figure("missing_force", _missing(found, logs))

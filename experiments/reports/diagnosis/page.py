@@ -57,31 +57,31 @@ BOTH = "Nominal parameters; damping moves with viscous friction"
 Row = list[Any]
 
 
-def tell(report: Report, told: dict[str, Any]) -> None:
+def print_answers(report: Report, details: dict[str, Any]) -> None:
     """Print the verdict, and then the four answers, in their order."""
-    gap, regions = told["gap"], _regions(told)
-    report.print(f"\n{told['verdict'].upper()}: {told['says']}", style="bold")
-    for line in headlines(told["causes"]):
+    gap, regions = details["gap"], _regions(details)
+    report.print(f"\n{details['verdict'].upper()}: {details['says']}", style="bold")
+    for line in headlines(details["causes"]):
         report.print(f"  {line}")
     report.say(f"\n1. How large is the gap? ({gap['judged_on']})\n  {gap['says']}")
-    report.record("gap", SIZE, _sizes(told))
-    report.show(LOOP, _SHOWN[:4], _joined(_sizes(told)), notes=_odd(told["ladder"][:2]))
+    report.record("gap", SIZE, _sizes(details))
+    report.show(LOOP, _SHOWN[:4], _joined(_sizes(details)), notes=_odd(details["ladder"][:2]))
     report.say("\n2. Where does it lie? (after recalibration)")
     for region in regions:
         report.say(f"  - {region}")
     if not regions:
         report.say(f"  - {NOWHERE}")
-    report.say(f"\n3. Which unmodelled effect causes it?\n  {told['verdict'].upper()}: {told['says']}")
-    for line in headlines(told["causes"]):
+    report.say(f"\n3. Which unmodelled effect causes it?\n  {details['verdict'].upper()}: {details['says']}")
+    for line in headlines(details["causes"]):
         report.say(f"  {line}")
-    if told["causes"]:
-        report.table("causes", CAUSES, [_cause(one) for one in told["causes"]], FOUND_FIRST)
-    report.say(f"\n4. How far does the gap shrink once it is added?\n  {told['closed']['says']}")
-    report.record("ladder", LADDER, _ladder(told))
-    report.show(SHRINK, _SHOWN, _joined(_ladder(told)), notes=_odd(told["ladder"]))
-    for reason in _not_simulated(told):
+    if details["causes"]:
+        report.table("causes", CAUSES, [_cause(one) for one in details["causes"]], FOUND_FIRST)
+    report.say(f"\n4. How far does the gap shrink once it is added?\n  {details['closed']['says']}")
+    report.record("ladder", LADDER, _ladder(details))
+    report.show(SHRINK, _SHOWN, _joined(_ladder(details)), notes=_odd(details["ladder"]))
+    for reason in _not_simulated(details):
         report.say(f"  {reason}")
-    report.say(f"\nNext: {told['next_experiment']['says']}")
+    report.say(f"\nNext: {details['next_experiment']['says']}")
 
 
 _SHOWN = ("model", "missing force, N", "position, um", "command, N", "shrink, %")
@@ -135,40 +135,40 @@ def _is_below(one: float | None, other: float | None) -> bool:
     return one is not None and other is not None and one < other
 
 
-def page(report: Report, told: dict[str, Any], augmented: str | None) -> None:
+def write_page(report: Report, details: dict[str, Any], augmented: str | None) -> None:
     """Write report.html beside the figures, which it holds inside."""
     assert report.out is not None
-    gap, title, regions = told["gap"], _html(report.data["title"]), _regions(told)
-    loop = "".join(f"<p>{_html(reason)}</p>" for reason in _not_simulated(told))
+    gap, title, regions = details["gap"], _html(report.data["title"]), _regions(details)
+    loop = "".join(f"<p>{_html(reason)}</p>" for reason in _not_simulated(details))
     parts = [
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>",
         f"<h1>{title}</h1>",
-        f"<p class='verdict'><b>{told['verdict'].upper()}</b>: {_html(told['says'])}{_found(told)}</p>",
-        _findings(told["findings"]),
+        f"<p class='verdict'><b>{details['verdict'].upper()}</b>: {_html(details['says'])}{_found(details)}</p>",
+        _findings(details["findings"]),
         "<h2>1. How large is the gap?</h2>",
         f"<p>{_html(gap['says'])}.</p>",
-        _table(SIZE, _sizes(told), f"{LOOP}; {gap['judged_on']}"),
-        *(f"<p>{_html(note)}</p>" for note in _odd(told["ladder"][:2])),
+        _table(SIZE, _sizes(details), f"{LOOP}; {gap['judged_on']}"),
+        *(f"<p>{_html(note)}</p>" for note in _odd(details["ladder"][:2])),
         _image(report, "missing_force"),
         "<h2>2. Where does it lie?</h2>",
         "<ul>" + "".join(f"<li>{_html(one)}</li>" for one in regions) + "</ul>" if regions else f"<p>{NOWHERE}.</p>",
         _image(report, "where"),
         "<h2>3. Which unmodelled effect causes it?</h2>",
-        _table(CAUSES, [_cause(one) for one in told["causes"]], FOUND_FIRST, words=True)
-        if told["causes"]
-        else f"<p>{NOT_WORTH if told['searched'] else NOT_SEARCHED}</p>",
+        _table(CAUSES, [_cause(one) for one in details["causes"]], FOUND_FIRST, words=True)
+        if details["causes"]
+        else f"<p>{NOT_WORTH if details['searched'] else NOT_SEARCHED}</p>",
         _image(report, "causes"),
-        _table(NOMINAL, [_recalibrated(one) for one in told["recalibrated"]], BOTH),
+        _table(NOMINAL, [_recalibrated(one) for one in details["recalibrated"]], BOTH),
         "<h2>4. How far does the gap shrink once it is added?</h2>",
-        f"<p>{_html(told['closed']['says'])}</p>",
-        _table(LADDER, _ladder(told), f"{SHRINK}; {gap['judged_on']}"),
-        *(f"<p>{_html(note)}</p>" for note in _odd(told["ladder"])),
+        f"<p>{_html(details['closed']['says'])}</p>",
+        _table(LADDER, _ladder(details), f"{SHRINK}; {gap['judged_on']}"),
+        *(f"<p>{_html(note)}</p>" for note in _odd(details["ladder"])),
         loop,
         _image(report, "ladder"),
         f"<p>Drive with what was found, as in log 1: <code>{_html(augmented)}</code></p>" if augmented else "",
-        f"<p>{_html(told['scale_noise'])}</p>" if told["scale_noise"] else "",
-        _paid(told["payoff"]) if "payoff" in told else "",
-        f"<h2>What next?</h2><p>{_html(told['next_experiment']['says'])}</p>",
+        f"<p>{_html(details['scale_noise'])}</p>" if details["scale_noise"] else "",
+        _paid(details["payoff"]) if "payoff" in details else "",
+        f"<h2>What next?</h2><p>{_html(details['next_experiment']['says'])}</p>",
         "</html>",
     ]
     write_text(report.out / "report.html", "\n".join(parts))
@@ -178,13 +178,13 @@ def _html(text: str) -> str:
     return escape(readable(text))
 
 
-def _found(told: dict[str, Any]) -> str:
-    return "".join(f"<br>{_html(line)}" for line in headlines(told["causes"]))
+def _found(details: dict[str, Any]) -> str:
+    return "".join(f"<br>{_html(line)}" for line in headlines(details["causes"]))
 
 
-def _regions(told: dict[str, Any]) -> list[str]:
+def _regions(details: dict[str, Any]) -> list[str]:
     """Where more of the gap lies than chance would give, in words."""
-    telling = [one for one in told["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
+    telling = [one for one in details["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
     return [f"{one['says']} ({_chance(one['p_value'])})" for one in telling]
 
 
@@ -203,34 +203,34 @@ def _rung(one: dict[str, Any]) -> Row:
     ]
 
 
-def _floor(told: dict[str, Any]) -> Row:
-    gap = told["gap"]
+def _floor(details: dict[str, Any]) -> Row:
+    gap = details["gap"]
     floor = {"position_rms_m": gap["noise_floor_position_m"], "command_rms_N": gap["noise_floor_command_N"]}
     force = {"force_rms_N": gap["noise_floor_force_N"], "force_interval_N": [None, None]}
     return _rung({"model": "noise floor"} | force | floor)
 
 
-def _sizes(told: dict[str, Any]) -> list[Row]:
+def _sizes(details: dict[str, Any]) -> list[Row]:
     """The gap before anything is added, against the floor."""
-    return [*(_rung(one) for one in told["ladder"][:2]), _floor(told)]
+    return [*(_rung(one) for one in details["ladder"][:2]), _floor(details)]
 
 
-def _ladder(told: dict[str, Any]) -> list[Row]:
+def _ladder(details: dict[str, Any]) -> list[Row]:
     nothing: Row = [None, None, None]
-    first, *others = told["ladder"]
+    first, *others = details["ladder"]
     shrinks = [[_percent(share) for share in (one["shrink"], *one["shrink_interval"])] for one in others]
     rows = [_rung(one) + shrink for one, shrink in zip(others, shrinks, strict=True)]
-    return [_rung(first) + nothing, *rows, _floor(told) + nothing]
+    return [_rung(first) + nothing, *rows, _floor(details) + nothing]
 
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
 
 
-def _not_simulated(told: dict[str, Any]) -> list[str]:
+def _not_simulated(details: dict[str, Any]) -> list[str]:
     """Why there are no numbers in closed loop, each reason with the models that it is about."""
     models: dict[str, list[str]] = {}
-    for one in told["ladder"]:
+    for one in details["ladder"]:
         if one["loop_says"]:
             models.setdefault(one["loop_says"], []).append(one["model"])
     return [f"{', '.join(names)}: {reason}" for reason, names in models.items()]

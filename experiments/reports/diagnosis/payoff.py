@@ -55,7 +55,7 @@ def payoff(
     return found
 
 
-def in_words(found: dict[str, dict[str, Any]]) -> str:
+def summarise_payoff(found: dict[str, dict[str, Any]]) -> str:
     """What `payoff` found, in a sentence."""
     was, now = (found[name]["mean_rms_um"] for name in NAMES[1:])
     failed = [name for name in NAMES[1:] if not found[name]["runs_ok"]]

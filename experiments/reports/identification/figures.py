@@ -13,7 +13,7 @@ from diffdrive.logs import Log
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
 from experiments.reports.identification.forest import forest
-from experiments.reports.identification.modelled_friction import modelled_hysteresis, stretches_of
+from experiments.reports.identification.modelled_friction import gap_free_pieces, modelled_hysteresis
 from experiments.reports.report import Report, new_figure, plain_logarithmic
 from tuning.identification.curves import hysteresis_curves, stribeck_curves
 from tuning.identification.identify import Identification
@@ -23,9 +23,9 @@ LAGS = 100
 MOST_POINTS = 20_000  # of a signal in a figure
 
 
-def draw(report: Report, found: Identification, before: Drive, logs: Sequence[Log]) -> None:
+def save_identification_figures(report: Report, found: Identification, before: Drive, logs: Sequence[Log]) -> None:
     """Save every figure; one whose data the logs do not hold is left out, and said so."""
-    stretches = stretches_of(logs)
+    stretches = gap_free_pieces(logs)
     for name, make in (("stribeck", _stribeck), ("hysteresis", _hysteresis)):
         try:
             figure, notes = make(found, before, stretches)

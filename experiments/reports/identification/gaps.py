@@ -30,7 +30,7 @@ Measure = Callable[[Axis, float, Log], dict[str, float]]
 _predict = eqx.filter_jit(predict)
 
 
-def one_step(description: Axis, delay: float, log: Log) -> dict[str, float]:
+def prediction_gaps(description: Axis, delay: float, log: Log) -> dict[str, float]:
     """What the drive does not foresee from one sample to the next, and the force (RMS) that it lacks for it.
 
     Every drive is corrected with the same constant gains. Gains chosen for each (as the identification does) would
@@ -52,7 +52,7 @@ def _rms(signal: np.ndarray) -> float:
     return float(np.sqrt(np.mean(signal**2))) if len(signal) else 0.0
 
 
-def replayed(description: Axis, _: float, log: Log) -> dict[str, float]:
+def replay_gaps(description: Axis, _: float, log: Log) -> dict[str, float]:
     """The log replayed by the drive: in closed loop through the controller if it has a reference, and in open loop."""
     drive, found = description.drive, {}
     if log.reference is not None and not isinstance(description.controller, UnknownController):
@@ -65,7 +65,7 @@ def replayed(description: Axis, _: float, log: Log) -> dict[str, float]:
     return found | {"open loop: position, mm": replay_open_loop(drive, log).position_rms_mm}
 
 
-MEASURES: tuple[Measure, ...] = (one_step, replayed)
+MEASURES: tuple[Measure, ...] = (prediction_gaps, replay_gaps)
 
 
 def delay_of(drive: Drive) -> float:

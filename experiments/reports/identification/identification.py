@@ -14,11 +14,11 @@ from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, quantities
 from diffdrive.motion.text import number
-from experiments.cli.interruption import at_next_step
+from experiments.cli.interruption import stop_at_next_step
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
-from experiments.reports.checked_logs import described, parse_loads, read_checked
-from experiments.reports.identification.figures import draw
+from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_sound_logs
+from experiments.reports.identification.figures import save_identification_figures
 from experiments.reports.identification.gaps import gap_table
 from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.report import Report
@@ -59,7 +59,7 @@ def identify_drive(
     `columns`, `units`, `shifts`, `fixed`, `bounds`, `loads` are texts as on the command line. Raises `DriveFileError`,
     `LogError` and `ParameterError`, one line each.
     """
-    description = described(drive, columns, units, shifts, [*paths, *held_out])
+    description = axis_with_overrides(drive, columns, units, shifts, [*paths, *held_out])
     if effects := [effect.name for effect in description.drive.effects]:
         raise DriveFileError(
             f"{drive}: [effects] {', '.join(effects)}: identification knows no effects; take the table out, or diagnose"
@@ -68,14 +68,14 @@ def identify_drive(
     _require_known(fixed, "--fix", NAMES)
     applied = parse_loads(loads, [*paths, *held_out])
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
-        checked = partial(read_checked, description=description, report=report, force=force, loads=applied)
+        checked = partial(read_sound_logs, description=description, report=report, force=force, loads=applied)
         logs = checked(paths, name="findings")
         others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
         _inverse_dynamics(report, logs, others)
         parts = FolderStore.in_folder(out, PARTS)
         with (
             report.progress(f"fitting friction, mass and delay to {', '.join(log.name for log in logs)}", 1) as advance,
-            at_next_step(advance, report.say) as progress,
+            stop_at_next_step(advance, report.say) as progress,
         ):
             found = identify(
                 logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, store=parts,
@@ -87,7 +87,7 @@ def identify_drive(
             if name := write_axis_file(report, replace(description, drive=found.drive), "identified.toml"):
                 report.keep("written", file=name)
             write_uncertainty(report.out, found)
-        tell(report, found)
+        print_identification(report, found)
         if was_interrupted(found.search) and parts is not None and parts.folder.exists():
             report.say(f"The same command continues the search from {PARTS}.")
         if unstated := unstated_noise(description.drive, found.noise):
@@ -98,7 +98,7 @@ def identify_drive(
         _show_inverse_dynamics(report)
         if report.out is not None:
             with report.working("drawing"):
-                draw(report, found, description.drive, logs)
+                save_identification_figures(report, found, description.drive, logs)
         if parts is not None and not was_interrupted(found.search):  # while no other run may write here
             parts.remove()
     return found.search.status == "converged"
@@ -158,13 +158,13 @@ def _show_inverse_dynamics(report: Report) -> None:
         report.show_numbers("inverse_dynamics")
 
 
-def tell(report: Report, found: Identification) -> None:
+def print_identification(report: Report, found: Identification) -> None:
     """What was found, whether it suffices, the table of estimates, and what the numbers mean."""
     if found.search.status != "converged":
         report.say("The search did not converge: these are the best parameters that it saw, not the best there are.")
     report.say(f"{readable.titled(found.adequacy.says)}.")
     estimates_table(report, found)
-    say_words(report, found)
+    print_remarks(report, found)
 
 
 def estimates_table(report: Report, found: Identification) -> None:
@@ -227,7 +227,7 @@ def _short(bound: float) -> float:
     return float(f"{bound:.3g}")
 
 
-def say_words(report: Report, found: Identification) -> None:
+def print_remarks(report: Report, found: Identification) -> None:
     """What the numbers mean."""
     report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
     for note in found.notes:

@@ -24,21 +24,21 @@ def uncertainty(found: Identification) -> dict[str, dict[str, object]]:
         and found.estimate_covariance[k, k] > 0.0
     ]
     deviation = np.sqrt(np.diag(found.estimate_covariance))
-    vary = {name_of(found.estimates[k]): _distribution(found.estimates[k], float(deviation[k])) for k in kept}
+    vary = {drive_path(found.estimates[k]): _distribution(found.estimates[k], float(deviation[k])) for k in kept}
     correlation: dict[str, object] = {}
     for at, k in enumerate(kept):
         others = {
-            name_of(found.estimates[j]): float(
+            drive_path(found.estimates[j]): float(
                 np.clip(found.estimate_covariance[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0)
             )
             for j in kept[at + 1 :]
         }
         if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
-            correlation[name_of(found.estimates[k])] = others
+            correlation[drive_path(found.estimates[k])] = others
     return {"vary": dict(vary), "correlation": correlation}
 
 
-def name_of(one: ParameterEstimate) -> str:
+def drive_path(one: ParameterEstimate) -> str:
     """In a drive."""
     return f"plant.{one.name}" if one.name in ("mass", "constant_force") else f"friction.{one.name}"
 

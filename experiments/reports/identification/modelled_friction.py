@@ -15,7 +15,7 @@ from tuning.identification.friction_along import friction_along
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
 
-def stretches_of(logs: Sequence[Log]) -> list[Log]:
+def gap_free_pieces(logs: Sequence[Log]) -> list[Log]:
     """The gap-free stretches in the order of `tuning.identification.problem.lanes_of`, each as a log of its own."""
     pieces = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
     return [
@@ -27,7 +27,7 @@ def stretches_of(logs: Sequence[Log]) -> list[Log]:
 _along = eqx.filter_jit(friction_along)
 
 
-def friction_on(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def modelled_friction(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Friction and damping (N) of `drive` at these velocities (m/s) of a stretch, the bristle relaxed at the start."""
     load = np.zeros_like(velocity) if stretch.load is None else stretch.load
     given = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
@@ -54,7 +54,7 @@ def _command(
     drive: Drive, reference: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
     """The force (N) over each period, given as early as the delay of `reference` asks."""
-    friction = friction_on(drive, stretch, velocity)
+    friction = modelled_friction(drive, stretch, velocity)
     sample = np.arange(len(velocity))
     mean = np.append(0.5 * (friction[1:] + friction[:-1]), friction[-1])
     inertia = float(reference.plant.mass) * stretch.rate * np.append(np.diff(velocity), 0.0)

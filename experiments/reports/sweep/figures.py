@@ -36,7 +36,7 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
     return figure
 
 
-def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
+def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     """How probable it is that a machine misses a tolerance, over the tolerance, with its 95 % interval."""
     figure, axis = new_figure(width=8.0, height=4.0)
     start, edge = _ends(groups, tolerance, by)
@@ -62,7 +62,7 @@ def exceeded(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
     return figure
 
 
-def against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> Any:
+def error_against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> Any:
     """The error over a quantity that varies: each machine, and median and 95 % of a slice of them.
 
     Machines that diverged are crosses at the upper edge; a line ends where what it tells of is infinite.

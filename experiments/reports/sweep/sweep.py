@@ -15,7 +15,7 @@ from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import run_figure, write_run
 from experiments.reports.sweep import figures
-from experiments.reports.sweep.tables import TOLD, Told, announce, tell
+from experiments.reports.sweep.tables import LISTED, GroupInfluences, print_sweep, print_varied
 from tuning.sweeps.engine import Precision
 from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, missing_parts, run_parts, stored_errors
 from tuning.sweeps.plan import SweepPlan
@@ -61,10 +61,10 @@ def sweep_drive(
         )  # fmt: skip
         found = groups(rows, list(plan.controllers), list(plan.motions))
         told = [(one, group_influences(plan, one, by)) for one in found]
-        tell(report, plan, told, tolerance, by)
+        print_sweep(report, plan, told, tolerance, by)
         report.show_numbers("sweep")
         for motion in plan.motions if out is not None else ():
-            draw(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
+            save_sweep_figures(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
         if recorded:
             _record(report, plan, found, recorded, by)
         return not any(one.diverged.any() for one in found)
@@ -96,7 +96,7 @@ def _noted(asked: SweepSpec, engine: Engine, report: Report) -> Engine:
 
     def noted(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
         results = engine(plan, wanted, say)  # which may find that nobody is there
-        announce(report, plan)
+        print_varied(report, plan)
         if report.out is not None:
             write_spec(asked, report.out)
         yield from results
@@ -104,7 +104,9 @@ def _noted(asked: SweepSpec, engine: Engine, report: Report) -> Engine:
     return noted
 
 
-def draw(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+def save_sweep_figures(
+    report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], tolerance: float | None, by: str
+) -> None:
     """The figures of one motion."""
     every = [one for one, _ in found]
     if all(one.diverged.all() for one in every):
@@ -112,14 +114,14 @@ def draw(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: floa
         return
     motion = f"_{named_file(every[0].motion)}" if len(plan.motions) > 1 else ""
     report.figure(f"distribution{motion}", figures.distribution(every, tolerance, by))
-    report.figure(f"exceedance{motion}", figures.exceeded(every, tolerance, by))
+    report.figure(f"exceedance{motion}", figures.exceedance_figure(every, tolerance, by))
     for one, told in found:
         if told:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
             report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
     strongest = [told[0].name for _, told in found if told and told[0].is_significant]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
-        drawn = figures.against(every, name, plan.units[name], tolerance, by)
+        drawn = figures.error_against(every, name, plan.units[name], tolerance, by)
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)
 
 
@@ -128,7 +130,9 @@ def _record(report: Report, plan: SweepPlan, found: Sequence[Group], recorded: S
     assert report.out is not None
     for motion in plan.motions:
         mine = [one for one in found if one.motion == motion]
-        numbers = sorted({number for one in mine for number in (*worst(one, TOLD, by), *first_to_diverge(one, TOLD))})
+        numbers = sorted(
+            {number for one in mine for number in (*worst(one, LISTED, by), *first_to_diverge(one, LISTED))}
+        )
         path = report.out / (f"traces_{named_file(motion)}.nc" if len(plan.motions) > 1 else "traces.nc")
         with report.working("recording the worst machines"):
             told = traces(plan, numbers, plan.controllers, motion, recorded)

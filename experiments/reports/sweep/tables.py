@@ -23,15 +23,15 @@ from tuning.sweeps.summary import (
 from tuning.sweeps.workflow import varied_values
 
 RANGE_DIGITS = 3  # of a quantile whose interval stands beside it
-TOLD = 5  # worst machines that are named
-Told = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
+LISTED = 5  # worst machines that are named
+GroupInfluences = tuple[Group, list[Influence]]  # a controller on a motion, and what drives its spread
 
 TOGETHER = "; quantities hang together, so that shares overlap, and one may have its share through another"
 RARELY = 0.01  # chance, below which a quantity is said to decide over divergence
 STUCK = 0.5  # share of the time at the force limit from which an axis is too weak
 
 
-def announce(report: Report, plan: SweepPlan) -> None:
+def print_varied(report: Report, plan: SweepPlan) -> None:
     """What varies, and how far: a range without its unit is seen here."""
     numbers, motion = plan.numbers(0), next(iter(plan.motions))
     values = plan.values(numbers, motion)
@@ -81,7 +81,9 @@ def verdict(found: Sequence[Group], tolerance: float | None, by: str) -> list[st
     return lines
 
 
-def tell(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: float | None, by: str) -> None:
+def print_sweep(
+    report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], tolerance: float | None, by: str
+) -> None:
     """Errors, misses, comparisons, what drives the spread, what decides over divergence, and the worst machines."""
     report.data["results"] = [_numbers(one, tolerance) for one in found]
     every = [one for one, _ in found]
@@ -117,7 +119,12 @@ def tell(report: Report, plan: SweepPlan, found: Sequence[Told], tolerance: floa
     _blame_for_divergence(report, plan, [one for one, _ in found])
     columns = ("motion", "controller", "largest error first", "diverged, the earliest first")
     named = [
-        [one.motion, one.controller, _listed(worst(one, TOLD, by)), _listed(first_to_diverge(one, TOLD))]
+        [
+            one.motion,
+            one.controller,
+            _listed(worst(one, LISTED, by)),
+            _listed(first_to_diverge(one, LISTED)),
+        ]
         for one in every
     ]
     report.record("worst", columns, named)
@@ -135,7 +142,7 @@ def _stuck(group: Group) -> int:
     return int(np.sum(~group.diverged & (group.column("saturated") >= STUCK)))
 
 
-def _numbers(told: Told, tolerance: float | None) -> dict[str, Any]:
+def _numbers(told: GroupInfluences, tolerance: float | None) -> dict[str, Any]:
     """What the tables say, for programs: SI units, intervals as numbers."""
     group, every = told
     return {
@@ -170,7 +177,7 @@ def _compare(report: Report, found: Sequence[Group], by: str) -> None:
         )
 
 
-def _blame(report: Report, plan: SweepPlan, found: Sequence[Told], by: str) -> None:
+def _blame(report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], by: str) -> None:
     rows = [
         [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 1e6 * each.low, 1e6 * each.high]
         for one, every in found

@@ -40,8 +40,8 @@ def broken(folder, name, text="exit 127"):
 
 
 def chosen(bootstrap, *folders):
-    paths = bootstrap.on_path(os.pathsep.join(map(str, folders)))
-    return [python.path for python in bootstrap.working(paths)]
+    paths = bootstrap.pythons_on_path(os.pathsep.join(map(str, folders)))
+    return [python.path for python in bootstrap.usable_pythons(paths)]
 
 
 def test_starts_on_an_old_python_with_nothing_installed():
@@ -104,11 +104,11 @@ class TestChoice:
         for folder, name in zip(folders, ["python", "python3"], strict=True):
             folder.mkdir(parents=True)
             stub(folder, name)
-        found = bootstrap.everywhere()
+        found = bootstrap.candidate_paths()
         assert {str(folders[0] / "python"), str(folders[1] / "python3"), sys.executable} <= set(found)
 
     def test_a_virtual_environment_stands_for_the_python_it_came_from(self, bootstrap):
-        [python] = bootstrap.working([sys.executable])
+        [python] = bootstrap.usable_pythons([sys.executable])
         assert python.version == sys.version_info[:3]
         assert Path(python.path).resolve() == Path(sys._base_executable).resolve()
 
@@ -127,7 +127,7 @@ class TestVenv:
             bootstrap.Python((3, minor, 0), f"Python 3.{minor}.0", "m", f"/p{minor}") for minor in (14, 13)
         )
         bootstrap.tried, bootstrap.said, bootstrap.refuses = [], {}, ()
-        monkeypatch.setattr(bootstrap, "working", lambda paths: [newest, newest, older])
+        monkeypatch.setattr(bootstrap, "usable_pythons", lambda paths: [newest, newest, older])
         monkeypatch.setattr(bootstrap, "probe", lambda path: bootstrap.tried[-1] if bootstrap.tried else None)
 
         def make_venv(python):
@@ -140,7 +140,7 @@ class TestVenv:
             return (1 if text else 0), text
 
         monkeypatch.setattr(bootstrap, "make_venv", make_venv)
-        monkeypatch.setattr(bootstrap, "quiet", quiet)
+        monkeypatch.setattr(bootstrap, "run_quietly", quiet)
         return bootstrap
 
     @staticmethod
@@ -211,7 +211,9 @@ class TestVenv:
         assert self.versions(project) == [14, 14]
 
     def test_python_3_11_is_told_of_full_speed(self, project, monkeypatch, capsys):
-        monkeypatch.setattr(project, "working", lambda paths: [project.Python((3, 11, 2), "Python 3.11.2", "m", "/p")])
+        monkeypatch.setattr(
+            project, "usable_pythons", lambda paths: [project.Python((3, 11, 2), "Python 3.11.2", "m", "/p")]
+        )
         project.prepare([])
         assert capsys.readouterr().err.count("3.12") == 1
 

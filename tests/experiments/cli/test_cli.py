@@ -116,9 +116,9 @@ def test_texts_that_are_kept_follow_their_sources(tmp_path, monkeypatch):
         made.append(1)
         return f"made {len(made)} times"
 
-    assert [texts.kept(make, "a.md") for _ in range(2)] == ["made 1 times"] * 2
+    assert [texts.cached(make, "a.md") for _ in range(2)] == ["made 1 times"] * 2
     (package / "effects.py").write_text("one more")
-    assert texts.kept(make, "a.md") == "made 2 times"
+    assert texts.cached(make, "a.md") == "made 2 times"
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["tune", "--help"], ["template"]])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli.ending import left_in, out_of
+from experiments.cli.ending import describe_folder, out_folder
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 
@@ -117,16 +117,16 @@ def test_what_is_left_is_of_this_run(tmp_path):
         (tmp_path / name).touch()
     for name in ("old.csv", "parts/old"):
         os.utime(tmp_path / name, (1.0, 1.0))
-    assert left_in(tmp_path, 10.0) == (
+    assert describe_folder(tmp_path, 10.0) == (
         f"{tmp_path} holds, of this run: new.csv, parts (1 file); the same command continues from parts"
     )
-    assert left_in(tmp_path / "none", 10.0) == left_in(None, 10.0) == "it had written nothing"
+    assert describe_folder(tmp_path / "none", 10.0) == describe_folder(None, 10.0) == "it had written nothing"
 
 
 @pytest.mark.parametrize("words", [["tune", "a.toml", "--out", "b"], ["tune", "--out=b", "a.toml"]])
 def test_the_folder_is_that_of_the_option(words):
-    assert out_of(words) == Path("b")
-    assert out_of(words[:1]) is None
+    assert out_folder(words) == Path("b")
+    assert out_folder(words[:1]) is None
 
 
 def test_a_third_signal_does_not_break_the_writing_that_the_second_one_set_going(tmp_path):

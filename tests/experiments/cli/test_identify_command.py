@@ -16,9 +16,9 @@ from diffdrive.errors import LogError, MotionError, ParameterError
 from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
 from experiments.cli import interruption
-from experiments.cli.interruption import at_next_step
+from experiments.cli.interruption import stop_at_next_step
 from experiments.cli.main import app
-from experiments.reports.checked_logs import read_checked
+from experiments.reports.checked_logs import read_sound_logs
 from experiments.reports.identification.identification import parse_bounds
 from experiments.reports.readable import interval, readable, significant
 from experiments.reports.report import Report
@@ -171,12 +171,14 @@ def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
     with Report("loads", tmp_path) as report:
         given = {"other.csv": 8e3}
         paths = [folder / "lap.csv", folder / "other.csv"]
-        lap, other = read_checked(paths, TRUE, report, name="findings", force=False, loads=given)
+        lap, other = read_sound_logs(paths, TRUE, report, name="findings", force=False, loads=given)
         assert lap.load is None
         assert np.all(other.load == 8e3)
         write_log(tmp_path / "loaded.csv", other)
         with pytest.raises(LogError, match="has a load of its own"):
-            read_checked([tmp_path / "loaded.csv"], TRUE, report, name="more", force=False, loads={"loaded.csv": 1.0})
+            read_sound_logs(
+                [tmp_path / "loaded.csv"], TRUE, report, name="more", force=False, loads={"loaded.csv": 1.0}
+            )
 
 
 def test_a_bound_may_carry_its_unit():
@@ -230,7 +232,7 @@ def test_too_short_a_log_is_told_how_long_it_must_be(folder, tmp_path):
         assert "force" not in str(refused.value)
         assert "log a longer motion" in str(refused.value)
     with Report("long enough", None) as report:
-        read_checked([cut(tmp_path, "enough.csv", 200)], TRUE, report, name="findings", force=True)
+        read_sound_logs([cut(tmp_path, "enough.csv", 200)], TRUE, report, name="findings", force=True)
 
 
 def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path):
@@ -240,7 +242,7 @@ def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path)
     simulate = ["simulate", str(drive), "--motion", motion, "--out", str(tmp_path / "run")]
     assert CliRunner().invoke(app, simulate).exit_code == 0
     with Report("simulated", None) as report:
-        (log,) = read_checked([tmp_path / "run" / "run.csv"], read_axis(drive), report, name="findings", force=False)
+        (log,) = read_sound_logs([tmp_path / "run" / "run.csv"], read_axis(drive), report, name="findings", force=False)
     assert np.array_equal(log.command, read_log(tmp_path / "run" / "run.csv").command)
 
 
@@ -269,7 +271,7 @@ def test_a_fatal_finding_ends_with_one_line_and_code_2(folder, in_volts, tmp_pat
 
 def test_force_goes_on_over_a_fatal_finding_and_says_so(in_volts, capsys):
     with Report("forced", None) as report:
-        read_checked([in_volts], TRUE, report, name="findings", force=True)
+        read_sound_logs([in_volts], TRUE, report, name="findings", force=True)
     assert "FORCED over fatal findings" in capsys.readouterr().out
 
 
@@ -277,7 +279,7 @@ def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkey
     monkeypatch.setattr(interruption, "TOGETHER", 0.0)
     steps, said = [], []
     handler = signal.getsignal(signal.SIGINT)
-    with at_next_step(lambda *step: steps.append(step), said.append) as progress:
+    with stop_at_next_step(lambda *step: steps.append(step), said.append) as progress:
         progress(1, 9, 1.0)
         signal.raise_signal(signal.SIGINT)  # no exception here, in the midst of a computation
         with pytest.raises(KeyboardInterrupt):

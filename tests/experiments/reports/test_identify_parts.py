@@ -8,7 +8,7 @@ import numpy as np
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.loop.simulate import simulate
 from experiments.reports.identification.forest import forest
-from experiments.reports.identification.modelled_friction import friction_on, stretches_of
+from experiments.reports.identification.modelled_friction import gap_free_pieces, modelled_friction
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
@@ -25,14 +25,14 @@ MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05
 def test_friction_along_a_motion_is_that_of_the_simulation():
     drive = TRUE.drive
     run = simulate(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
-    found = friction_on(drive, run.log(), run.velocity)
+    found = modelled_friction(drive, run.log(), run.velocity)
     damping = np.where(run.velocity >= 0, drive.plant.damping.positive, drive.plant.damping.negative) * run.velocity
     assert np.sqrt(np.mean((found - run.friction - damping) ** 2)) < 0.5  # of 100 N
 
 
 def test_stretches_are_those_of_the_lanes():
     log = dataclasses.replace(simulate_log(TRUE, MOTION), gaps=(1000, 1100, 3000))
-    lanes, pieces = lanes_of([log]), stretches_of([log])
+    lanes, pieces = lanes_of([log]), gap_free_pieces([log])
     assert [len(one.time) for one in pieces] == np.asarray(lanes.counts).sum(axis=1).tolist()
     assert [one.position[0] for one in pieces] == np.asarray(lanes.position)[:, 0].tolist()
 
