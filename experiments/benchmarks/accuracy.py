@@ -2,16 +2,16 @@
 
 import dataclasses
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
-from diffdrive.loop.simulate import loop_inputs, rollout
-from diffdrive.model.parameters import Sampling, Sensor, as_arrays
+from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
+from diffdrive.model.parameters import Drive, Sampling, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.builders import triangular
 from experiments.studies.recovery.random_drive import random_drive
@@ -24,11 +24,12 @@ CASES = ((0.0002, 0.2), (0.010, 0.3), (0.200, 0.2))  # speed m/s, rounding of th
 
 
 @partial(jax.jit, static_argnums=2)
-def _positions(models: Any, inputs: Any, sampling: Sampling) -> Any:
-    return rollout(*models, inputs, sampling).position
+def _positions(models: tuple[Drive, PD], inputs: Inputs, sampling: Sampling) -> Float[Array, " n"]:
+    drive, controller = models
+    return rollout(drive, controller, inputs, sampling).position
 
 
-def integrator_errors() -> list[list[Any]]:
+def integrator_errors() -> list[list[float]]:
     """Rows of speed (mm/s) and, for each number of substeps, the largest position error over 1 s in nm."""
     models = as_arrays((paper_drive(quantised=False), PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))))
     rows = []
@@ -40,12 +41,12 @@ def integrator_errors() -> list[list[Any]]:
     return rows
 
 
-def _motion_inputs(speed: float, rounding: float, rate: float) -> Any:
+def _motion_inputs(speed: float, rounding: float, rate: float) -> Inputs:
     motion = triangular(speed=speed, stroke=speed * (0.5 - rounding / 2), rounding=rounding, duration=1.0, rate=rate)
     return loop_inputs(motion, np.zeros(len(motion.time)))
 
 
-def errors_of_random_drives() -> list[list[Any]]:
+def errors_of_random_drives() -> list[list[float]]:
     """Rows of rate (Hz), speed (mm/s) and, over random drives with the default substeps, the median, the 95 % quantile
     and the largest of the largest position error over 1 s, in nm; and how many drives.
 
@@ -57,7 +58,7 @@ def errors_of_random_drives() -> list[list[Any]]:
     control = as_arrays(PD(Tracking(PDGains(PAPER_KP, PAPER_KD))))
 
     @partial(jax.jit, static_argnums=1)
-    def positions(inputs: Any, sampling: Sampling) -> Any:
+    def positions(inputs: Inputs, sampling: Sampling) -> Float[Array, "drives n"]:
         return jax.vmap(lambda machine: rollout(machine, control, inputs, sampling).position)(machines)
 
     rows = []

@@ -1,9 +1,8 @@
 """The arithmetic of a control step, counted in its jaxpr: its cost should be in proportion."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
+from jax.extend.core import Jaxpr, JaxprEqn
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.loop.simulate import Inputs, initial_state, step
@@ -16,7 +15,7 @@ FREE = {
 }  # fmt: skip
 
 
-def _inner(equation: Any) -> list[tuple[Any, int]]:
+def _inner(equation: JaxprEqn) -> list[tuple[Jaxpr, int]]:
     """The jaxprs within an equation, and how often each runs."""
     times = int(equation.params.get("length", 1)) if equation.primitive.name == "scan" else 1
     inner_jaxprs = []
@@ -28,7 +27,7 @@ def _inner(equation: Any) -> list[tuple[Any, int]]:
     return inner_jaxprs
 
 
-def operations(jaxpr: Any) -> int:
+def operations(jaxpr: Jaxpr) -> int:
     """Additions, products, comparisons and selections; a division or a root counts as several."""
     total = 0
     for equation in jaxpr.eqns:

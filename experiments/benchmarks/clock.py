@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ class Timing(NamedTuple):
     rounds: int
 
 
-def time_interleaved(jobs: Mapping[str, Callable[[], Any]], rounds: int | None = None) -> dict[str, Timing]:
+def time_interleaved(jobs: Mapping[str, Callable[[], object]], rounds: int | None = None) -> dict[str, Timing]:
     """Time each job; the first run of each, which may compile, does not count."""
     repeats = {}
     for name, job in jobs.items():
@@ -32,7 +32,7 @@ def time_interleaved(jobs: Mapping[str, Callable[[], Any]], rounds: int | None =
     return {name: Timing(min(samples), float(np.median(samples)), rounds) for name, samples in seconds.items()}
 
 
-def _seconds(job: Callable[[], Any], repeats: int) -> float:
+def _seconds(job: Callable[[], object], repeats: int) -> float:
     start = time.perf_counter()
     for _ in range(repeats):
         job()

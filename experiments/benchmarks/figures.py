@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from experiments.reports.report import new_figure, plain_logarithmic
 
 PANELS = {
@@ -15,7 +17,7 @@ PANELS = {
 }
 
 
-def bench_figure(tables: dict[str, Any]) -> Any:
+def bench_figure(tables: dict[str, dict[str, Any]]) -> Figure | None:
     """A panel for each part that was run and has one; None where no part has."""
     panels = [name for name in PANELS if name in tables]
     if not panels:

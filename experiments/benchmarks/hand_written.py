@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import DiffdriveError
+from diffdrive.loop.simulate import Inputs
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.motion.load import Ramp
 from diffdrive.runtime import cores
@@ -27,7 +28,9 @@ COARSE_SUBSTEPS = 2  # substeps whose error is below a hundredth of the scale's 
 
 
 @contextlib.contextmanager
-def _baselines(report: Report, inputs: Any, sampling: Sampling, count: int) -> Iterator[dict[str, Callable[[], Any]]]:
+def _baselines(
+    report: Report, inputs: Inputs, sampling: Sampling, count: int
+) -> Iterator[dict[str, Callable[[], Any]]]:
     """One lane and `count` lanes in C and in numba, as far as they are installed."""
     drive, controller = nominal()
     reference, load = np.stack([np.asarray(signal) for signal in inputs.reference]), np.asarray(inputs.load)
@@ -148,7 +151,7 @@ def swept_lanes(report: Report) -> dict[str, float]:
 
     def sweep_job(count: int, precision: Precision = "double") -> Callable[[], Any]:
         machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
-        top = float(inputs.load[-1]) * np.linspace(0.5, 1.5, count)
+        top = float(np.asarray(inputs.load)[-1]) * np.linspace(0.5, 1.5, count)
         ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
         course = LaneCycle(inputs.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
         return lambda: lane_costs(machines, ramp, None, controller, course, sampling, precision)

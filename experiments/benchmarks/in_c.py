@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ SOURCE = Path(__file__).with_name("step.c")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
 
 
-def pointer(values: np.ndarray) -> Any:
+def pointer(values: np.ndarray) -> object:
     """The address of an array of doubles."""
     return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 

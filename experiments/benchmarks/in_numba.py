@@ -20,12 +20,12 @@ _inline = numba.njit(inline="always", fastmath=False, error_model="numpy")
 
 
 @_inline
-def _side(p, name, ahead):
+def _side(p: np.ndarray, name: int, ahead: bool) -> float:
     return p[name] if ahead else p[name + 1]
 
 
 @_inline
-def _bristle_at(p, v, z, load):
+def _bristle_at(p: np.ndarray, v: float, z: float, load: float) -> tuple[float, float, float, float]:
     ahead = v >= 0.0
     coulomb = _side(p, SCREW_P, ahead) + _side(p, GUIDE_P, ahead) * (p[PRELOAD] + load)
     s0, s1, viscous = _side(p, S0_P, z >= 0.0), _side(p, S1_P, ahead), _side(p, VISCOUS_P, ahead)
@@ -34,13 +34,13 @@ def _bristle_at(p, v, z, load):
 
 
 @_inline
-def _friction_force(p, v, z, load):
+def _friction_force(p: np.ndarray, v: float, z: float, load: float) -> float:
     s0, s1, viscous, rate = _bristle_at(p, v, z, load)
     return s0 * z + s1 * (v - rate * z) + viscous * v
 
 
 @_inline
-def _balance(p, z, slip, load, h):
+def _balance(p: np.ndarray, z: float, slip: float, load: float, h: float) -> tuple[float, float, float, float, float]:
     ahead, give = slip >= 0.0, 0.5 * h / p[MASS]
     coulomb = _side(p, SCREW_P, ahead) + _side(p, GUIDE_P, ahead) * (p[PRELOAD] + load)
     s0, s1, speed = _side(p, S0_P, z >= 0.0), _side(p, S1_P, ahead), abs(slip)
@@ -58,12 +58,12 @@ def _balance(p, z, slip, load, h):
 
 
 @_inline
-def _mean_velocity(moving, holding, per_resistance, v, z, push):
+def _mean_velocity(moving: float, holding: float, per_resistance: float, v: float, z: float, push: float) -> float:
     return (moving * (v + push) - holding * z) * per_resistance
 
 
 @_inline
-def _cosh_sinh(q, m, det, period):
+def _cosh_sinh(q: float, m: float, det: float, period: float) -> tuple[float, float]:
     if q > 0.25:
         root = math.sqrt(q)
         fast = m * period + root
@@ -81,7 +81,15 @@ def _cosh_sinh(q, m, det, period):
 
 
 @numba.njit(error_model="numpy")
-def _roll(p, reference, load, period, substeps, costs, position):
+def _roll(
+    p: np.ndarray,
+    reference: np.ndarray,
+    load: np.ndarray,
+    period: float,
+    substeps: int,
+    costs: np.ndarray,
+    position: np.ndarray,
+) -> None:
     machine, model, n = p[:MACHINE], p[MACHINE : 2 * MACHINE], load.size
     h = period / substeps
     x, v, z, applied, last_error = reference[0, 0], 0.0, 0.0, 0.0, 0.0
@@ -155,13 +163,17 @@ def _roll(p, reference, load, period, substeps, costs, position):
 
 
 @numba.njit(error_model="numpy")
-def _one_by_one(rows, reference, load, period, substeps, costs):
+def _one_by_one(
+    rows: np.ndarray, reference: np.ndarray, load: np.ndarray, period: float, substeps: int, costs: np.ndarray
+) -> None:
     for k in range(len(rows)):
         _roll(rows[k], reference, load, period, substeps, costs[k], np.empty(0))
 
 
 @numba.njit(error_model="numpy", parallel=True)
-def _side_by_side(rows, reference, load, period, substeps, costs):
+def _side_by_side(
+    rows: np.ndarray, reference: np.ndarray, load: np.ndarray, period: float, substeps: int, costs: np.ndarray
+) -> None:
     for k in numba.prange(len(rows)):
         _roll(rows[k], reference, load, period, substeps, costs[k], np.empty(0))
 

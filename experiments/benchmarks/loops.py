@@ -10,16 +10,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.loop.simulate import Inputs, rollout, running_costs
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, as_arrays, in_precision_of
+from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, in_precision_of
 from experiments.studies.paper import scenario as paper
-from tuning.optimisation.least_squares import levenberg_marquardt
+from tuning.optimisation.least_squares import LeastSquaresResult, levenberg_marquardt
 
 # eight parameters that a tuner of PD+FC+LE moves
-TUNED_PARAMETERS = (
+TUNED_PARAMETERS: tuple[Callable[[Any], Scalar], ...] = (
     lambda c: c.tracking.gains.kp,
     lambda c: c.tracking.gains.kd,
     lambda c: c.observer.tuning.position,
@@ -90,16 +91,16 @@ def _reachable(names: Iterable[str], called: Mapping[str, Sequence[str]]) -> set
     return reached
 
 
-def compile_loop(function: Any, *arguments: Any) -> CompiledLoop:
+def compile_loop(function: Callable[..., object], *arguments: object) -> CompiledLoop:
     """The function compiled for the arguments."""
     start = time.perf_counter()
     executable = jax.jit(function).lower(*arguments).compile()
     compile_seconds = time.perf_counter() - start
     memory = executable.memory_analysis()
     return CompiledLoop(
-        lambda: jax.block_until_ready(executable(*arguments)),
+        lambda: jax.block_until_ready(executable(*arguments)),  # type: ignore[no-untyped-call]  # jax declares no types of it
         compile_seconds,
-        one_kernel(executable.as_text()),
+        one_kernel(executable.as_text() or ""),
         0 if memory is None else int(memory.temp_size_in_bytes),
     )
 
@@ -108,17 +109,19 @@ def paper_inputs(steps: int, rate: float = 10_000.0) -> Inputs:
     """The paper's motion for `steps` steps, repeated if it is shorter, under a load that grows to 8 kN."""
     motion = paper.canonical().motion
     index = np.arange(steps) % len(motion.time)
-    signals = (np.asarray(signal)[index] for signal in (motion.position, motion.velocity, motion.acceleration))
-    return as_arrays(Inputs(Reference(*signals), np.linspace(0.0, 8e3, steps), np.zeros(steps)))
+    signals = (
+        jnp.asarray(np.asarray(signal)[index]) for signal in (motion.position, motion.velocity, motion.acceleration)
+    )
+    return as_arrays(Inputs(Reference(*signals), jnp.asarray(np.linspace(0.0, 8e3, steps)), jnp.zeros(steps)))
 
 
 def rms_cost(
     drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, checkpoint_every: int = 1
-) -> Any:
+) -> Callable[[Drive, Controller, Scalar], Scalar]:
     """RMS error as a function of machine, controller and the factor on the load."""
     counts = jnp.ones_like(inputs.load)
 
-    def cost(drive: Drive, controller: Controller, factor: Any) -> Any:
+    def cost(drive: Drive, controller: Controller, factor: Scalar) -> Scalar:
         scaled_inputs = inputs._replace(load=factor * inputs.load)
         return running_costs(drive, controller, scaled_inputs, counts, sampling, checkpoint_every=checkpoint_every).rms
 
@@ -148,15 +151,15 @@ class _TunedLoop(NamedTuple):
 
     machine: Drive
     control: Controller
-    theta: Any
+    theta: Float[Array, " k"]
 
     @classmethod
     def of(cls, drive: Drive, controller: Controller) -> "_TunedLoop":
         machine, control = as_arrays(smooth((drive, controller)))
         return cls(machine, control, jnp.log(jnp.stack([part(control) for part in TUNED_PARAMETERS])))
 
-    def controller_at(self, theta: Any) -> Controller:
-        values: Sequence[Any] = list(jnp.exp(theta))
+    def controller_at(self, theta: Float[Array, " k"]) -> Controller:
+        values = list(jnp.exp(theta))
         return eqx.tree_at(lambda c: [part(c) for part in TUNED_PARAMETERS], self.control, values)
 
 
@@ -166,7 +169,7 @@ def reverse(
     """Many lanes forward, and in reverse mode: each with its own load, all under the same eight parameters."""
     tuned, factors = _TunedLoop.of(drive, controller), jnp.linspace(0.5, 1.5, count)
 
-    def lane_costs(theta: Any, checkpoint_every: int) -> Any:
+    def lane_costs(theta: Float[Array, " k"], checkpoint_every: int) -> Float[Array, " lanes"]:
         cost = rms_cost(tuned.machine, tuned.control, inputs, sampling, checkpoint_every)
         return jax.vmap(lambda factor: cost(tuned.machine, tuned.controller_at(theta), factor))(factors)
 
@@ -180,15 +183,15 @@ def reverse(
 
 def tuner(
     drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, steps: int
-) -> tuple[CompiledLoop, Callable[[], Any], int]:
+) -> tuple[CompiledLoop, Callable[[], LeastSquaresResult], int]:
     """One pass for residuals and Jacobian; a Levenberg-Marquardt search of at most `steps` steps; how many it takes."""
     tuned = _TunedLoop.of(drive, controller)
 
-    def residuals(theta: Any, args: Any) -> Any:
+    def residuals(theta: Float[Array, " k"], args: tuple[Drive, Array]) -> Float[Array, " n"]:
         machine, reference = args
         return reference - rollout(machine, tuned.controller_at(theta), inputs, sampling).position
 
-    def value_and_jacobian(theta: Any, args: Any) -> Any:
+    def value_and_jacobian(theta: Float[Array, " k"], args: tuple[Drive, Array]) -> tuple[Array, Array]:
         return jax.vmap(
             lambda direction: jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,)), out_axes=(None, 0)
         )(jnp.eye(len(theta)))
@@ -196,7 +199,7 @@ def tuner(
     args = (tuned.machine, inputs.reference.position)
     start = np.asarray(tuned.theta) + START_OFFSET * (-1.0) ** np.arange(len(TUNED_PARAMETERS))
 
-    def search() -> Any:
+    def search() -> LeastSquaresResult:
         return levenberg_marquardt(residuals, start, args, max_steps=steps, tolerance=1e-15, min_gain=0.0)
 
     return compile_loop(value_and_jacobian, jnp.asarray(start), args), search, search().steps
@@ -208,7 +211,7 @@ def by_parameters(
     """One lane forward (0), and its derivative in forward mode by each number of the eight parameters."""
     tuned = _TunedLoop.of(drive, controller)
 
-    def rms(free: Any) -> Any:
+    def rms(free: Float[Array, " free"]) -> Scalar:
         theta = jnp.concatenate([free, tuned.theta[len(free) :]])
         return rms_cost(tuned.machine, tuned.control, inputs, sampling)(
             tuned.machine, tuned.controller_at(theta), jnp.asarray(1.0)
@@ -224,15 +227,15 @@ def derivatives(drive: Drive, controller: Controller, inputs: Inputs, sampling: 
     tuned = _TunedLoop.of(drive, controller)
     machine, control, theta_0, controller_at = tuned.machine, tuned.control, tuned.theta, tuned.controller_at
 
-    def residuals(theta: Any) -> Any:
+    def residuals(theta: Float[Array, " k"]) -> Float[Array, " n"]:
         return inputs.reference.position - rollout(machine, controller_at(theta), inputs, sampling).position
 
-    def rms(theta: Any, checkpoint_every: int = 1) -> Any:
+    def rms(theta: Float[Array, " k"], checkpoint_every: int = 1) -> Scalar:
         return rms_cost(machine, control, inputs, sampling, checkpoint_every)(
             machine, controller_at(theta), jnp.asarray(1.0)
         )
 
-    def normal_equations(theta: Any) -> Any:
+    def normal_equations(theta: Float[Array, " k"]) -> tuple[Array, Array]:
         residual, jacobian = residuals(theta), jax.jacfwd(residuals)(theta)
         return jacobian.T @ jacobian, jacobian.T @ residual
 

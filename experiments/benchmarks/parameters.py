@@ -50,7 +50,12 @@ def lane_parameters(drive: Drive, controller: Controller, load_amplitude: float 
     observer = controller.observer if isinstance(controller, FrictionCompensation) else None
     estimator = observer.load_estimator if isinstance(observer, KalmanObserver) else None
     plain = drive.actuator.force_limit is None and not drive.actuator.delay_samples and not drive.effects
-    if not (isinstance(observer, KalmanObserver) and isinstance(estimator, InnovationLoad) and plain):
+    if not (
+        isinstance(controller, FrictionCompensation)
+        and isinstance(observer, KalmanObserver)
+        and isinstance(estimator, InnovationLoad)
+        and plain
+    ):
         raise ParameterError("the hand-written steps know PD+FC+LE on a drive without limit, delay or effects alone")
     gains, forward, q = controller.tracking.gains, controller.tracking.feedforward, observer.tuning
     return LaneParameters(

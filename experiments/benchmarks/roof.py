@@ -4,7 +4,6 @@ import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ READ_SIZE = 1 << 25  # doubles, more than any cache holds
 
 
 @contextmanager
-def kernels() -> Iterator[tuple[dict[str, Callable[[], Any]], float]]:
+def kernels() -> Iterator[tuple[dict[str, Callable[[], float]], float]]:
     """Jobs that do nothing but one operation each, `read` among them, and the bytes that it reads.
 
     `DiffdriveError` where there is no compiler.
@@ -35,7 +34,7 @@ def kernels() -> Iterator[tuple[dict[str, Callable[[], Any]], float]]:
         ) % VECTOR_SIZE  # a vector is read from an address of its own size
         values = buffer[offset : offset + READ_SIZE]
 
-        def job(name: str) -> Callable[[], Any]:
+        def job(name: str) -> Callable[[], float]:
             return lambda: getattr(code, name)(ctypes.c_long(ROUNDS), ctypes.c_double(START))
 
         jobs = {name: job(name) for name in KERNELS}

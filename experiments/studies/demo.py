@@ -9,12 +9,12 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
-from diffdrive.controllers import FrictionCompensation
+from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import as_arrays, quantities
+from diffdrive.model.parameters import Drive, Scalar, as_arrays, quantities
 from experiments.drives import PAPER_DRIVE
 from experiments.reports.report import Report
 from experiments.reports.tuning import tune_drive
@@ -33,8 +33,8 @@ def sensitivities(axis: Axis) -> list[tuple[str, float]]:
     models = as_arrays(smooth((axis.drive, axis.controller)))
 
     @eqx.filter_jit
-    def gradient(models: Any) -> Any:
-        def rms(models: Any) -> Any:
+    def gradient(models: tuple[Drive, Controller]) -> tuple[Drive, Controller]:
+        def rms(models: tuple[Drive, Controller]) -> Scalar:
             drive, controller = models
             return metrics.rms(inputs.reference.position - rollout(drive, controller, inputs, axis.sampling).position)
 

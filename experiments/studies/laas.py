@@ -5,9 +5,9 @@ the output of that loop. The compensation adds to it, and so is part of the mach
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from scipy import signal
 
 from diffdrive.logs import Log
@@ -68,7 +68,7 @@ def nominal_drive(folder: Path) -> Drive:
     )
 
 
-def _least_squares(logs: list[Log]) -> Any:
+def _least_squares(logs: list[Log]) -> Float[np.ndarray, " 3"]:
     """Mass (kg), Coulomb friction (N) and viscous friction (N s/m) beside a cogging of each log."""
     lowpass = signal.butter(4, BANDWIDTH, fs=RATE, output="sos")
     columns, forces = [], []

@@ -11,7 +11,7 @@ the same cogging found in both from the current command of the velocity loop?
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import ParameterError
@@ -156,7 +156,7 @@ def _emps(report: Report, folder: Path, terms: Sequence[str]) -> None:
 
 def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTerm], controller: Controller) -> None:
     """Each term withheld: is it named, and does adding it close the gap on the other file?"""
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     try:
         for term, case in cases.items():
             rows.append(_withheld_row(report, records, term, case, controller))
@@ -169,7 +169,9 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTe
         )
 
 
-def _withheld_row(report: Report, records: Records, term: str, case: WithheldTerm, controller: Controller) -> list[Any]:
+def _withheld_row(
+    report: Report, records: Records, term: str, case: WithheldTerm, controller: Controller
+) -> list[object]:
     estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
     report.say(f"EMPS without its {term}:")
     diagnosis = _diagnose(report, case.nominal, controller, estimation, 2, case.tolerance)
@@ -221,7 +223,7 @@ def _emps_unchanged(report: Report, records: Records, drive: Drive, controller: 
 
 
 def _laas(report: Report, folder: Path) -> None:
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     nominal = laas.nominal_drive(folder)
     try:
         for file in laas.ACTIVE_FLAGS:
@@ -263,7 +265,7 @@ def _others(diagnosis: Diagnosis) -> str:
     )
 
 
-def _causes(diagnosis: Diagnosis) -> list[list[Any]]:
+def _causes(diagnosis: Diagnosis) -> list[list[object]]:
     rows = []
     for belief in diagnosis.verdict.beliefs:
         details = cause(diagnosis, belief)

@@ -15,7 +15,6 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from diffdrive.support.atomic_write import write_text
 
@@ -68,7 +67,7 @@ def run_commands(checkout: Path, out: Path, drive: str) -> dict[str, int]:
     return codes
 
 
-def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
+def numbers(value: object, place: str = "") -> Iterator[tuple[str, float]]:
     """Every number below a value of JSON or TOML, by its place."""
     if isinstance(value, dict):
         for key, item in value.items():

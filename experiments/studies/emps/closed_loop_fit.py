@@ -150,13 +150,13 @@ def _free_parameters(
     for path in free_paths(unknowns):
         if path.split(".")[0] in fixed:
             continue
-        start = value_at(unknowns, path)
+        initial = value_at(unknowns, path)
         limits = (
             FreeParameter(path, delay_samples, delay_samples + 1.0)
             if path == "delay"
-            else default_bounds(path, start, _coulomb(unknowns))
+            else default_bounds(path, initial, _coulomb(unknowns))
         )
-        unknowns = with_value(unknowns, path, clipped_start(start, limits))
+        unknowns = with_value(unknowns, path, clipped_start(initial, limits))
         free.append(limits)
     return unknowns, tuple(free)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -140,7 +139,7 @@ def _parameter(drive: Drive, name: str) -> float | None:
     if key == "delay":
         return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
     for part in (drive.plant, drive.friction):
-        value: Any = getattr(part, key, None)
+        value = getattr(part, key, None)
         if value is not None:
             return float(getattr(value, side or "positive", value))
     return None

@@ -4,12 +4,12 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 
 from diffdrive.controllers import Cascade, Controller
 from diffdrive.errors import ParameterError
@@ -66,7 +66,7 @@ class Descent(NamedTuple):
         return self.history[-1].cost
 
 
-def descend(residuals: Innovations, args: Any, *, seed: int, starts: int, steps: int, last: int) -> Descent:
+def descend(residuals: Innovations, args: PyTree, *, seed: int, starts: int, steps: int, last: int) -> Descent:
     """The coarse search of identification: several starts for a few steps, then the best of them to the end.
 
     A step counts as one simulation and one more for each derivative that it carries along.
@@ -181,7 +181,7 @@ def _progress_of(advance: Callable[[int, int, float], None], most: int) -> Calla
     return lambda visit: advance(min(visit.simulations, most), most, visit.cost)
 
 
-def _seconds(work: Callable[[], Any]) -> float:
+def _seconds(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

@@ -58,18 +58,18 @@ class _CruiseData(NamedTuple):
     nominal: Drive
     unknowns: Unknowns
     origin: Float[np.ndarray, " free"]
-    velocity: Float[np.ndarray, " b"]  # m/s
-    load: Float[np.ndarray, " b"]  # N
-    friction: Float[np.ndarray, " b"]  # N, damping included
+    velocity: Float[Array, " b"]  # m/s
+    load: Float[Array, " b"]  # N
+    friction: Float[Array, " b"]  # N, damping included
 
 
 class _ReversalData(NamedTuple):
     """A measured motion and the friction along it."""
 
-    velocity: Float[np.ndarray, " n"]  # m/s
-    load: Float[np.ndarray, " n"]  # N
-    friction: Float[np.ndarray, " n"]  # N, damping included
-    counts: Float[np.ndarray, " n"]  # 1 close behind a reversal
+    velocity: Float[Array, " n"]  # m/s
+    load: Float[Array, " n"]  # N
+    friction: Float[Array, " n"]  # N, damping included
+    counts: Float[Array, " n"]  # 1 close behind a reversal
     period: float  # s
 
 
@@ -127,7 +127,8 @@ def _fit_sliding(logs: Sequence[Log], drive: Drive, dynamics: float) -> tuple[Dr
             free.append(default_bounds(path, value, float(getattr(unknowns.coulomb, side))))
     if not free:
         return drive, float("nan"), notes
-    points = as_arrays(_CruiseData(drive, unknowns, search_space(unknowns, free).origin, velocity, load, friction))
+    cruises = (jnp.asarray(signal) for signal in (velocity, load, friction))
+    points = as_arrays(_CruiseData(drive, unknowns, search_space(unknowns, free).origin, *cruises))
     search = levenberg_marquardt(
         _StribeckResiduals(tuple(free)), np.zeros(len(free)), points, max_steps=200, tolerance=1e-8
     )
@@ -151,9 +152,9 @@ def _fit_bristle(
 
     def costs(shares: Population) -> Float[np.ndarray, " s"]:
         points = jnp.asarray(theta_at(space, shares))
-        squares = sum(
-            _misfits(space.free, points, as_arrays(space.origin), drive, unknowns, motion) for motion in motions
-        )
+        origin = jnp.asarray(space.origin)
+        misfits = (_misfits(space.free, points, origin, drive, unknowns, motion) for motion in motions)
+        squares = sum(misfits, start=jnp.zeros(()))
         return np.sqrt(np.asarray(squares) / max(sample_count, 1.0))
 
     evolution = evolve(costs, origin_fractions(space), budget, population=POPULATION, seed=seed)
@@ -187,4 +188,5 @@ def _reversal_data(measured: MeasuredFriction, drive: Drive) -> _ReversalData:
         travelled = np.abs(measured.position[interval] - measured.position[interval.start])
         if travelled.max() > reach:  # else the table rests, or creeps
             counts[interval] = travelled <= reach
-    return _ReversalData(measured.velocity, measured.load, measured.friction, counts, 1.0 / measured.rate)
+    signals = (jnp.asarray(signal) for signal in (measured.velocity, measured.load, measured.friction, counts))
+    return _ReversalData(*signals, 1.0 / measured.rate)

@@ -1,10 +1,11 @@
 """A controller that no drive file can state, and the command of any controller replayed on a log."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import PD, Cascade, Command, Controller, Feedforward, Reference
 from diffdrive.model.parameters import Scalar
@@ -57,15 +58,23 @@ class FittedVelocity(Controller):
             force = gains["kv"] * velocity_error + integral
         else:
             force = gains["kp"] * error + gains["kd"] * slope
-        state = FittedVelocityState((newest, *previous[:2]), jnp.ones_like(position), integral)
+        state = FittedVelocityState((newest, previous[0], previous[1]), jnp.ones_like(position), integral)
         return state, Command(force + self.feedforward.force(reference))
 
 
 @eqx.filter_jit
-def replayed_command(controller: Controller, reference: Reference, position: Any, command: Any, period: float) -> Any:
+def replayed_command(
+    controller: Controller,
+    reference: Reference,
+    position: Float[Array, " n"],
+    command: Float[Array, " n"],
+    period: float,
+) -> Float[Array, " n"]:
     """The command (N, [n]) of a controller from rest on a log's reference, position (m) and applied command (N)."""
 
-    def body(carry: Any, sample: Any) -> Any:
+    def body(
+        carry: tuple[PyTree, Scalar], sample: tuple[Reference, Scalar, Scalar]
+    ) -> tuple[tuple[PyTree, Scalar], Scalar]:
         state, applied = carry
         reference_sample, measured, logged = sample
         state, replayed = controller.step(state, reference_sample, measured, applied, period)

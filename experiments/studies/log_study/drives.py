@@ -91,8 +91,8 @@ PAPER_FRICTION = {
 
 
 def _tables(
-    mass: float, damping: Any, friction: Tables, resolution: float, noise: float, rate: float, stroke: float,
-    controller: Tables, **more: Any,
+    mass: float, damping: float | list[float], friction: Tables, resolution: float, noise: float, rate: float,
+    stroke: float, controller: Tables, **more: Any,
 ) -> Tables:  # fmt: skip
     return {
         "plant": {"mass": mass, "damping": damping, "constant_force": more.pop("constant_force", 0.0)},

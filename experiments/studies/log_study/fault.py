@@ -1,7 +1,8 @@
 """A log with a known fault, and the kinds of faults that are drawn."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,13 +41,19 @@ class FaultKind:
     applies: Callable[[StudyDrive], bool] = lambda drive: True
 
 
+def with_channels(log: Log, channels: Mapping[str, Signal]) -> Log:
+    """The log with other signals in these channels."""
+    changes: dict[str, Any] = dict(channels)
+    return replace(log, **changes)
+
+
 def channel_fault(
     case: LogCase, channel: str, signal: Signal, amount: str, cause: str, *, undo: Callable[[Log], Log] | None = None,
     other_causes: tuple[str, ...] = (), channels: tuple[str, ...] | None = None, rivals: tuple[str, ...] = (),
 ) -> LogFault:  # fmt: skip
     """A fault of one channel."""
     return LogFault(
-        replace(case.log, **{channel: signal}), case.log, amount, (cause, *other_causes),
+        with_channels(case.log, {channel: signal}), case.log, amount, (cause, *other_causes),
         (channel,) if channels is None else channels, rivals, undo,
     )  # fmt: skip
 

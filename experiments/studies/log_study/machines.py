@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.controllers import PD, Cascade, Controller, Reference
@@ -50,7 +51,8 @@ def _controller_fault(case: LogCase, controller: Controller, amount: str) -> Log
         log = simulate_log(case.drive, case.machine, case.motion, case.seed, controller)
     except DivergenceError:
         return None
-    reference = Reference(case.motion.position, case.motion.velocity, case.motion.acceleration)
+    motion = case.motion
+    reference = Reference(*(jnp.asarray(signal) for signal in (motion.position, motion.velocity, motion.acceleration)))
     arrays = as_arrays((case.axis.controller, reference, log.position, log.command))
     difference = log.command - np.asarray(replayed_command(*arrays, 1.0 / case.drive.rate))
     difference -= np.mean(difference)  # an integral's value before the log began
@@ -74,7 +76,9 @@ def other_gains(case: LogCase, rng: np.random.Generator) -> LogFault | None:
 
 def fitted_velocity(case: LogCase, rng: np.random.Generator) -> LogFault | None:
     """A velocity from a line through four samples in place of a difference."""
-    return _controller_fault(case, FittedVelocity.of(case.axis.controller), "velocity by a 4-point fit")
+    controller = case.axis.controller
+    assert isinstance(controller, PD | Cascade)
+    return _controller_fault(case, FittedVelocity.of(controller), "velocity by a 4-point fit")
 
 
 def _uses_differences(drive: StudyDrive) -> bool:
@@ -83,6 +87,7 @@ def _uses_differences(drive: StudyDrive) -> bool:
 
 def lost_motion(case: LogCase, rng: np.random.Generator) -> LogFault:
     """20 to 400 um of play between the encoder at the motor and the scale: at a reversal the motor crosses it first."""
+    assert case.log.motor_position is not None
     play = log_uniform(rng, 20e-6, 400e-6)
     log = replace(
         case.log, motor_position=case.log.motor_position + 0.5 * play * play_side(case.motion, case.drive.rate)

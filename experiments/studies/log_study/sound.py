@@ -6,8 +6,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import lax
+from jaxtyping import Array, Float
 
 from diffdrive import motion
 from diffdrive.axis import Axis
@@ -15,8 +18,8 @@ from diffdrive.controllers import Controller
 from diffdrive.effects import stages
 from diffdrive.logs.log import Log
 from diffdrive.loop.run import Run, with_status
-from diffdrive.loop.simulate import Inputs, initial_state, loop_inputs, rollout, step
-from diffdrive.model.parameters import Directional, Drive, Sampling, as_arrays
+from diffdrive.loop.simulate import Inputs, LoopState, initial_state, loop_inputs, rollout, step
+from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, as_arrays
 from diffdrive.motion.motion import Motion
 from experiments.studies.log_study.drives import StudyDrive
 
@@ -77,10 +80,11 @@ def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Moti
               ((0.4, 0.5), (0.2, 1.1), (0.12, 2.3), (0.05, 4.9)))
         )  # fmt: skip
 
-    return {
-        name: lambda rng, make=make: _of_length(make(rng), count)
-        for name, make in (("two sines", two_sines), ("strokes", strokes), ("speeds", speeds), ("contour", contour))
-    }
+    def with_length(make: Callable[[np.random.Generator], Motion]) -> Callable[[np.random.Generator], Motion]:
+        return lambda rng: _of_length(make(rng), count)
+
+    makers = {"two sines": two_sines, "strokes": strokes, "speeds": speeds, "contour": contour}
+    return {name: with_length(make) for name, make in makers.items()}
 
 
 def sound_log(drive: StudyDrive, rng: np.random.Generator) -> LogCase:
@@ -99,7 +103,7 @@ def perturbed(drive: Drive, rng: np.random.Generator) -> Drive:
     )
 
 
-def scaled_drive(drive: Drive, mass: float, friction: Any) -> Drive:
+def scaled_drive(drive: Drive, mass: float, friction: npt.ArrayLike) -> Drive:
     """The drive with its mass, and its Coulomb friction per direction, times these factors."""
     forward, backward = np.broadcast_to(friction, 2)
 
@@ -138,19 +142,22 @@ def simulate_log(
         noise = MOTOR_NOISE * np.random.default_rng(seed).standard_normal(len(reference.time))
         reading = run.table_position + np.asarray(deflection) + noise
         signals["motor_position"] = drive.motor_resolution * np.round(reading / drive.motor_resolution)
-    log = Log(drive.name, **{name: signal[rest_samples:] for name, signal in signals.items()})
+    channels: dict[str, Any] = {name: signal[rest_samples:] for name, signal in signals.items()}
+    log = Log(drive.name, **channels)
     return replace(log, time=log.time - log.time[0])
 
 
 @eqx.filter_jit
-def _motor_deflection(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Any) -> Any:
+def _motor_deflection(
+    drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Array
+) -> Float[Array, " n"]:
     """The motor's position relative to the table (m), of a drive whose first effect is its transmission."""
     drive = stages.with_machine_effects(drive, drive.effects)
 
-    def body(state: Any, sample: Inputs) -> tuple[Any, Any]:
+    def body(state: LoopState, sample: Inputs) -> tuple[LoopState, Scalar]:
         return step(drive, controller, sampling, key, state, sample)[0], state.effects[0].relative.deflection
 
-    return lax.scan(body, initial_state(drive, controller, inputs.reference.position[0]), inputs)[1]
+    return lax.scan(body, initial_state(drive, controller, jnp.asarray(inputs.reference.position)[0]), inputs)[1]
 
 
 def _after_rest(reference: Motion, samples: int) -> Motion:

@@ -12,6 +12,7 @@ from experiments.studies.log_study.fault import (
     following_error,
     log_uniform,
     moving_samples,
+    with_channels,
 )
 from experiments.studies.log_study.sound import LogCase
 from experiments.studies.log_study.values import controller_known
@@ -36,7 +37,7 @@ def _shifted(case: LogCase, rng: np.random.Generator, samples: float, also: tupl
         return None
 
     def undo(log: Log) -> Log:
-        return replace(log, **{channel: delayed(getattr(log, channel), -samples)})
+        return with_channels(log, {channel: delayed(getattr(log, channel), -samples)})
 
     # either of the two lengths may be the faulty one: only the lag of the command, which hardly changes, could tell
     channels = ("command",) if channel == "command" else ("reference", "position")
@@ -55,7 +56,7 @@ def shifted_part(case: LogCase, rng: np.random.Generator) -> LogFault | None:
 
 
 def _select_rows(log: Log, rows: Signal | slice) -> Log:
-    return replace(log, **{name: signal[rows] for name, signal in log.channels.items()})
+    return with_channels(log, {name: signal[rows] for name, signal in log.channels.items()})
 
 
 def decimated(case: LogCase, rng: np.random.Generator) -> LogFault:

@@ -17,6 +17,7 @@ from experiments.studies.log_study.fault import (
     moving_samples,
     noise_std,
     robust_range,
+    with_channels,
 )
 from experiments.studies.log_study.sound import LogCase
 
@@ -39,6 +40,7 @@ def swapped(case: LogCase, rng: np.random.Generator) -> LogFault:
 
 def exchange(log: Log) -> Log:
     """The log with reference and position exchanged."""
+    assert log.reference is not None
     return replace(log, reference=log.position, position=log.reference)
 
 
@@ -101,7 +103,7 @@ def _offset(
     unit = "N" if channel == "command" else "m"
 
     def undo(log: Log) -> Log:
-        return replace(log, **{channel: getattr(log, channel) - amount})
+        return with_channels(log, {channel: getattr(log, channel) - amount})
 
     return channel_fault(
         case, channel, getattr(case.log, channel) + amount, f"{amount:+.3g} {unit}", "offset", undo=undo,
@@ -151,7 +153,7 @@ def _scaled(
     rivals: tuple[str, ...] = (),
 ) -> LogFault:  # fmt: skip
     def scale_by(log: Log, by: float) -> Log:
-        return replace(log, **{channel: by * getattr(log, channel) for channel in scaled})
+        return with_channels(log, {channel: by * getattr(log, channel) for channel in scaled})
 
     return LogFault(
         scale_by(case.log, factor), case.log, amount, ("gain",), scaled + also_channels, rivals,
@@ -197,7 +199,7 @@ def reversed_sign(case: LogCase, rng: np.random.Generator) -> LogFault:
     channels = tuple(name for name in case.log.channels if name not in ("time", "load")) if which == "all" else (which,)
 
     def undo(log: Log) -> Log:
-        return replace(log, **{channel: -getattr(log, channel) for channel in channels})
+        return with_channels(log, {channel: -getattr(log, channel) for channel in channels})
 
     return LogFault(undo(case.log), case.log, which, ("reversed",), channels, undo=undo)
 

@@ -1,15 +1,16 @@
 """The paper's figures, drawn from our runs."""
 
-from typing import Any
-
 import numpy as np
+from matplotlib.figure import Figure
 
 from diffdrive.loop.run import Run
 from experiments.reports.report import new_figure
 from experiments.studies.paper import scenario as paper
 
+Curve = tuple[np.ndarray, np.ndarray]  # position (m) and friction (N)
 
-def figure_4(rows: np.ndarray) -> Any:
+
+def figure_4(rows: np.ndarray) -> Figure:
     """Coulomb friction of screw and guide over the applied load."""
     figure, (screw, guide) = new_figure(1, 2, height=3.2)
     for axis, column, name in ((screw, 1, "ball screw"), (guide, 2, "LM guide")):
@@ -26,7 +27,7 @@ def figure_4(rows: np.ndarray) -> Any:
     return figure
 
 
-def figure_5(speeds: np.ndarray, stribeck: dict[float, np.ndarray], loops: dict[float, Any]) -> Any:
+def figure_5(speeds: np.ndarray, stribeck: dict[float, np.ndarray], loops: dict[float, Curve]) -> Figure:
     """Stribeck and hysteresis curves of the guide under load."""
     figure, (left, right) = new_figure(1, 2, width=9.5, height=3.6, share_x=False)
     for weight in stribeck:
@@ -41,7 +42,7 @@ def figure_5(speeds: np.ndarray, stribeck: dict[float, np.ndarray], loops: dict[
     return figure
 
 
-def figure_7(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Any:
+def figure_7(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Figure:
     """Position, load and tracking errors of all controllers."""
     figure, axes = new_figure(4, 1, width=9.0, height=2.0)
     time = scenario.motion.time
@@ -64,7 +65,7 @@ def figure_7(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Any:
     return figure
 
 
-def figure_8(speeds: np.ndarray, stribeck: np.ndarray, loop: Any) -> Any:
+def figure_8(speeds: np.ndarray, stribeck: np.ndarray, loop: Curve) -> Figure:
     """Stribeck and hysteresis curves of the whole drive from the identified parameters."""
     figure, (left, right) = new_figure(1, 2, width=9.0, height=3.4, share_x=False)
     for side in (speeds < 0, speeds > 0):
@@ -76,7 +77,7 @@ def figure_8(speeds: np.ndarray, stribeck: np.ndarray, loop: Any) -> Any:
     return figure
 
 
-def figure_9(runs: dict[str, Run]) -> Any:
+def figure_9(runs: dict[str, Run]) -> Figure:
     """Friction estimated by the observer, and tracking errors, without load."""
     figure, axes = new_figure(3, 1, width=9.0, height=2.2)
     observed = runs["PD+FC"]
@@ -93,7 +94,7 @@ def figure_9(runs: dict[str, Run]) -> Any:
     return figure
 
 
-def figure_10(experiments: dict[float, dict[str, Run]]) -> Any:
+def figure_10(experiments: dict[float, dict[str, Run]]) -> Figure:
     """Friction, tracking error and estimated load under the two loads of Table 4."""
     figure, axes = new_figure(3, 2, width=11.0, height=2.4)
     for column, (kilonewtons, runs) in enumerate(experiments.items()):

@@ -7,7 +7,8 @@ simulates on the paper's drive with its 0.1 um scale, prints the errors, and dra
 
 import sys
 from pathlib import Path
-from typing import Any
+
+from matplotlib.figure import Figure
 
 import diffdrive as dd
 from diffdrive.loop.run import Run
@@ -27,7 +28,7 @@ def simulated(scenario: paper.PaperScenario) -> dict[str, Run]:
     return {kind: dd.simulate(dd.paper_axis(kind), scenario.motion, scenario.load, throw=True) for kind in KINDS}
 
 
-def drawn(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Any:
+def drawn(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Figure:
     """Three panels over time: motion and load, the error of all, and the error of the compensated ones."""
     figure, (motion, error_panel, detail_panel) = new_figure(3, 1, width=8.0, height=1.75)
     time = scenario.motion.time

@@ -1,14 +1,13 @@
 """A load step at constant speed: how far each load estimator is from the truth one second later."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
 from diffdrive.model.parameters import Drive, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
@@ -41,18 +40,20 @@ def estimators(drive: Drive) -> dict[str, Controller]:
 
 
 @eqx.filter_jit
-def _estimate(drive: Drive, controller: Controller, inputs: Any) -> Any:
-    return rollout(drive, controller, inputs, paper.SAMPLING).estimate.load
+def _estimate(drive: Drive, controller: Controller, inputs: Inputs) -> Float[Array, " n"]:
+    estimate = rollout(drive, controller, inputs, paper.SAMPLING).estimate
+    assert estimate is not None
+    return estimate.load
 
 
-def load_errors() -> list[list[Any]]:
+def load_errors() -> list[list[object]]:
     """Rows of estimator, scale, and for each speed the largest |What - W| (N) from one second after the step on."""
     rows = []
     for scale in ("exact", "0.1 um"):
         drive = paper_drive(quantised=scale != "exact")
         factor = 1.0 if scale == "exact" else OFF_GRID
         for name, controller in estimators(drive).items():
-            row: list[Any] = [name, scale]
+            row: list[object] = [name, scale]
             for speed in SPEEDS:
                 motion = motion_at(factor * speed)
                 weight = load.step(motion.time, at=STEP_TIME, to=LOAD)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,7 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import coulomb, deflection_after, friction_force, lugre_coefficients, steady_friction
-from diffdrive.model.parameters import Drive, Friction
+from diffdrive.model.parameters import Drive, Friction, Scalar
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
@@ -71,12 +70,12 @@ def table_1(drive: Drive, scenario: paper.PaperScenario) -> dict[str, Run]:
     return runs
 
 
-def table_1_rows(exact: dict[str, Run], quantised: dict[str, Run]) -> list[list[Any]]:
+def table_1_rows(exact: dict[str, Run], quantised: dict[str, Run]) -> list[list[object]]:
     """Peak and RMS in um: the paper's, ours at 4 to 4.2 s without and with the 0.1 um scale, ours at 2 to 2.2 s."""
     rows = []
     for name, run in exact.items():
         published = paper.TABLE_1.get(name, (None, None))
-        row: list[Any] = [name, *published]
+        row: list[object] = [name, *published]
         for windowed, window in (
             (run, paper.AFTER_LOAD),
             (quantised[name], paper.AFTER_LOAD),
@@ -87,11 +86,11 @@ def table_1_rows(exact: dict[str, Run], quantised: dict[str, Run]) -> list[list[
     return rows
 
 
-def load_estimates(runs: dict[str, Run], times: Sequence[float] = (3.0, 3.5, 3.9, 4.2)) -> list[list[Any]]:
+def load_estimates(runs: dict[str, Run], times: Sequence[float] = (3.0, 3.5, 3.9, 4.2)) -> list[list[object]]:
     """What, N, of the two load estimators at the notes' four times, and the true load."""
     first = runs["PD+FC+LE"]
     index = [int(np.searchsorted(first.time, t - 1e-9)) for t in times]
-    rows: list[list[Any]] = [["true load", *(float(first.load[k]) for k in index)]]
+    rows: list[list[object]] = [["true load", *(float(first.load[k]) for k in index)]]
     for name in ("PD+FC+LE", "PD+FC+LS"):
         estimate = runs[name].load_estimate
         assert estimate is not None
@@ -99,7 +98,7 @@ def load_estimates(runs: dict[str, Run], times: Sequence[float] = (3.0, 3.5, 3.9
     return rows
 
 
-def convergence_rows(drive: Drive) -> list[list[Any]]:
+def convergence_rows(drive: Drive) -> list[list[object]]:
     """G and time constant of eq. (20) at the working speeds, for the three Q of the notes."""
     rows = []
     for q in ((1e-15, 1e-10, 1e-12), (1e-18, 1e-11, 1e-10), (1e-15, 1e-8, 1e-14)):
@@ -111,14 +110,16 @@ def convergence_rows(drive: Drive) -> list[list[Any]]:
     return rows
 
 
-def hysteresis(friction: Friction, weight: float, amplitude: float = 20e-6, period: float = 4.0) -> Any:
+def hysteresis(
+    friction: Friction, weight: float, amplitude: float = 20e-6, period: float = 4.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Friction over position, both directions, in slow presliding: the table is moved to and fro by `amplitude` (m)."""
     time = np.linspace(0.0, 2 * period, 16_001)
     step = float(time[1])
     position = amplitude * np.sin(2 * np.pi * time / period)
     velocity = np.gradient(position, step)
 
-    def body(deflection: Any, v: Any) -> Any:
+    def body(deflection: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
         bristle = lugre_coefficients(friction, v, deflection, weight)
         deflection = deflection_after(deflection, v, bristle.rate, step)
         return deflection, friction_force(bristle, v, deflection)
@@ -167,7 +168,7 @@ def settled_rms(signal: np.ndarray, run: Run, start: float = 4.0) -> float:
     return float(np.sqrt(np.mean(signal[cruising] ** 2)))
 
 
-def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[Any]]:
+def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[object]]:
     """Estimation error (N), tracking error (um) and estimated load (kN), RMS: the paper's beside ours."""
     rows = []
     for kilonewtons, runs in experiments.items():

@@ -50,8 +50,8 @@ def concatenate(parts: Sequence[Motion], name: str) -> Motion:
     position = [part.position - part.position[0] + start for part, start in zip(parts, starts, strict=False)]
     signals = [position, [part.velocity for part in parts], [part.acceleration for part in parts]]
     # the last sample of a part is the first one of the next
-    signals_joined = [np.concatenate([signal[0], *(piece[1:] for piece in signal[1:])]) for signal in signals]
-    return Motion(np.arange(len(signals_joined[0])) / parts[0].rate, *signals_joined, name)
+    joined = [np.concatenate([signal[0], *(piece[1:] for piece in signal[1:])]) for signal in signals]
+    return Motion(np.arange(len(joined[0])) / parts[0].rate, joined[0], joined[1], joined[2], name)
 
 
 def resting(duration: float, rate: float) -> Motion:

@@ -1,6 +1,7 @@
 """Drives drawn around the paper's, for studies of how well a drive can be identified."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def random_drive(rng: np.random.Generator, spread: float = SPREAD) -> Drive:
     plant = Plant(mass=nominal.plant.mass * factor(), damping=varied(nominal.plant.damping))
     per_direction = ("coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous")
     common = ("bristle_stiffness", "bristle_damping")
-    changed = {name: varied(getattr(nominal.friction, name)) for name in per_direction}
+    changed: dict[str, Any] = {name: varied(getattr(nominal.friction, name)) for name in per_direction}
     changed |= {name: varied(getattr(nominal.friction, name), common=True) for name in common}
     friction: Friction = dataclasses.replace(nominal.friction, **changed)
     return Drive(plant, friction, nominal.actuator, SCALE)

@@ -10,9 +10,10 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import as_completed
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from diffdrive.controllers import PDGains
 from diffdrive.errors import DiffdriveError, ParameterError
@@ -33,6 +34,27 @@ BARS = dict.fromkeys(  # %, that an estimate should be within
 ) | dict.fromkeys(("stribeck_velocity", "breakaway_gap", "bristle_damping"), 10.0)
 
 
+class EstimateRow(TypedDict):
+    """The estimate of one parameter beside its true value; where identification failed there is none."""
+
+    name: str
+    true: float
+    status: str
+    value: NotRequired[float]
+    low: NotRequired[float]
+    high: NotRequired[float]
+
+
+class DrawResult(TypedDict):
+    """One draw, as a line of `draws.jsonl`."""
+
+    draw: int
+    status: str
+    seconds: float
+    simulations: int
+    rows: list[EstimateRow]
+
+
 def true_values(drive: Drive, believed: Drive) -> dict[str, float]:
     """The true values under the names that identification reports; the nominal damping is taken as known."""
     friction, values = drive.friction, {"mass": drive.plant.mass, "constant_force": drive.plant.constant_force}
@@ -51,7 +73,7 @@ SCORED = ("fitted", "at its bound", "failed")  # neither fixed nor reported as u
 PER_DIRECTION = ("coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous")
 
 
-def identify_draw(number: int) -> dict[str, Any]:
+def identify_draw(number: int) -> DrawResult:
     """One drive: drawn, logged, identified."""
     configure()
     from experiments.studies.recovery.excitation import identification_motion
@@ -84,13 +106,13 @@ def identify_draw(number: int) -> dict[str, Any]:
     }
 
 
-def _read_finished(path: Path) -> list[dict[str, Any]]:
+def _read_finished(path: Path) -> list[DrawResult]:
     """The draws in the file; a last line without its end was cut off, and is left out."""
     text = path.read_text(encoding="utf-8")
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
-def identify_draws(count: int, path: Path, workers: int) -> Iterator[dict[str, Any]]:
+def identify_draws(count: int, path: Path, workers: int) -> Iterator[DrawResult]:
     """Draws 0 to `count` - 1, those in `path` first, the others as they are done and written there."""
     finished = _read_finished(path) if path.exists() else []
     yield from (draw for draw in finished if draw["draw"] < count)
@@ -135,7 +157,7 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
         report.figure("recovery", _figure(draws))
 
 
-def _covers(row: dict[str, Any]) -> bool:
+def _covers(row: EstimateRow) -> bool:
     return row["status"] == "fitted" and row["low"] <= row["true"] <= row["high"]
 
 
@@ -143,11 +165,11 @@ def _stem(name: str) -> str:
     return name.removesuffix(".positive").removesuffix(".negative")
 
 
-def _relative(row: dict[str, Any]) -> float:
+def _relative(row: EstimateRow) -> float:
     return 100.0 * abs(row["value"] / row["true"] - 1.0)
 
 
-def summary(draws: list[dict[str, Any]]) -> list[list[Any]]:
+def summary(draws: list[DrawResult]) -> list[list[object]]:
     """One row for each parameter, both directions together: errors in percent and coverage."""
     stems = list(dict.fromkeys(_stem(row["name"]) for draw in draws for row in draw["rows"]))
     table = []
@@ -166,13 +188,13 @@ def summary(draws: list[dict[str, Any]]) -> list[list[Any]]:
     return table
 
 
-def coverage(draws: list[dict[str, Any]]) -> tuple[int, int]:
+def coverage(draws: list[DrawResult]) -> tuple[int, int]:
     """How many of the intervals hold the truth, and how many there are; an estimate at its bound counts as a miss."""
     inside = [_covers(row) for draw in draws for row in draw["rows"] if row["status"] in SCORED]
     return sum(inside), len(inside)
 
 
-def _figure(draws: list[dict[str, Any]]) -> Any:
+def _figure(draws: list[DrawResult]) -> Figure:
     """Estimate minus truth in half-widths of the interval, per parameter: 95 % should lie within one."""
     figure, axis = new_figure(1, 1, width=9.0, height=4.5)
     stems = list(dict.fromkeys(_stem(row["name"]) for draw in draws for row in draw["rows"]))

@@ -21,7 +21,7 @@ within 0.0002 nm of steps of 0.25 us; Radau agrees as well through a reversal.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,16 +51,16 @@ class TruthTable(NamedTuple):
 class TruthSignals(NamedTuple):
     """What happened at each sample, [n]."""
 
-    position: Float[Array, " n"]  # m, as logged: noisy, quantised
-    command: Float[Array, " n"]  # N, before limit and delay
-    table: Float[Array, " n"]  # m, where the table truly was
+    position: Float[Array, " n"] | Scalar  # m, as logged: noisy, quantised
+    command: Float[Array, " n"] | Scalar  # N, before limit and delay
+    table: Float[Array, " n"] | Scalar  # m, where the table truly was
 
 
 class _Loop(NamedTuple):
     table: TruthTable
     forces: tuple[Scalar, ...]  # commands after the limit, newest first
     error: Scalar
-    count: Scalar
+    index: Scalar  # of the sample
 
 
 def _rates(drive: Drive, table: TruthTable, force: Scalar, load: Scalar) -> TruthTable:
@@ -101,11 +101,11 @@ def advance(
     switch = jnp.asarray(share * steps)  # counted in steps
     divided = jnp.floor(switch)  # the step that becomes two, one on each side of the switch
 
-    def step(index: Any, table: TruthTable) -> TruthTable:
+    def step(index: Array, table: TruthTable) -> TruthTable:
         first, second = index == divided, index == divided + 1
         width = jnp.where(first, switch - divided, jnp.where(second, 1.0 - (switch - divided), 1.0))
         force = jnp.where(index <= divided, before, after)
-        return lax.optimization_barrier(_runge_kutta(drive, table, force, load, width * (period / steps)))
+        return lax.optimization_barrier(_runge_kutta(drive, table, force, load, width * (period / steps)))  # type: ignore[no-untyped-call]  # jax declares no types of it
 
     return lax.fori_loop(0, steps + 1, step, table)
 
@@ -132,16 +132,16 @@ def run(
     def body(loop: _Loop, inputs: tuple[Scalar, Scalar]) -> tuple[_Loop, TruthSignals]:
         target, applied_load = inputs
         table = loop.table.position
-        measured = table + sensor.noise * jax.random.normal(jax.random.fold_in(key, loop.count), dtype=jnp.float64)
+        measured = table + sensor.noise * jax.random.normal(jax.random.fold_in(key, loop.index), dtype=jnp.float64)
         if sensor.resolution is not None:
             measured = sensor.resolution * jnp.round(measured / sensor.resolution)
         error = target - measured
-        last = jnp.where(loop.count == 0, error, loop.error)
+        last = jnp.where(loop.index == 0, error, loop.error)
         command = gains.kp * error + gains.kd * (error - last) * rate
         limit = jnp.inf if actuator.force_limit is None else actuator.force_limit
         forces = (jnp.clip(command, -limit, limit), *loop.forces)
         next_table = advance(drive, loop.table, forces[-1], forces[-2], applied_load, period, steps)
-        return _Loop(next_table, forces[:-1], error, loop.count + 1), TruthSignals(measured, command, table)
+        return _Loop(next_table, forces[:-1], error, loop.index + 1), TruthSignals(measured, command, table)
 
     holding = drive.friction.bristle_stiffness.towards(deflection) * deflection - drive.plant.constant_force
     rest_position = reference[0] - holding / gains.kp
@@ -154,8 +154,8 @@ def run(
 
 @partial(jax.jit, static_argnums=6)
 def _run_lanes(
-    drives: Drive, gains: PDGains, reference: Any, load: Any, deflection: Any, keys: Any, rate: float
-) -> Any:
+    drives: Drive, gains: PDGains, reference: Array, load: Array, deflection: Array, keys: Array, rate: float
+) -> TruthSignals:
     lanes = jax.vmap(partial(run, rate=rate), in_axes=(0, 0, None, 0, 0, 0))
     return lanes(drives, gains, reference, load, deflection, keys)
 

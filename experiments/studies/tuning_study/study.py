@@ -6,12 +6,13 @@ of at most 20 N; from the paper's gains.
 """
 
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
@@ -26,7 +27,7 @@ from tuning.gains.constrained import ConstrainedGains, TuningProblem, evaluate, 
 from tuning.gains.objective import Objective
 from tuning.gains.plan import OFF_GRID_FACTOR, SETTLE, machines, reversal
 from tuning.gains.requirements import Constraints, LoopLimits, operating_points
-from tuning.gains.scenarios import Ensemble, Scenario, ensemble
+from tuning.gains.scenarios import Ensemble, LoopSignals, Scenario, ensemble
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.gains.tune import GainSearch, default_space, tune
 from tuning.optimisation.evolution import Budget
@@ -124,7 +125,7 @@ def _race(
         *(result.history[-1].feasible for result_list in results.values() for result in result_list),
     )
     gradient = [(e, e + count * j, s, f) for e, j, s, f in _evaluation_history(tuned)]
-    rows: list[list[Any]] = [["gradient", float(tuned.point.objective), *_cost_to_reach(gradient, best)]]
+    rows: list[list[object]] = [["gradient", float(tuned.point.objective), *_cost_to_reach(gradient, best)]]
     for name, several in results.items():
         for result in several:
             trail = [(v.simulations, v.simulations, v.seconds, v.feasible) for v in result.history]
@@ -167,16 +168,16 @@ def _evaluation_history(tuned: GainSearch) -> list[tuple[int, int, float, float]
     return history
 
 
-def _cost_to_reach(trail: list[tuple[int, int, float, float]], best: float) -> list[Any]:
+def _cost_to_reach(trail: list[tuple[int, int, float, float]], best: float) -> list[float | None]:
     """Evaluations and seconds until the objective was within each share of the best; None where it never was."""
-    costs: list[Any] = []
+    costs: list[float | None] = []
     for share in TOLERANCES:
         first = next((entry for entry in trail if entry[3] <= (1.0 + share) * best), None)
         costs += [None, None] if first is None else [first[0], round(first[2], 2)]
     return costs
 
 
-def _race_figure(gradient: list[tuple[int, int, float, float]], results: dict[str, list[BaselineResult]]) -> Any:
+def _race_figure(gradient: list[tuple[int, int, float, float]], results: dict[str, list[BaselineResult]]) -> Figure:
     figure, axes = new_figure(1, 2, width=11.0, height=3.8, share_x=False)
     for axis, column, what in ((axes[0], 0, "evaluations"), (axes[1], 2, "seconds")):
         for k, (name, several) in enumerate(results.items()):
@@ -199,7 +200,7 @@ def _mean_rms(controller: Controller, several: list[Scenario]) -> tuple[float, f
 
 
 @eqx.filter_jit
-def _signals(controller: Controller, lanes: Ensemble) -> Any:
+def _signals(controller: Controller, lanes: Ensemble) -> LoopSignals:
     return lanes.signals(controller)
 
 

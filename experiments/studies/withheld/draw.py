@@ -1,11 +1,11 @@
 """Machines and motions drawn at random: what an engineer believes, what is true, and what was done to it."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.model.parameters import Directional, Drive
+from diffdrive.model.parameters import Directional, Drive, Friction, Plant
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure
@@ -32,7 +32,7 @@ class WithheldCase(NamedTuple):
 def _scaled_drive(drive: Drive, factors: dict[str, float]) -> Drive:
     """The drive with parameters times factors; `name+` and `name-` are the two directions."""
 
-    def pair(owner: Any, name: str) -> Directional:
+    def pair(owner: Friction | Plant, name: str) -> Directional:
         value = getattr(owner, name)
         return Directional(
             float(value.positive) * factors.get(f"{name}+", 1.0) * factors.get(name, 1.0),
@@ -94,15 +94,14 @@ def _scaled_to_axis(fault: InjectedFault, axis: StudyAxis) -> InjectedFault:
     """The fault in the size of this axis rather than of the paper's; shares of the stroke stay shares."""
     sizes = axis.sizes() | {name: 1.0 for effect, name in PLACED.items() if effect == fault.effect}
 
-    def scaled(numbers: dict[str, Any]) -> dict[str, Any]:
-        return {
-            name: tuple(sizes.get(name, 1.0) * number for number in value)
-            if isinstance(value, tuple)
-            else sizes.get(name, 1.0) * value
-            for name, value in numbers.items()
-        }
+    def scaled(name: str, value: float | tuple[float, float]) -> float | tuple[float, float]:
+        factor = sizes.get(name, 1.0)
+        return (factor * value[0], factor * value[1]) if isinstance(value, tuple) else factor * value
 
-    return fault._replace(parameters=scaled(fault.parameters), random_scales=scaled(fault.random_scales))
+    return fault._replace(
+        parameters={name: scaled(name, value) for name, value in fault.parameters.items()},
+        random_scales={name: sizes.get(name, 1.0) * scale for name, scale in fault.random_scales.items()},
+    )
 
 
 def _placed(fault: InjectedFault, logs: tuple[MachineInputs, MachineInputs]) -> InjectedFault:

@@ -3,14 +3,16 @@
 A size of 1 is clearly visible on the paper's axis.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments.studies.withheld.motions import STROKE
 
 LEADS, SCALE_PERIODS, POLES = (3e-3, 1.6e-2), (8e-6, 6e-5), (5e-4, 4e-3)  # m, between which they are drawn
+
+Parameters = Mapping[str, float | tuple[float, float]]  # pairs: one for each log
 
 
 class InjectedFault(NamedTuple):
@@ -27,13 +29,13 @@ class InjectedFault(NamedTuple):
 def _fault(
     name: str,
     size: float,
-    parameters: dict[str, Any] | None = None,
+    parameters: Parameters | None = None,
     *,
     structure: dict[str, bool] | None = None,
     drive_factors: dict[str, float] | None = None,
     random_scales: dict[str, float] | None = None,
 ) -> InjectedFault:
-    return InjectedFault(name, size, parameters or {}, structure or {}, drive_factors or {}, random_scales or {})
+    return InjectedFault(name, size, dict(parameters or {}), structure or {}, drive_factors or {}, random_scales or {})
 
 
 def log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
@@ -52,7 +54,7 @@ def _applied_load(rng: np.random.Generator, size: float) -> InjectedFault:
         return _fault("applied_load", size, {"extra_load": load})
     load = 4e3 * size
     start, duration = rng.uniform(1.0, 4.0, 2), rng.uniform(2.0, 4.0, 2)
-    parameters = {"extra_load": load, "load_start": tuple(start), "load_end": tuple(start + duration)}
+    parameters: Parameters = {"extra_load": load, "load_start": tuple(start), "load_end": tuple(start + duration)}
     return _fault("applied_load", size, parameters)
 
 
@@ -147,7 +149,7 @@ def _frame_vibration(rng: np.random.Generator, size: float) -> InjectedFault:
 
 def _process_force(rng: np.random.Generator, size: float) -> InjectedFault:
     start, duration = rng.uniform(0.5, 3.0, 2), rng.uniform(3.0, 5.0, 2)
-    parameters = {
+    parameters: Parameters = {
         "process": 1.2 * size,
         "process_mean": float(rng.uniform(0, 0.6) * size),
         "process_frequency": float(rng.uniform(30, 180)),
@@ -189,7 +191,7 @@ def _force_limit(rng: np.random.Generator, size: float) -> InjectedFault:
 
 
 def _lead_error(rng: np.random.Generator, size: float) -> InjectedFault:
-    parameters = {
+    parameters: Parameters = {
         "lead_error": 2e-6 * size,
         "lead": log_uniform(rng, LEADS),
         "lead_phase": _phases(rng),
@@ -199,7 +201,7 @@ def _lead_error(rng: np.random.Generator, size: float) -> InjectedFault:
 
 
 def _interpolation_error(rng: np.random.Generator, size: float) -> InjectedFault:
-    parameters = {
+    parameters: Parameters = {
         "interpolation": 1.5e-7 * size,
         "interpolation_period": log_uniform(rng, SCALE_PERIODS),
         "interpolation_phase": _phases(rng),
@@ -208,7 +210,7 @@ def _interpolation_error(rng: np.random.Generator, size: float) -> InjectedFault
 
 
 def _chip(rng: np.random.Generator, size: float) -> InjectedFault:
-    parameters = {
+    parameters: Parameters = {
         "chip": 3.0 * size,
         "chip_place": tuple(rng.uniform(-0.5 * STROKE, 0.5 * STROKE, 2)),
         "chip_width": float(rng.uniform(2e-3, 8e-3)),

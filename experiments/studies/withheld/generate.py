@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.draw import WithheldCase, draw, log_faults, without_fault
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS
 from experiments.studies.withheld.machine import run
+from experiments.studies.withheld.records import CaseKey, Key
 from experiments.studies.withheld.truth import true_parameters
 
 NONE_SHARE, TWO_SHARE, UNKNOWN_SHARE, PITFALL_SHARE = 0.12, 0.12, 0.12, 0.05  # shares of cases
@@ -90,7 +90,7 @@ def _simulate_logs(case: WithheldCase) -> tuple[list[Log], float | None]:
     return [_simulate_log(case, log, peak) for log in range(2)], peak
 
 
-def key_of(case: WithheldCase, peak: float | None = None) -> dict[str, Any]:
+def key_of(case: WithheldCase, peak: float | None = None) -> CaseKey:
     """The key to a machine: its effects and their true parameters; `peak` (N) as in `draw.log_faults`."""
     return {
         "effects": [
@@ -168,8 +168,8 @@ def _nominal_axis(case: WithheldCase) -> Axis:
     return Axis(case.nominal, PD(Tracking(PDGains(kp, kd))), Sampling(case.rate, 10), Limits())
 
 
-def write_key(path: Path, parts: Path) -> dict[str, Any]:
+def write_key(path: Path, parts: Path) -> Key:
     """The key, from what was kept of each case."""
-    key = {part.stem: json.loads(part.read_text(encoding="utf-8")) for part in sorted(parts.glob("*.json"))}
+    key: Key = {part.stem: json.loads(part.read_text(encoding="utf-8")) for part in sorted(parts.glob("*.json"))}
     write_text(path, json.dumps(key, indent=1) + "\n")
     return key

@@ -9,7 +9,7 @@ measurement (noise, then the scale's resolution); the PD's command follows from 
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -128,6 +128,10 @@ class MachineInputs(NamedTuple):
     friction_share: Float[Array, " n"]  # share of Coulomb friction, outside the catalogue
 
 
+_RateArguments = tuple[Drive, FaultParameters, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
+_Carry = tuple[MachineState, Array, Array, Array]  # state, forces newest first, last error, count
+
+
 def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
     return jnp.clip((t - start) / edge, 0.0, 1.0) * jnp.clip((end - t) / edge, 0.0, 1.0)
 
@@ -172,7 +176,7 @@ def _friction(
     return bristle_force + viscous, rate, level
 
 
-def _rates(t: Scalar, s: MachineState, args: Any, *, structure: MachineStructure) -> MachineState:
+def _rates(t: Scalar, s: MachineState, args: _RateArguments, *, structure: MachineStructure) -> MachineState:
     drive, f, now, later, switch, load, disturbance, friction_share = args
     command = jnp.where(t < switch, now, later)
     force = s.force if structure.lagging else command
@@ -237,14 +241,14 @@ def _run(
     inputs: MachineInputs,
     rate: float,
     structure: MachineStructure,
-) -> Any:
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     period = 1.0 / rate
     term = diffrax.ODETerm(partial(_rates, structure=structure))
     unit = jnp.ones(())
     scales = MachineState(1e-10 * unit, 1e-8 * unit, 1e-12 * unit, 1e-12 * unit, 1e-8 * unit, 1e-12 * unit,
                           1e-12 * unit, 1e-9 * unit, 1e-5 * unit, 1e-4 * unit, 1e-6 * jnp.ones(ELEMENTS))  # fmt: skip
 
-    def norm(error: Any) -> Scalar:
+    def norm(error: MachineState) -> Scalar:
         return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(error)]))
 
     control = diffrax.PIDController(rtol=TOLERANCE, atol=1.0, norm=norm)
@@ -254,7 +258,7 @@ def _run(
         )
     )
 
-    def sample(carry: Any, sample_inputs: Any) -> Any:
+    def sample(carry: _Carry, sample_inputs: MachineInputs) -> tuple[_Carry, tuple[Array, Array]]:
         state, forces, last_error, k = carry
         reference, load, noise, disturbance, friction_share = sample_inputs
         time = k * period

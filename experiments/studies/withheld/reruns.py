@@ -5,13 +5,10 @@ is removed: the answer must become `unknown`, or a rival that the first answer h
 """
 
 import math
-from typing import Any
 
 from diffdrive.effects.catalogue import EFFECTS
+from experiments.studies.withheld.records import Answers, Key
 from experiments.studies.withheld.score import UNANSWERED, is_clear
-
-Answers = dict[str, dict[str, Any]]
-Key = dict[str, dict[str, Any]]
 
 
 def oracle_exclusions(answers: Answers, key: Key) -> dict[str, list[str]]:
@@ -41,9 +38,9 @@ def removal_exclusions(answers: Answers, key: Key) -> dict[str, list[str]]:
     return {name: [effect] for effect, (_, name) in best.items()}
 
 
-def removal_rows(answers: Answers, rerun: Answers, exclusions: dict[str, list[str]]) -> list[list[Any]]:
+def removal_rows(answers: Answers, rerun: Answers, exclusions: dict[str, list[str]]) -> list[list[str | bool]]:
     """Rows of effect, case, verdict without the effect, what was found, declared rivals, and whether that is right."""
-    rows = []
+    rows: list[tuple[str, str, str, str, str, bool]] = []
     for name, (effect,) in exclusions.items():
         answer = rerun.get(name)
         if answer is None:
@@ -51,5 +48,5 @@ def removal_rows(answers: Answers, rerun: Answers, exclusions: dict[str, list[st
         found = [cause["effect"] for cause in answer["causes"] if cause["found"]]
         declared = answers[name]["causes"][0]["indistinguishable_from"]
         good = answer["verdict"] == "unknown" or (found != [] and set(found) <= set(declared))
-        rows.append([effect, name, answer["verdict"], " + ".join(found), " ".join(declared), good])
-    return sorted(rows)
+        rows.append((effect, name, answer["verdict"], " + ".join(found), " ".join(declared), good))
+    return [list(row) for row in sorted(rows)]

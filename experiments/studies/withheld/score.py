@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import binomtest
 
 from diffdrive.errors import ParameterError
+from experiments.studies.withheld.records import Answer, Answers, CaseKey, Cause, Key, Number, ScoredCase
 
 CLEAR = 3.0  # times the noise floor, that the gap of the recalibrated drive is
 CLEAR_SIZE = 1.0  # the size from which an effect was drawn to be clear
@@ -16,18 +18,18 @@ BINS = 10  # of confidence
 MAX_EFFECTS = 2  # effects of a case
 MAX_ALTERNATIVES = 2  # rivals, as many as an engineer looks at
 MIN_GAP = 0.2  # of the floor's square, that is left: too little to speak of a share
-UNANSWERED: dict[str, Any] = {"verdict": "error", "says": "there is no answer", "causes": []}
+UNANSWERED: Answer = {"verdict": "error", "says": "there is no answer", "causes": []}
 
 
-def visibility(answer: dict[str, Any]) -> float | None:
+def visibility(answer: Answer) -> float | None:
     """The largest gap of the recalibrated drive over its noise floor; None for an answer without a gap.
 
     Infinite where the recalibrated drive diverges in closed loop.
     """
-    gap, ratios = answer.get("gap", {}), []
-    base = answer["ladder"][1] if len(answer.get("ladder", [])) > 1 else {}
-    if base.get("loop_says"):
-        ratios += [np.inf] if "runs away" in base["loop_says"] else []
+    gap, ladder = answer.get("gap", {}), answer.get("ladder", [])
+    base, ratios = ladder[1] if len(ladder) > 1 else {}, list[float]()
+    if isinstance(loop_says := base.get("loop_says"), str) and "runs away" in loop_says:
+        ratios.append(np.inf)
     for signal, unit in (("force", "N"), ("position", "m"), ("command", "N")):
         rms = gap.get(f"recalibrated_{signal}_rms_{unit}")
         floor = base.get(f"{signal}_floor_{unit}", gap.get(f"noise_floor_{signal}_{unit}"))
@@ -36,7 +38,7 @@ def visibility(answer: dict[str, Any]) -> float | None:
     return float(max(ratios)) if ratios else None
 
 
-def is_clear(answer: dict[str, Any], key: dict[str, Any]) -> bool:
+def is_clear(answer: Answer, key: CaseKey) -> bool:
     """Whether a case is clearly visible: by the key, else by the gap over its floor, else by the sizes drawn.
 
     The gap is the answer's, after recalibration: an effect that recalibration absorbs is faint here, and counts in the
@@ -50,11 +52,7 @@ def is_clear(answer: dict[str, Any], key: dict[str, Any]) -> bool:
     return gap_ratio >= CLEAR
 
 
-def score(
-    answers: dict[str, dict[str, Any]],
-    key: dict[str, dict[str, Any]],
-    oracle: dict[str, dict[str, Any]] | None = None,
-) -> dict[str, Any]:
+def score(answers: Answers, key: Key, oracle: Answers | None = None) -> dict[str, Any]:
     """Every figure of the check; `answers` and `key` by case.
 
     `oracle` are answers with only the true effects to choose from, for the cases where these were not found; without
@@ -74,24 +72,24 @@ def score(
         _ratio(row["shrink"], oracle_reductions[row["case"]], row["failed"]) for row in clear if oracle is not None
     ]
     shares = {
-        "named_clear": (clear, "named"),
-        "exact_clear": (clear, "exact"),
-        "top1_clear": (clear, "top1"),
-        "declared_clear": (clear, "declared"),
-        "declared_clear_of_few": (clear, "declared_of_few"),
-        "top2_clear": (clear, "top2"),
-        "named_drawn_clear": (drawn, "named"),
-        "named_faint": (faint, "named"),
-        "top1_faint": (faint, "top1"),
-        "top2_faint": (faint, "top2"),
-        "confidently_wrong_faint": (faint, "confidently_wrong"),
-        "confidently_wrong": (rows, "confidently_wrong"),
-        "said_none": (no_effect, "said_none"),
-        "false_alarms": (no_effect, "alarm"),
-        "unknown_recall": (outside, "said_unknown"),
-        "both_found": (compounds, "both"),
-        "both_named": (compounds, "exact"),
-        "pitfall_named": (pitfalls, "named"),
+        "named_clear": [row["named"] for row in clear],
+        "exact_clear": [row["exact"] for row in clear],
+        "top1_clear": [row["top1"] for row in clear],
+        "declared_clear": [row["declared"] for row in clear],
+        "declared_clear_of_few": [row["declared_of_few"] for row in clear],
+        "top2_clear": [row["top2"] for row in clear],
+        "named_drawn_clear": [row["named"] for row in drawn],
+        "named_faint": [row["named"] for row in faint],
+        "top1_faint": [row["top1"] for row in faint],
+        "top2_faint": [row["top2"] for row in faint],
+        "confidently_wrong_faint": [row["confidently_wrong"] for row in faint],
+        "confidently_wrong": [row["confidently_wrong"] for row in rows],
+        "said_none": [row["said_none"] for row in no_effect],
+        "false_alarms": [row["alarm"] for row in no_effect],
+        "unknown_recall": [row["said_unknown"] for row in outside],
+        "both_found": [row["both"] for row in compounds],
+        "both_named": [row["exact"] for row in compounds],
+        "pitfall_named": [row["named"] for row in pitfalls],
     }
     return {
         "cases": len(rows),
@@ -103,8 +101,8 @@ def score(
         "outside": len(outside),
         "compounds": len(compounds),
         "pitfalls": len(pitfalls),
-        **{name: _share(*which) for name, which in shares.items()},
-        "intervals": {name: _interval(*which) for name, which in shares.items()},
+        **{name: _share(hits) for name, hits in shares.items()},
+        "intervals": {name: _interval(hits) for name, hits in shares.items()},
         "calibration_error": _calibration(_reliability(rows)),
         "reliability": _reliability(rows),
         "interval_coverage": _interval_coverage(rows)[0],
@@ -126,7 +124,7 @@ def score(
     }
 
 
-def _row(name: str, answer: dict[str, Any], key: dict[str, Any]) -> dict[str, Any]:
+def _row(name: str, answer: Answer, key: CaseKey) -> ScoredCase:
     true = [effect["name"] for effect in key["effects"]]
     outside = any(effect["outside"] for effect in key["effects"])
     kind = "unknown" if outside else ("none", "single", "compound")[len(true)]
@@ -173,16 +171,16 @@ def _row(name: str, answer: dict[str, Any], key: dict[str, Any]) -> dict[str, An
     }
 
 
-def _oracle_reduction(row: dict[str, Any], oracle: dict[str, dict[str, Any]] | None) -> float | None:
+def _oracle_reduction(row: ScoredCase, oracle: Answers | None) -> float | None:
     """The gap reduction with the true effects: the oracle's, or the answer's own where it found exactly these."""
     if oracle is None:
         return None
     if row["case"] in oracle:
         return _gap_reduction(oracle[row["case"]])
-    return row["shrink"] if set(row["found"]) == set(row["true"]) else None  # type: ignore[no-any-return]
+    return row["shrink"] if set(row["found"]) == set(row["true"]) else None
 
 
-def _gap_reduction(answer: dict[str, Any]) -> float | None:
+def _gap_reduction(answer: Answer) -> float | None:
     """How far the answer reduces the held-out gap to the floor, as a share of what recalibration left.
 
     None where recalibration leaves none; 0 for an answer that failed.
@@ -213,12 +211,12 @@ def _ratio(reduction: float | None, oracle_reduction: float | None, failed: bool
     return 0.0 if reduction < oracle_reduction else None  # where the truth reduces no gap, an answer can only be worse
 
 
-def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | None:
+def _parameter_error(found: dict[str, Number], true: dict[str, Number]) -> float | None:
     """The largest relative error of the numbers that both name, log by log where they differ; zeros are left out.
 
     `amplitude` is that of cosine and sine.
     """
-    values = dict(found)
+    values: dict[str, npt.ArrayLike] = dict(found)
     if "cosine" in values:
         values["amplitude"] = np.hypot(values["cosine"], values["sine"])
     errors: list[float] = []
@@ -229,30 +227,30 @@ def _parameter_error(found: dict[str, Any], true: dict[str, Any]) -> float | Non
     return float(max(errors)) if errors else None
 
 
-def _interval_hits(cause: dict[str, Any], true: dict[str, Any]) -> list[bool]:
+def _interval_hits(cause: Cause, true: dict[str, Number]) -> list[bool]:
     """Whether the interval of each number that both name holds the true value; one without an end does not."""
     hits: list[bool] = []
     for name in cause["intervals"].keys() & true.keys():
-        low, high = cause["intervals"][name]
-        low, high, value = np.broadcast_arrays(*(np.asarray(number, float) for number in (low, high, true[name])))
+        ends = cause["intervals"][name]
+        low, high, value = np.broadcast_arrays(*(np.asarray(number, float) for number in (*ends, true[name])))
         hits += list(map(bool, np.ravel((low <= value) & (value <= high))))
     return hits
 
 
-def _interval_coverage(rows: list[dict[str, Any]]) -> tuple[float | None, int]:
+def _interval_coverage(rows: list[ScoredCase]) -> tuple[float | None, int]:
     """Share of the 95 % intervals that hold the truth, where one effect acts and was found alone; and their number."""
     hits = [hit for row in rows for hit in row["within"]]
     return (round(float(np.mean(hits)), 3) if hits else None), len(hits)
 
 
-def _share(rows: list[dict[str, Any]], column: str) -> float | None:
-    return round(float(np.mean([row[column] for row in rows])), 3) if rows else None
+def _share(hits: list[bool]) -> float | None:
+    return round(float(np.mean(hits)), 3) if hits else None
 
 
-def _interval(rows: list[dict[str, Any]], column: str) -> list[float] | None:
-    if not rows:
+def _interval(hits: list[bool]) -> list[float] | None:
+    if not hits:
         return None
-    interval = binomtest(sum(row[column] for row in rows), len(rows)).proportion_ci(method="wilson")
+    interval = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
     return [round(float(interval.low), 3), round(float(interval.high), 3)]
 
 
@@ -261,7 +259,7 @@ def _quantile(values: list[float | None], share: float) -> float | None:
     return round(float(np.quantile(finite, share)), 4) if finite else None
 
 
-def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
+def _reliability(rows: list[ScoredCase]) -> list[list[float]]:
     """Mean confidence of what was found, how many, and the share that was right, bin by bin."""
     pairs = [(confidence, right) for row in rows for _, confidence, right in row["sure"]]
     table = []
@@ -273,14 +271,14 @@ def _reliability(rows: list[dict[str, Any]]) -> list[list[Any]]:
     return table
 
 
-def _calibration(reliability: list[list[Any]]) -> float | None:
+def _calibration(reliability: list[list[float]]) -> float | None:
     """Expected calibration error: the mean distance of confidence and share that was right, weighted by count."""
     count = sum(many for _, many, _ in reliability)
     off = sum(many * abs(confidence - right) for confidence, many, right in reliability)
     return round(off / count, 4) if count else None
 
 
-def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
+def _confusion(rows: list[ScoredCase]) -> dict[str, dict[str, int]]:
     """How often each answer was given, by the single true effect, none, or one from outside the catalogue."""
     table: dict[str, Counter[str]] = {}
     for row in rows:
@@ -291,21 +289,21 @@ def _confusion(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     return {name: dict(counts) for name, counts in sorted(table.items())}
 
 
-def read_answers(folder: Path) -> dict[str, dict[str, Any]]:
+def read_answers(folder: Path) -> Answers:
     """The answers in a folder, by case."""
-    answers = {}
+    answers: Answers = {}
     for path in sorted(folder.glob("*/diagnosis.json")):
         answers[path.parent.name] = json.loads(path.read_text(encoding="utf-8"))
     return answers
 
 
-def read_key(path: Path) -> dict[str, dict[str, Any]]:
+def read_key(path: Path) -> Key:
     """A key file; where it states no sizes of effects, they follow from its visibility.
 
     Raises `ParameterError` for a file that is missing or not a key.
     """
     try:
-        key: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+        key: Key = json.loads(path.read_text(encoding="utf-8"))
         for name, case in key.items():
             for effect in case["effects"]:
                 effect["name"]

@@ -18,6 +18,7 @@ from experiments.studies.withheld import reruns
 from experiments.studies.withheld.answer import ATTENDED, case_folders, unanswered
 from experiments.studies.withheld.axes import axes_named
 from experiments.studies.withheld.generate import generate, write_key
+from experiments.studies.withheld.records import Answers, Key
 from experiments.studies.withheld.score import read_answers, read_key, score
 
 SHOWN = (
@@ -72,7 +73,7 @@ def check_given_machines(out: Path, cases: Path, key: Path, workers: int = 1, tw
         return _report_scores(report, cases, key_entries, workers, twice)
 
 
-def _checked_key(cases: Path, path: Path) -> dict[str, dict[str, Any]]:
+def _checked_key(cases: Path, path: Path) -> Key:
     """The key to given machines, checked against them before hours are spent."""
     key = read_key(path)
     names = {folder.name for folder in case_folders(cases)}
@@ -134,19 +135,17 @@ def _copy_answers(source: Path, destination: Path) -> None:
             file.write(text)
 
 
-def _rerun(report: Report, cases: Path, name: str, exclusions: dict[str, list[str]], workers: int) -> reruns.Answers:
+def _rerun(report: Report, cases: Path, name: str, exclusions: dict[str, list[str]], workers: int) -> Answers:
     assert report.out is not None
     _answer_cases(report, cases, report.out / name, workers, exclusions)
     answers = read_answers(report.out / name)
     return {case: answers[case] for case in exclusions if case in answers}  # not those of an earlier edition
 
 
-def _report_scores(
-    report: Report, cases: Path, key: dict[str, dict[str, Any]], workers: int, twice: bool
-) -> dict[str, Any]:
+def _report_scores(report: Report, cases: Path, key: Key, workers: int, twice: bool) -> dict[str, Any]:
     assert report.out is not None
     answers = read_answers(report.out / "answers")
-    oracle: reruns.Answers | None = None
+    oracle: Answers | None = None
     if twice:
         oracle = _rerun(report, cases, "oracle", reruns.oracle_exclusions(answers, key), workers)
         removed = reruns.removal_exclusions(answers, key)
