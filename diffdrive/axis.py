@@ -40,9 +40,9 @@ class Axis(eqx.Module):
 
     """
 
-    drive: Drive
-    controller: Controller
-    sampling: Sampling
+    drive: Drive  # the machine: plant, friction, actuator, sensor, effects
+    controller: Controller  # with its own model of the machine, where it has one
+    sampling: Sampling  # control rate, and substeps of the plant
     limits: Limits = eqx.field(static=True, default=Limits())
     mapping: ColumnMapping = eqx.field(static=True, default_factory=ColumnMapping)
     name: str = eqx.field(static=True, default="axis")
