@@ -2,6 +2,7 @@
 
     python3 experiments/bootstrap.py demo              the main job: diffdrive demo --out results/demo
     python3 experiments/bootstrap.py test              the tests, with pytest
+    python3 experiments/bootstrap.py docs              the documentation, built into site/ (open site/index.html)
     python3 experiments/bootstrap.py run simulate ...  any other diffdrive command; `run --help` lists them
     python3 experiments/bootstrap.py which             only shows which Pythons were found, the best first
 
@@ -234,6 +235,7 @@ def main(arguments: list[str]) -> int:
     jobs: dict[str, tuple[list[str], list[Any], Path]] = {
         "demo": ([], [VENV_DIFFDRIVE, "demo", "--out", "results/demo"], ROOT),
         "test": (["test"], [VENV_PYTHON, "-m", "pytest", *PARALLEL_TESTS], ROOT),
+        "docs": (["docs"], [VENV_PYTHON, "-m", "mkdocs", "build", "--strict"], ROOT),
         "run": ([], [VENV_DIFFDRIVE], Path.cwd()),
     }
     if verb not in jobs:
