@@ -18,7 +18,7 @@ import gc, hashlib, os, sys, threading, time
 from pathlib import Path
 from experiments.cli import ending
 ending.FIRST, ending.SECOND = 1.0, 0.3
-watch = ending.Watch(Path(sys.argv[1]))
+watch = ending.SignalWatch(Path(sys.argv[1]))
 watch.begin()
 def computes():  # minutes in C, without the interpreter's lock and deaf to signals
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
@@ -130,7 +130,9 @@ def test_the_folder_is_that_of_the_option(words):
 
 
 def test_a_third_signal_does_not_break_the_writing_that_the_second_one_set_going(tmp_path):
-    imports = "from experiments.cli.interruption import at_next_step\nfrom experiments.reports.report import Report\n"
+    imports = (
+        "from experiments.cli.interruption import stop_at_next_step\nfrom experiments.reports.report import Report\n"
+    )
     program = """
 ending.FIRST = ending.SECOND = 60.0
 fsync = os.fsync
@@ -141,7 +143,7 @@ try:
     with Report("a search", Path(sys.argv[1])) as report:
         report.values("kept", number=1)
         os.fsync = slow
-        with at_next_step(lambda *_: None, print):
+        with stop_at_next_step(lambda *_: None, print):
             for _ in range(600): time.sleep(0.1)
 except KeyboardInterrupt:
     pass

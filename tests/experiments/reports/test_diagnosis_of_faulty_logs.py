@@ -22,8 +22,8 @@ from tuning.diagnosis.workflow import downgrade, next_motion_of
 
 def test_a_fatal_finding_is_mended_before_any_motion(constant_force_diagnosis, command_for, monkeypatch):
     fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
-    monkeypatch.setattr(command, "read", lambda *_: CheckedLogs((), tuple(fatal)))
-    monkeypatch.setattr(command, "draw", lambda *_: None)
+    monkeypatch.setattr(command, "read_diagnosis_logs", lambda *_: CheckedLogs((), tuple(fatal)))
+    monkeypatch.setattr(command, "save_diagnosis_figures", lambda *_: None)
     told, _ = command_for(constant_force_diagnosis)
     assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
 

@@ -167,7 +167,7 @@ def test_the_diagnosis_is_there_whatever_fails_after_it(constant_force_diagnosis
     def fails(*_):
         raise RuntimeError("no drawing")
 
-    monkeypatch.setattr(command, "tell", fails)
+    monkeypatch.setattr(command, "print_answers", fails)
     with pytest.raises(RuntimeError):
         command_for(constant_force_diagnosis)
     kept = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
