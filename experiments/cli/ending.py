@@ -44,9 +44,9 @@ class SignalWatch:
     def __init__(self, out: Path | None = None) -> None:
         """`out` is the folder that the command writes to, for its last words."""
         self.out, self.began = out, time.time()
-        self.own = 0  # signals that were raised again here, and are still on their way
+        self.resent = 0  # signals that were raised again here, and are still on their way
         self.raised = False
-        self.came: float | None = None  # the first signal, as `time.monotonic` has it
+        self.received_at: float | None = None  # the first signal, as `time.monotonic` has it
 
     def begin(self) -> None:
         """From here on a signal interrupts the main thread, and ends the process where that does not."""
@@ -94,18 +94,18 @@ class SignalWatch:
             for number in received:
                 if number == SWALLOWED:
                     self._raise_again()
-                elif self.own and number == signal.SIGINT:
-                    self.own -= 1
-                elif number in SIGNALS and self.came is None:
-                    self.came = time.monotonic()
-                    ends = self.came + FIRST
-                elif number in SIGNALS and ends is not None and time.monotonic() > (self.came or 0.0) + TOGETHER:
+                elif self.resent and number == signal.SIGINT:
+                    self.resent -= 1
+                elif number in SIGNALS and self.received_at is None:
+                    self.received_at = time.monotonic()
+                    ends = self.received_at + FIRST
+                elif number in SIGNALS and ends is not None and time.monotonic() > (self.received_at or 0.0) + TOGETHER:
                     ends = min(ends, time.monotonic() + SECOND)
 
     def _raise_again(self) -> None:
         """Once more in the main thread, a little later: at once it would be raised in the hook."""
         time.sleep(0.02)
-        self.own += 1
+        self.resent += 1
         _thread.interrupt_main(signal.SIGINT)
 
     def leave(self, how: str) -> NoReturn:
@@ -129,7 +129,7 @@ def watch_signals(out: Path | None) -> Iterator[SignalWatch]:
     try:
         yield watch
     finally:
-        if watch.came is None:
+        if watch.received_at is None:
             watch.end()
 
 
@@ -156,8 +156,8 @@ def describe_folder(out: Path | None, since: float) -> str:
             written.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
         elif count:
             written.append(one.name)
-    says = f"{out} holds, of this run: {', '.join(written)}" if written else "it had written nothing"
-    return says + (f"; the same command continues from {', '.join(continued)}" if continued else "")
+    sentence = f"{out} holds, of this run: {', '.join(written)}" if written else "it had written nothing"
+    return sentence + (f"; the same command continues from {', '.join(continued)}" if continued else "")
 
 
 def _visible(out: Path | None) -> list[Path]:

@@ -16,8 +16,8 @@ def stop_at_next_step(progress: StepProgress, say: Callable[[str], None]) -> Ite
     """Yields `progress` for a search: after a Ctrl-C it ends the search between two steps, where that keeps its best.
 
     SIGTERM is taken like it. What comes after the search (covariance, intervals) is still computed, as far as the time
-    allows that `ending.SignalWatch` leaves. A second one stops at once. Signals reach only the main thread; in another this
-    changes nothing.
+    allows that `ending.SignalWatch` leaves. A second one stops at once. Signals reach only the main thread; in another
+    this changes nothing.
     """
     first: float | None = None
     before: dict[signal.Signals, Any] = {}

@@ -66,7 +66,7 @@ def main() -> None:
             _expected(error)
         except SystemExit as ended:
             # typer makes that code of a Ctrl-C, and a search ends on it with its best; threads may go on computing
-            if ended.code == INTERRUPTED or (watch.came is not None and not ended.code):
+            if ended.code == INTERRUPTED or (watch.received_at is not None and not ended.code):
                 watch.leave("and what was written so far stays")
             raise
 

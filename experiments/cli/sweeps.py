@@ -80,7 +80,7 @@ def sweep(
     if workers is None or cluster is not None:  # workers of this machine are processes on its cores
         allow_accelerator()
     texts, correlation = varied_texts(machine or drive, vary or (), spread, identified)
-    asked = SweepSpec.of(
+    spec = SweepSpec.of(
         drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
         seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,
     )  # fmt: skip
@@ -88,13 +88,13 @@ def sweep(
     if cluster is not None:
         from tuning.sweeps.cluster import on_cluster
 
-        engine = on_cluster(asked, cluster)
+        engine = on_cluster(spec, cluster)
     elif workers is not None:
         from tuning.sweeps.workers import on_workers
 
-        engine = on_workers(asked, workers)
+        engine = on_workers(spec, workers)
     recorded = [name.strip() for name in record.split(",") if name.strip()]
-    if not sweep_drive(asked, tolerance_of(tolerance), f"{by}_m", engine, recorded, out):
+    if not sweep_drive(spec, tolerance_of(tolerance), f"{by}_m", engine, recorded, out):
         raise typer.Exit(3)
 
 

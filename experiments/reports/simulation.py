@@ -128,31 +128,31 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
         raise LoadEstimatorError("--speeds is empty: give one or more, such as '1;10;100 mm/s'")
     if not speeds.strip(" ;")[-1:].isalpha():  # 10;20 would be m/s, a thousand times what most will mean
         raise LoadEstimatorError(f"--speeds {speeds}: give the unit behind the last, as '10;20 mm/s'")
-    asked = np.abs(numbers(speeds.strip(" ;"), "m/s", "--speeds"))
+    speed = np.abs(numbers(speeds.strip(" ;"), "m/s", "--speeds"))
     with Report(f"{drive.name}: convergence of eq. (20)", out) as report:
         period = description.sampling.period
         with report.working("linearising the observer at each speed"):
             columns = [
-                (convergence_gains(observer, sign * asked, period), time_constants(observer, sign * asked, period))
+                (convergence_gains(observer, sign * speed, period), time_constants(observer, sign * speed, period))
                 for sign in (1.0, -1.0)
             ]
         (up, up_time), (down, down_time) = columns
         fine = np.isfinite(up_time) & np.isfinite(down_time)
-        gated = asked <= float(observer.load_estimator.min_speed)
+        gated = speed <= float(observer.load_estimator.min_speed)
         verdicts = [
             "no update below min_speed" if g else "converges" if f else "DIVERGES"
             for g, f in zip(gated, fine, strict=True)
         ]
         rows = [
             [1e3 * v, float(a), float(b), float(c), float(d), verdict]
-            for v, a, b, c, d, verdict in zip(asked, up, down, up_time, down_time, verdicts, strict=True)
+            for v, a, b, c, d, verdict in zip(speed, up, down, up_time, down_time, verdicts, strict=True)
         ]
         ok = bool(np.all(fine | gated))
         report.keep("verdict", converges_everywhere=ok)
         if ok:
             report.print("It converges at every one of these speeds at which it is updated.", style="bold")
         else:
-            fails = ", ".join(f"{1e3 * v:g}" for v in asked[~(fine | gated)])
+            fails = ", ".join(f"{1e3 * v:g}" for v in speed[~(fine | gated)])
             report.print(f"It DIVERGES at {fails} mm/s.", style="bold")
             report.say(
                 'Use kind = "pd+fc+ls", whose estimator converges at every speed, or change Q and R until G > 0.'

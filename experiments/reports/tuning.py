@@ -142,8 +142,8 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
         ("gain", "unit", "given", "tuned", "ratio", "factor"),
         [[label, _unit(tuned, name), *row] for name, (label, *row) in zip(tuned.names, rows, strict=True)],
     )
-    for said in remarks(tuned):
-        report.say(said)
+    for remark in remarks(tuned):
+        report.say(remark)
     report.print(
         f"Search: {tuned.status}; {standing.steps} steps, {standing.seconds:.0f} s; objective "
         f"{readable.significant(float(tuned.initial_point.objective))} as given, "
@@ -248,7 +248,7 @@ def _pareto(
             )  # fmt: skip
             advance(k + 1, len(noises), rows[-1][1])
     columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
-    report.table("pareto", columns, rows, "GainSearch again under each limit of the command noise")
+    report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
     figure, axis = new_figure()
     kept = [row for row in rows if row[2]]
     axis.plot([row[0] for row in kept], [row[1] for row in kept], "o-", label="tuned on: objective at its limit")
@@ -260,7 +260,7 @@ def _pareto(
 
 def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> dict[str, Any]:
     """What the gains rest on."""
-    asked = {
+    required = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
         for name, value in prepared.limits._asdict().items()
         if value is not None
@@ -272,7 +272,7 @@ def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> d
         "parameter_uncertainty": plan.spread,
         "control_rate_Hz": float(description.sampling.rate),
         "delay_samples": int(description.drive.actuator.delay_samples),
-        "required": asked,
+        "required": required,
     }
 
 

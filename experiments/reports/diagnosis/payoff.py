@@ -37,7 +37,7 @@ def payoff(
     gains: list[Controller] = [nominal.controller]
     accepted = [True]
     for name, description in (("nominal", nominal), ("augmented", augmented)):
-        quiet = Report(f"tuned on the {name} drive", _below(report, f"tuned-{name}"), Console(quiet=True))
+        quiet = Report(f"tuned on the {name} drive", _subfolder(report, f"tuned-{name}"), Console(quiet=True))
         with report.working(f"tuning on the {name} drive"), quiet:
             tuned, kept = tune_drive(description, quiet, plan=plan)
         if tuned.status.startswith("interrupted"):
@@ -49,7 +49,7 @@ def payoff(
     for name, controller, kept in zip(NAMES, gains, accepted, strict=True):
         with report.working(f"judging the gains {name}"):
             judged = [run_scenario(controller, one, augmented.sampling) for one in scenarios]
-        found[name] = _told(judged, _margins(augmented, controller, plan)) | {"requirements_kept_where_tuned": kept}
+        found[name] = _as_dict(judged, _margins(augmented, controller, plan)) | {"requirements_kept_where_tuned": kept}
         rows.append([name, *(found[name].get(key) for key in COLUMNS)])
     report.table("payoff", ("gains", *COLUMNS), rows, CAPTION)
     return found
@@ -60,19 +60,19 @@ def summarise_payoff(found: dict[str, dict[str, Any]]) -> str:
     was, now = (found[name]["mean_rms_um"] for name in NAMES[1:])
     failed = [name for name in NAMES[1:] if not found[name]["runs_ok"]]
     unkept = [name for name in NAMES[1:] if not found[name]["requirements_kept_where_tuned"]]
-    says = (
+    sentence = (
         f"On the augmented drive, tuning on it leaves {now:.3g} um of tracking error where tuning on the nominal one "
         f"leaves {was:.3g} um ({100 * (now / was - 1):+.0f} %)."
     )
-    says += f" Simulations fail with the gains {' and '.join(failed)}." if failed else ""
-    return says + (f" Requirements could not be kept by the gains {' and '.join(unkept)}." if unkept else "")
+    sentence += f" Simulations fail with the gains {' and '.join(failed)}." if failed else ""
+    return sentence + (f" Requirements could not be kept by the gains {' and '.join(unkept)}." if unkept else "")
 
 
-def _below(report: Report, name: str) -> Path | None:
+def _subfolder(report: Report, name: str) -> Path | None:
     return None if report.out is None else report.out / name
 
 
-def _told(judged: list[ScenarioResult], margins: dict[str, float]) -> dict[str, Any]:
+def _as_dict(judged: list[ScenarioResult], margins: dict[str, float]) -> dict[str, Any]:
     return {
         "mean_rms_um": float(np.mean([one.rms for one in judged])),
         "worst_peak_um": float(np.max([one.peak for one in judged])),

@@ -111,9 +111,9 @@ def _hysteresis(found: Identification, before: Drive, stretches: Sequence[Log]) 
                 alpha=0.6,
                 label=f"measured {name}, {curve.reversals} reversal{'s' * (curve.reversals > 1)}",
             )
-            for model, style, said in zip(modelled, (":", "-"), ("drive file", "identified"), strict=True):
+            for model, style, named in zip(modelled, (":", "-"), ("drive file", "identified"), strict=True):
                 axis.plot(
-                    way, model.median - pull, style, color="k", lw=1.0, label=said if curve.direction > 0 else None
+                    way, model.median - pull, style, color="k", lw=1.0, label=named if curve.direction > 0 else None
                 )
         # the first point but one is at a ten-thousandth of the reach
         linear, reach = 1e6 * measured.curves[0].displacement[-1] * np.array([1e-3, 1.0])

@@ -30,8 +30,8 @@ _along = eqx.filter_jit(friction_along)
 def modelled_friction(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Friction and damping (N) of `drive` at these velocities (m/s) of a stretch, the bristle relaxed at the start."""
     load = np.zeros_like(velocity) if stretch.load is None else stretch.load
-    given = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
-    return np.asarray(_along(*given).friction)
+    arguments = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
+    return np.asarray(_along(*arguments).friction)
 
 
 def modelled_hysteresis(

@@ -23,12 +23,12 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
         errors = np.sort(1e6 * group.error(by))
         shares = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
         good = np.isfinite(errors)
-        at, told = np.maximum(errors[good], 1e6 * start), shares[good]
+        at, below = np.maximum(errors[good], 1e6 * start), shares[good]
         if not good.all():  # goes on below 100 %, to the edge
-            at, told = np.append(at, 1e6 * edge), np.append(told, 100.0 * np.mean(good))
+            at, below = np.append(at, 1e6 * edge), np.append(below, 100.0 * np.mean(good))
         if not good.any():
-            at, told = 1e6 * np.array([start, edge]), np.zeros(2)
-        axis.step(at, told, where="post", label=_label(group))
+            at, below = 1e6 * np.array([start, edge]), np.zeros(2)
+        axis.step(at, below, where="post", label=_label(group))
     _tolerance(axis, tolerance)
     axis.set(xscale="log", xlabel=f"{_name(by)}, µm", ylabel="machines with at most that, %", title=groups[0].motion)
     plain_logarithmic(axis.xaxis)
@@ -46,9 +46,9 @@ def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str)
         first = np.min(finite) if finite.size else start
         last = edge if finite.size < errors.size else np.max(finite) * 1.05  # who diverged misses any tolerance
         at = np.geomspace(max(first, start), max(last, start), 80)
-        told = [exceedance(errors, one) for one in at]
-        line = axis.plot(1e6 * at, [100 * one.value for one in told], label=_label(group))[0]
-        low, high = ([100 * end for end in ends] for ends in zip(*(one[1:] for one in told), strict=True))
+        exceedances = [exceedance(errors, one) for one in at]
+        line = axis.plot(1e6 * at, [100 * one.value for one in exceedances], label=_label(group))[0]
+        low, high = ([100 * end for end in ends] for ends in zip(*(one[1:] for one in exceedances), strict=True))
         axis.fill_between(1e6 * at, low, high, color=line.get_color(), alpha=0.2, lw=0)
     _tolerance(axis, tolerance)
     least = 100.0 / (2.0 * len(groups[0].table))
@@ -94,9 +94,9 @@ def error_against(groups: Sequence[Group], name: str, unit: str, tolerance: floa
 def _ends(groups: Sequence[Group], tolerance: float | None, by: str) -> tuple[float, float]:
     """From which error to which a figure goes (m)."""
     errors = np.concatenate([group.error(by) for group in groups])
-    told = np.append(errors[np.isfinite(errors) & (errors > 0.0)], [] if tolerance is None else tolerance)
-    told = told if told.size else np.array([LEAST])
-    return float(np.min(told)), 1.3 * float(np.max(told))
+    limits = np.append(errors[np.isfinite(errors) & (errors > 0.0)], [] if tolerance is None else tolerance)
+    limits = limits if limits.size else np.array([LEAST])
+    return float(np.min(limits)), 1.3 * float(np.max(limits))
 
 
 def _label(group: Group) -> str:

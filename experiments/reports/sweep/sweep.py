@@ -30,20 +30,20 @@ ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself m
 
 
 def sweep_drive(
-    asked: SweepSpec, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
+    spec: SweepSpec, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
 ) -> bool:
     """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
     require_choice("--by", "error", by.removesuffix("_m"), [one.removesuffix("_m") for one in ERRORS])
-    require_choice("--method", "method", asked.method, get_args(Method))
-    require_choice("--precision", "precision", asked.precision, get_args(Precision))
+    require_choice("--method", "method", spec.method, get_args(Method))
+    require_choice("--precision", "precision", spec.precision, get_args(Precision))
     if recorded and out is None:
         raise ParameterError("--record: give --out, a folder for the traces")
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
-    plan = asked.plan()
+    plan = spec.plan()
     require_resources(plan, Path(tempfile.gettempdir()) if out is None else out)
     warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
-    title = f"{asked.name}: {plan.samples} machines, {', '.join(plan.motions)}"
+    title = f"{spec.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None:
         if (out / RESULT).exists() and not (out / FILE).exists():
             raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
@@ -52,19 +52,19 @@ def sweep_drive(
         for warning in warned:
             report.say(warning)
         runs = plan.samples * len(plan.controllers) * len(plan.motions)
-        with report.counted(f"simulating machines of {asked.name}", plan.samples) as done:
-            rows = run_parts(plan, folder, done, _noted(asked, engine or in_process, report), report.console.print)
-        _legend(report, asked.origins(plan.axis.sampling.rate))
+        with report.counted(f"simulating machines of {spec.name}", plan.samples) as done:
+            rows = run_parts(plan, folder, done, _announcing(spec, engine or in_process, report), report.console.print)
+        _legend(report, spec.origins(plan.axis.sampling.rate))
         report.keep(
             "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
             precision=plan.precision,
         )  # fmt: skip
         found = groups(rows, list(plan.controllers), list(plan.motions))
-        told = [(one, group_influences(plan, one, by)) for one in found]
-        print_sweep(report, plan, told, tolerance, by)
+        influences = [(one, group_influences(plan, one, by)) for one in found]
+        print_sweep(report, plan, influences, tolerance, by)
         report.show_numbers("sweep")
         for motion in plan.motions if out is not None else ():
-            save_sweep_figures(report, plan, [one for one in told if one[0].motion == motion], tolerance, by)
+            save_sweep_figures(report, plan, [one for one in influences if one[0].motion == motion], tolerance, by)
         if recorded:
             _record(report, plan, found, recorded, by)
         return not any(one.diverged.any() for one in found)
@@ -89,39 +89,39 @@ def _legend(report: Report, origins: Mapping[str, str]) -> None:
         report.table("motions", ("motion", "as asked for"), [list(one) for one in origins.items()], "Motions")
 
 
-def _noted(asked: SweepSpec, engine: Engine, report: Report) -> Engine:
-    """An engine that tells what varies and writes down what was asked when it begins: by then every machine has been
+def _announcing(spec: SweepSpec, engine: Engine, report: Report) -> Engine:
+    """An engine that tells what varies and writes down what was spec when it begins: by then every machine has been
     found possible.
     """
 
-    def noted(plan: SweepPlan, wanted: list[int], say: Notify) -> ComputedParts:
-        results = engine(plan, wanted, say)  # which may find that nobody is there
+    def announcing(plan: SweepPlan, numbers: list[int], say: Notify) -> ComputedParts:
+        results = engine(plan, numbers, say)  # which may find that nobody is there
         print_varied(report, plan)
         if report.out is not None:
-            write_spec(asked, report.out)
+            write_spec(spec, report.out)
         yield from results
 
-    return noted
+    return announcing
 
 
 def save_sweep_figures(
     report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], tolerance: float | None, by: str
 ) -> None:
     """The figures of one motion."""
-    every = [one for one, _ in found]
-    if all(one.diverged.all() for one in every):
-        report.say(f"{every[0].motion}: no figures, since every machine diverged.")
+    all_groups = [one for one, _ in found]
+    if all(one.diverged.all() for one in all_groups):
+        report.say(f"{all_groups[0].motion}: no figures, since every machine diverged.")
         return
-    motion = f"_{named_file(every[0].motion)}" if len(plan.motions) > 1 else ""
-    report.figure(f"distribution{motion}", figures.distribution(every, tolerance, by))
-    report.figure(f"exceedance{motion}", figures.exceedance_figure(every, tolerance, by))
-    for one, told in found:
-        if told:
+    motion = f"_{named_file(all_groups[0].motion)}" if len(plan.motions) > 1 else ""
+    report.figure(f"distribution{motion}", figures.distribution(all_groups, tolerance, by))
+    report.figure(f"exceedance{motion}", figures.exceedance_figure(all_groups, tolerance, by))
+    for one, influences in found:
+        if influences:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
-            report.figure(f"tornado{motion}{controller}", figures.tornado(told, one, by))
-    strongest = [told[0].name for _, told in found if told and told[0].is_significant]
+            report.figure(f"tornado{motion}{controller}", figures.tornado(influences, one, by))
+    strongest = [influences[0].name for _, influences in found if influences and influences[0].is_significant]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
-        drawn = figures.error_against(every, name, plan.units[name], tolerance, by)
+        drawn = figures.error_against(all_groups, name, plan.units[name], tolerance, by)
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)
 
 
@@ -129,34 +129,36 @@ def _record(report: Report, plan: SweepPlan, found: Sequence[Group], recorded: S
     """The signals of every controller's worst machines, under every controller."""
     assert report.out is not None
     for motion in plan.motions:
-        mine = [one for one in found if one.motion == motion]
+        of_motion = [one for one in found if one.motion == motion]
         numbers = sorted(
-            {number for one in mine for number in (*worst(one, LISTED, by), *first_to_diverge(one, LISTED))}
+            {number for one in of_motion for number in (*worst(one, LISTED, by), *first_to_diverge(one, LISTED))}
         )
         path = report.out / (f"traces_{named_file(motion)}.nc" if len(plan.motions) > 1 else "traces.nc")
         with report.working("recording the worst machines"):
-            told = traces(plan, numbers, plan.controllers, motion, recorded)
+            recordings = traces(plan, numbers, plan.controllers, motion, recorded)
             with atomic_write(path) as file:
-                file.write(told.to_netcdf(engine="h5netcdf"))  # in memory: on a full disk HDF5 fails without saying so
+                file.write(
+                    recordings.to_netcdf(engine="h5netcdf")
+                )  # in memory: on a full disk HDF5 fails without saying so
         report.say(f"{path.name}: {', '.join(recorded)} of machines {', '.join(map(str, numbers))}")
-        for one in mine:
-            again = told.sel(controller=one.controller)
-            apart = [
+        for one in of_motion:
+            repeated = recordings.sel(controller=one.controller)
+            differing = [
                 number
                 for k, number in enumerate(numbers)
                 if not all(
-                    np.isclose(again[name][k], one.column(name)[number], rtol=ALIKE, atol=0.0, equal_nan=True)
+                    np.isclose(repeated[name][k], one.column(name)[number], rtol=ALIKE, atol=0.0, equal_nan=True)
                     for name in ERRORS
                 )
             ]
-            if apart:
+            if differing:
                 report.say(
-                    f"{one.controller}, machines {', '.join(map(str, apart))}: {_why_apart(plan)}: their errors are in "
-                    f"{path.name} as rms_m and peak_m."
+                    f"{one.controller}, machines {', '.join(map(str, differing))}: {_why_different(plan)}: "
+                    f"their errors are in {path.name} as rms_m and peak_m."
                 )
 
 
-def _why_apart(plan: SweepPlan) -> str:
+def _why_different(plan: SweepPlan) -> str:
     if plan.precision == "single":
         return f"The signals are computed in double precision, the sweep in single, and differ by more than {ALIKE:.0%}"
     return (
@@ -186,13 +188,13 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         report.values("run", status=simulated.status.message)
         report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
         if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, atol=0.0, equal_nan=True):
-            report.say(f"{_why_apart(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
-        told = stored_errors(plan, folder / PARTS, number, controller, motion)
-        if told is None:
+            report.say(f"{_why_different(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
+        stored = stored_errors(plan, folder / PARTS, number, controller, motion)
+        if stored is None:
             report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
         else:
-            again = [float(costs.rms[0]), float(costs.peak[0]), float(diverged_at[0])]
-            alike = bool(np.array_equal(told, again, equal_nan=True))
+            repeated = [float(costs.rms[0]), float(costs.peak[0]), float(diverged_at[0])]
+            alike = bool(np.array_equal(stored, repeated, equal_nan=True))
             report.keep("as_in_the_sweep", to_the_last_bit=alike)
             report.print(
                 "The errors are those of the sweep, to the last bit."

@@ -86,33 +86,33 @@ def print_sweep(
 ) -> None:
     """Errors, misses, comparisons, what drives the spread, what decides over divergence, and the worst machines."""
     report.data["results"] = [_numbers(one, tolerance) for one in found]
-    every = [one for one, _ in found]
-    for sentence in verdict(every, tolerance, by):
+    all_groups = [one for one, _ in found]
+    for sentence in verdict(all_groups, tolerance, by):
         report.print(sentence, style="bold")
     rows, missed, listed = [], [], []
     for one, _ in found:
         place = [one.motion, one.controller]
-        for name, called in ERRORS.items():
+        for name, label in ERRORS.items():
             errors = one.error(name)
-            told = [_range(quantile(errors, share), 1e6) for share in SHARES]
+            ranges = [_range(quantile(errors, share), 1e6) for share in SHARES]
             largest = 1e6 * float(np.max(errors))
-            rows.append([*place, called, *told, largest])
+            rows.append([*place, label, *ranges, largest])
             listed += [
-                [*place, called, f"{100 * share:g}", *text.rstrip(")").split(" (")]
-                for share, text in zip(SHARES, told, strict=True)
+                [*place, label, f"{100 * share:g}", *text.rstrip(")").split(" (")]
+                for share, text in zip(SHARES, ranges, strict=True)
             ]
-            listed.append([*place, called, "100", significant(largest, RANGE_DIGITS), None])
+            listed.append([*place, label, "100", significant(largest, RANGE_DIGITS), None])
         misses = "-" if tolerance is None else _range(exceedance(one.error(by), tolerance), 100)
         missed.append([*place, int(np.sum(one.diverged)), _stuck(one), misses])
     report.record("errors", ("motion", "controller", "um", *(f"{100 * share:g} %" for share in SHARES), "worst"), rows)
     columns = ("motion", "controller", "error", "of machines, %", "at most, um", "95 % interval, um")
-    report.show("Tracking error over the machines", *_of_groups(every, columns, listed))
+    report.show("Tracking error over the machines", *_of_groups(all_groups, columns, listed))
     limit = "no tolerance given" if tolerance is None else f"{ERRORS[by]} beyond {1e6 * tolerance:g} um"
     columns = ("motion", "controller", "diverged", "at the force limit", "miss the tolerance, %")
     report.record("misses", columns, missed)
     report.show(
         f"Machines that diverged, that are at the force limit for half of the time or more, and misses: {limit}",
-        *_of_groups(every, columns, missed),
+        *_of_groups(all_groups, columns, missed),
     )
     _compare(report, [one for one, _ in found], by)
     _blame(report, plan, found, by)
@@ -125,12 +125,12 @@ def print_sweep(
             _listed(worst(one, LISTED, by)),
             _listed(first_to_diverge(one, LISTED)),
         ]
-        for one in every
+        for one in all_groups
     ]
     report.record("worst", columns, named)
     report.show(
         f"Worst machines by {ERRORS[by]}; any machine again: diffdrive replay FOLDER --machine NUMBER",
-        *_of_groups(every, columns, named),
+        *_of_groups(all_groups, columns, named),
     )
 
 
@@ -142,9 +142,9 @@ def _stuck(group: Group) -> int:
     return int(np.sum(~group.diverged & (group.column("saturated") >= STUCK)))
 
 
-def _numbers(told: GroupInfluences, tolerance: float | None) -> dict[str, Any]:
+def _numbers(analysed: GroupInfluences, tolerance: float | None) -> dict[str, Any]:
     """What the tables say, for programs: SI units, intervals as numbers."""
-    group, every = told
+    group, influences = analysed
     return {
         "motion": group.motion,
         "controller": group.controller,
@@ -156,7 +156,9 @@ def _numbers(told: GroupInfluences, tolerance: float | None) -> dict[str, Any]:
         "misses": None
         if tolerance is None
         else {"tolerance_m": tolerance} | {name: exceedance(group.error(name), tolerance)._asdict() for name in ERRORS},
-        "sensitivity": [{name: value for name, value in one._asdict().items() if name != "chance"} for one in every],
+        "sensitivity": [
+            {name: value for name, value in one._asdict().items() if name != "chance"} for one in influences
+        ],
     }
 
 
@@ -166,8 +168,10 @@ def _compare(report: Report, found: Sequence[Group], by: str) -> None:
     rows = []
     for one, first in pairs:
         if one is not first:
-            told = compare(one, first, by)
-            rows.append([one.motion, told.one, told.other, _range(told.better, 100), told.ratio])
+            comparison = compare(one, first, by)
+            rows.append(
+                [one.motion, comparison.one, comparison.other, _range(comparison.better, 100), comparison.ratio]
+            )
     if rows:
         report.table(
             "compared",
@@ -179,10 +183,18 @@ def _compare(report: Report, found: Sequence[Group], by: str) -> None:
 
 def _blame(report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], by: str) -> None:
     rows = [
-        [one.motion, one.controller, each.name, 100 * each.share, 100 * each.uncertain, 1e6 * each.low, 1e6 * each.high]
-        for one, every in found
-        for each in every
-        if each.is_significant  # result.json has the others
+        [
+            one.motion,
+            one.controller,
+            influence.name,
+            100 * influence.share,
+            100 * influence.uncertain,
+            1e6 * influence.low,
+            1e6 * influence.high,
+        ]
+        for one, influences in found
+        for influence in influences
+        if influence.is_significant  # result.json has the others
     ]
     if rows:
         columns = ("motion", "controller", "quantity", "share, %", "+-", "um where low", "um where high")
@@ -193,14 +205,14 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], by
             "lowest and highest sixth" + (TOGETHER if plan.correlation else ""),
             *_of_groups([one for one, _ in found], headings, rows),
         )
-    for one, every in found if plan.varied else ():
+    for one, influences in found if plan.varied else ():
         place = f"{one.motion}, {one.controller}"
-        if not every:
+        if not influences:
             report.say(
                 f"{place}: no sensitivities: they take {MIN_MACHINES} machines that did not diverge and are not all "
                 "alike."
             )
-        elif not any(each.is_significant for each in every):
+        elif not any(influence.is_significant for influence in influences):
             report.say(
                 f"{place}: no quantity stands out by its share of the spread; more machines tell smaller shares."
             )
@@ -212,16 +224,18 @@ def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group
     for one in found:
         if not one.diverged.any():
             continue
-        every = influences_on_event(list(plan.units), varied_values(plan, one), one.diverged, plan.seed)
-        clear = [each for each in every if each.is_significant or each.chance < RARELY]
-        for each in clear:
-            uncertain = 100 * each.uncertain if np.isfinite(each.uncertain) else None
-            shown = [100 * each.share, uncertain, each.chance, 100 * each.low, 100 * each.high]
-            rows.append([one.motion, one.controller, each.name, *shown])
-        if not clear:
+        influences = influences_on_event(list(plan.units), varied_values(plan, one), one.diverged, plan.seed)
+        significant_ones = [
+            influence for influence in influences if influence.is_significant or influence.chance < RARELY
+        ]
+        for influence in significant_ones:
+            uncertain = 100 * influence.uncertain if np.isfinite(influence.uncertain) else None
+            shown = [100 * influence.share, uncertain, influence.chance, 100 * influence.low, 100 * influence.high]
+            rows.append([one.motion, one.controller, influence.name, *shown])
+        if not significant_ones:
             why = (
                 "which nothing that varies tells from the others"
-                if every
+                if influences
                 else f"and of why nothing is said: that takes {MIN_MACHINES} machines, some that stay, and what varies"
             )
             report.say(
