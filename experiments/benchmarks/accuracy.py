@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
-from diffdrive.model.parameters import Drive, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Drive, Sampling, Scalar, Sensor, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.builders import triangular
 from experiments.studies.recovery.random_drive import random_drive
@@ -24,7 +24,7 @@ CASES = ((0.0002, 0.2), (0.010, 0.3), (0.200, 0.2))  # speed m/s, rounding of th
 
 
 @partial(jax.jit, static_argnums=2)
-def _positions(models: tuple[Drive, PD], inputs: Inputs, sampling: Sampling) -> Float[Array, " n"]:
+def _positions(models: tuple[Drive, PD], inputs: Inputs, sampling: Sampling) -> Float[Array, " n"] | Scalar:
     drive, controller = models
     return rollout(drive, controller, inputs, sampling).position
 
@@ -58,7 +58,7 @@ def errors_of_random_drives() -> list[list[float]]:
     control = as_arrays(PD(Tracking(PDGains(PAPER_KP, PAPER_KD))))
 
     @partial(jax.jit, static_argnums=1)
-    def positions(inputs: Inputs, sampling: Sampling) -> Float[Array, "drives n"]:
+    def positions(inputs: Inputs, sampling: Sampling) -> Float[Array, "drives n"] | Scalar:
         return jax.vmap(lambda machine: rollout(machine, control, inputs, sampling).position)(machines)
 
     rows = []

@@ -1,5 +1,7 @@
 """The arithmetic of a control step, counted in its jaxpr: its cost should be in proportion."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, JaxprEqn
@@ -18,7 +20,7 @@ FREE = {
 def _inner(equation: JaxprEqn) -> list[tuple[Jaxpr, int]]:
     """The jaxprs within an equation, and how often each runs."""
     times = int(equation.params.get("length", 1)) if equation.primitive.name == "scan" else 1
-    inner_jaxprs = []
+    inner_jaxprs: list[tuple[Any, int]] = []
     for value in equation.params.values():
         for item in value if isinstance(value, tuple | list) else (value,):
             inner = getattr(item, "jaxpr", item)

@@ -169,7 +169,7 @@ def reverse(
     """Many lanes forward, and in reverse mode: each with its own load, all under the same eight parameters."""
     tuned, factors = _TunedLoop.of(drive, controller), jnp.linspace(0.5, 1.5, count)
 
-    def lane_costs(theta: Float[Array, " k"], checkpoint_every: int) -> Float[Array, " lanes"]:
+    def lane_costs(theta: Float[Array, " k"], checkpoint_every: int) -> Float[Array, " lanes"] | Scalar:
         cost = rms_cost(tuned.machine, tuned.control, inputs, sampling, checkpoint_every)
         return jax.vmap(lambda factor: cost(tuned.machine, tuned.controller_at(theta), factor))(factors)
 
@@ -227,7 +227,7 @@ def derivatives(drive: Drive, controller: Controller, inputs: Inputs, sampling: 
     tuned = _TunedLoop.of(drive, controller)
     machine, control, theta_0, controller_at = tuned.machine, tuned.control, tuned.theta, tuned.controller_at
 
-    def residuals(theta: Float[Array, " k"]) -> Float[Array, " n"]:
+    def residuals(theta: Float[Array, " k"]) -> Float[Array, " n"] | Scalar:
         return inputs.reference.position - rollout(machine, controller_at(theta), inputs, sampling).position
 
     def rms(theta: Float[Array, " k"], checkpoint_every: int = 1) -> Scalar:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy import signal
 
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, Friction, Plant, Sensor
+from diffdrive.model.parameters import Directional, Drive, Friction, Plant, Sensor
 from experiments.studies.data_folder import find_data
 
 ACTIVE_FLAGS = {"speed_test1.txt": 1, "speed_test.txt": 0}  # "Function Activated" while the compensation is on
@@ -53,16 +53,16 @@ def nominal_drive(folder: Path) -> Drive:
     """The motor without its cogging: inertia and friction by least squares over the halves without compensation."""
     mass, coulomb, viscous = _least_squares([read(folder / name)["off"] for name in ACTIVE_FLAGS])
     return Drive(
-        plant=Plant(mass=mass, damping=0.0),
+        plant=Plant(mass=mass, damping=Directional(0.0, 0.0)),
         friction=Friction(
-            coulomb_screw=coulomb,
-            load_coefficient=0.0,
+            coulomb_screw=Directional(coulomb, coulomb),
+            load_coefficient=Directional(0.0, 0.0),
             initial_load=0.0,
-            breakaway_gap=0.1 * coulomb,
-            stribeck_velocity=1e-3,
-            viscous=viscous,
-            bristle_stiffness=coulomb / 2e-6,
-            bristle_damping=100.0,
+            breakaway_gap=Directional(0.1 * coulomb, 0.1 * coulomb),
+            stribeck_velocity=Directional(1e-3, 1e-3),
+            viscous=Directional(viscous, viscous),
+            bristle_stiffness=Directional(coulomb / 2e-6, coulomb / 2e-6),
+            bristle_damping=Directional(100.0, 100.0),
         ),
         sensor=Sensor(resolution=RESOLUTION * METRES_PER_RAD),
     )

@@ -11,7 +11,7 @@ the same cogging found in both from the current command of the velocity loop?
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import ParameterError
@@ -60,7 +60,9 @@ def _symmetric(drive: Drive) -> Drive:
     """The drive with equal directions; the difference of the Coulomb friction becomes a constant force."""
     plant, friction = drive.plant, drive.friction
     offset = 0.5 * (friction.coulomb_screw.negative - friction.coulomb_screw.positive)
-    pairs = {name: _mean(getattr(friction, name)) for name in ("coulomb_screw", "breakaway_gap", "viscous")}
+    pairs: dict[str, Any] = {
+        name: _mean(getattr(friction, name)) for name in ("coulomb_screw", "breakaway_gap", "viscous")
+    }
     return dataclasses.replace(
         drive,
         plant=dataclasses.replace(plant, constant_force=plant.constant_force + offset, damping=_mean(plant.damping)),
@@ -129,8 +131,8 @@ def real_axes(report: Report, which: str = "all", terms: Sequence[str] = ()) -> 
             report.say(f"{name}: left out, its data are not there")
         else:
             study(report, folder)
-    if parts := FolderStore.in_folder(report.out, PARTS):
-        parts.remove()
+    if store := FolderStore.in_folder(report.out, PARTS):
+        store.remove()
 
 
 def _diagnose(

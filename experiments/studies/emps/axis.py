@@ -9,7 +9,7 @@ import scipy.io
 from diffdrive.axis import Axis
 from diffdrive.controllers import Cascade
 from diffdrive.logs import ColumnMapping, Log, read_log
-from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor
+from diffdrive.model.parameters import Actuator, Directional, Drive, Friction, Plant, Sampling, Sensor
 from diffdrive.motion.motion import Limits
 from experiments.studies.data_folder import find_data
 
@@ -59,16 +59,16 @@ def read_all(folder: Path) -> dict[str, Record]:
 def reference_drive() -> Drive:
     """The benchmark's own parameters (inverse-dynamics least squares), with a stiff bristle under them."""
     return Drive(
-        plant=Plant(mass=95.1089, damping=0.0, constant_force=3.1648),
+        plant=Plant(mass=95.1089, damping=Directional(0.0, 0.0), constant_force=3.1648),
         friction=Friction(
-            coulomb_screw=20.3935,
-            load_coefficient=0.0,
+            coulomb_screw=Directional(20.3935, 20.3935),
+            load_coefficient=Directional(0.0, 0.0),
             initial_load=0.0,
-            breakaway_gap=1e-3,
-            stribeck_velocity=1e-3,
-            viscous=203.5034,
-            bristle_stiffness=1e6,
-            bristle_damping=3e3,
+            breakaway_gap=Directional(1e-3, 1e-3),
+            stribeck_velocity=Directional(1e-3, 1e-3),
+            viscous=Directional(203.5034, 203.5034),
+            bristle_stiffness=Directional(1e6, 1e6),
+            bristle_damping=Directional(3e3, 3e3),
         ),
     )
 

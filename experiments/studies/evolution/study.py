@@ -252,10 +252,10 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
         "Until the cost is so close to the best gradient search's: how many got there, and the median of all "
         "(- : half of them or more did not within the budget)",
     )
-    searches = {"gradient": descents, "evolution": evolutions}
+    searches: dict[str, Sequence[Descent | Evolution]] = {"gradient": descents, "evolution": evolutions}
     report.data["history"] = {name: [search.history for search in runs] for name, runs in searches.items()}
     figure, axes = new_figure(1, 2, width=9.0, share_x=False)
-    for name, color, runs in (("gradient", "C0", descents), ("evolution", "C1", evolutions)):
+    for (name, runs), color in zip(searches.items(), ("C0", "C1"), strict=True):
         for k, search in enumerate(runs):
             simulations, seconds, cost = np.array(search.history).T
             above = cost / best - 1.0 + MIN_EXCESS

@@ -188,5 +188,5 @@ def _reversal_data(measured: MeasuredFriction, drive: Drive) -> _ReversalData:
         travelled = np.abs(measured.position[interval] - measured.position[interval.start])
         if travelled.max() > reach:  # else the table rests, or creeps
             counts[interval] = travelled <= reach
-    signals = (jnp.asarray(signal) for signal in (measured.velocity, measured.load, measured.friction, counts))
-    return _ReversalData(*signals, 1.0 / measured.rate)
+    velocity, load, force = (jnp.asarray(signal) for signal in (measured.velocity, measured.load, measured.friction))
+    return _ReversalData(velocity, load, force, jnp.asarray(counts), 1.0 / measured.rate)

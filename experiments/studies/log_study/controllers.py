@@ -72,13 +72,11 @@ def replayed_command(
 ) -> Float[Array, " n"]:
     """The command (N, [n]) of a controller from rest on a log's reference, position (m) and applied command (N)."""
 
-    def body(
-        carry: tuple[PyTree, Scalar], sample: tuple[Reference, Scalar, Scalar]
-    ) -> tuple[tuple[PyTree, Scalar], Scalar]:
+    def body(carry: tuple[PyTree, Array], sample: tuple[Reference, Array, Array]) -> tuple[tuple[PyTree, Array], Array]:
         state, applied = carry
         reference_sample, measured, logged = sample
         state, replayed = controller.step(state, reference_sample, measured, applied, period)
-        return (state, logged), replayed.force
+        return (state, logged), jnp.asarray(replayed.force)
 
     initial = controller.init(position[0]), jnp.zeros_like(position[0])
     return lax.scan(body, initial, (reference, position, command))[1]

@@ -53,8 +53,10 @@ def _controller_fault(case: LogCase, controller: Controller, amount: str) -> Log
         return None
     motion = case.motion
     reference = Reference(*(jnp.asarray(signal) for signal in (motion.position, motion.velocity, motion.acceleration)))
-    arrays = as_arrays((case.axis.controller, reference, log.position, log.command))
-    difference = log.command - np.asarray(replayed_command(*arrays, 1.0 / case.drive.rate))
+    controller, reference = as_arrays((case.axis.controller, reference))
+    position, command = jnp.asarray(log.position), jnp.asarray(log.command)
+    replayed = replayed_command(controller, reference, position, command, 1.0 / case.drive.rate)
+    difference = log.command - np.asarray(replayed)
     difference -= np.mean(difference)  # an integral's value before the log began
     return (
         LogFault(log, log, amount, ("other controller",))

@@ -54,7 +54,8 @@ def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Moti
     stroke, speed, acceleration, rate = drive.stroke, drive.speed, drive.acceleration, drive.rate
 
     def waves(*parts: tuple[float, float]) -> Motion:
-        position = sum(0.5 * size * (1.0 - np.cos(2.0 * np.pi * frequency * time)) for size, frequency in parts)
+        terms = (0.5 * size * (1.0 - np.cos(2.0 * np.pi * frequency * time)) for size, frequency in parts)
+        position = sum(terms, start=np.zeros(count))
         return motion.from_array(time, position - 0.5 * np.ptp(position))
 
     def two_sines(rng: np.random.Generator) -> Motion:
@@ -69,7 +70,7 @@ def motions(drive: StudyDrive) -> dict[str, Callable[[np.random.Generator], Moti
 
     def speeds(rng: np.random.Generator) -> Motion:
         return motion.staircase(
-            speeds=speed * np.array([0.5, 0.15, 1.0, 0.3]) * rng.uniform(0.7, 1.0), travel=0.25 * stroke,
+            speeds=(speed * np.array([0.5, 0.15, 1.0, 0.3]) * rng.uniform(0.7, 1.0)).tolist(), travel=0.25 * stroke,
             acceleration=acceleration, dwell=0.05, rate=rate,
         )  # fmt: skip
 
@@ -150,7 +151,7 @@ def simulate_log(
 @eqx.filter_jit
 def _motor_deflection(
     drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling, key: Array
-) -> Float[Array, " n"]:
+) -> Float[Array, " n"] | Scalar:
     """The motor's position relative to the table (m), of a drive whose first effect is its transmission."""
     drive = stages.with_machine_effects(drive, drive.effects)
 

@@ -104,10 +104,14 @@ def score_faulty_logs(
 def report_faulty_logs(report: Report, answers: Sequence[ScoredLog]) -> None:
     """The tables by fault, by axis and by log, and the totals."""
     head = ("what", "logs", "named first", "named", "rivals missing", "mended", "wrong mends")
-    for name, group_of, caption in (
-        ("by_fault", lambda answer: answer.log.kind, "By fault"),
-        ("by_drive", lambda answer: answer.log.case.drive.name, "By axis"),
-    ):
+
+    def by_fault(answer: ScoredLog) -> str:
+        return answer.log.kind
+
+    def by_drive(answer: ScoredLog) -> str:
+        return answer.log.case.drive.name
+
+    for name, group_of, caption in (("by_fault", by_fault, "By fault"), ("by_drive", by_drive, "By axis")):
         groups = sorted({group_of(answer) for answer in answers})
         rows = [
             _counts_row(group, [answer.score for answer in answers if group_of(answer) == group]) for group in groups

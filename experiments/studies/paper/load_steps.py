@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive, Scalar, as_arrays
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
 from diffdrive.motion.builders import constant_speed
@@ -40,9 +40,10 @@ def estimators(drive: Drive) -> dict[str, Controller]:
 
 
 @eqx.filter_jit
-def _estimate(drive: Drive, controller: Controller, inputs: Inputs) -> Float[Array, " n"]:
+def _estimate(drive: Drive, controller: Controller, inputs: Inputs) -> Float[Array, " n"] | Scalar:
     estimate = rollout(drive, controller, inputs, paper.SAMPLING).estimate
     assert estimate is not None
+    assert estimate.load is not None
     return estimate.load
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from diffdrive import motion
 from diffdrive.controllers import Controller, Feedforward, FrictionCompensation, Tracking
@@ -14,7 +15,7 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import coulomb, deflection_after, friction_force, lugre_coefficients, steady_friction
-from diffdrive.model.parameters import Drive, Friction, Scalar
+from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
@@ -119,10 +120,10 @@ def hysteresis(
     position = amplitude * np.sin(2 * np.pi * time / period)
     velocity = np.gradient(position, step)
 
-    def body(deflection: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
+    def body(deflection: Array, v: Array) -> tuple[Array, Array]:
         bristle = lugre_coefficients(friction, v, deflection, weight)
         deflection = deflection_after(deflection, v, bristle.rate, step)
-        return deflection, friction_force(bristle, v, deflection)
+        return jnp.asarray(deflection), jnp.asarray(friction_force(bristle, v, deflection))
 
     _, force = jax.lax.scan(body, jnp.zeros(()), jnp.asarray(velocity))
     settled = slice(8_000, None)

@@ -71,7 +71,10 @@ def strokes(rows: Sequence[tuple[float, float, float, float]], rate: float) -> l
 def small_multisine(rate: float) -> Motion:
     """The multisine, faded in and out over `FADING` so that it begins and ends at rest."""
     tones = multisine(
-        amplitudes=np.full(len(TONES), TONE_AMPLITUDE), frequencies=TONES, duration=MULTISINE_DURATION, rate=rate
+        amplitudes=[TONE_AMPLITUDE] * len(TONES),
+        frequencies=TONES.tolist(),
+        duration=MULTISINE_DURATION,
+        rate=rate,
     )
     edge = np.minimum(tones.time, MULTISINE_DURATION - tones.time) / FADING
     share = np.clip(edge, 0.0, 1.0)

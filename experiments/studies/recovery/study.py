@@ -90,13 +90,13 @@ def identify_draw(number: int) -> DrawResult:
     try:
         identified = identify([log], believed)
         status, simulations = identified.status, identified.simulations
-        rows = [
+        rows: list[EstimateRow] = [
             {"name": e.name, "true": truth[e.name], "value": e.value, "low": e.low, "high": e.high, "status": e.status}
             for e in identified.estimates
         ]
     except DiffdriveError as error:  # a result, too
         status, simulations = f"failed: {error}", 0
-        rows = [{"name": name, "true": value, "status": "failed"} for name, value in truth.items()]
+        rows = [EstimateRow(name=name, true=value, status="failed") for name, value in truth.items()]
     return {
         "draw": number,
         "status": status,

@@ -60,7 +60,7 @@ class _Loop(NamedTuple):
     table: TruthTable
     forces: tuple[Scalar, ...]  # commands after the limit, newest first
     error: Scalar
-    index: Scalar  # of the sample
+    sample: Scalar  # its number
 
 
 def _rates(drive: Drive, table: TruthTable, force: Scalar, load: Scalar) -> TruthTable:
@@ -132,16 +132,16 @@ def run(
     def body(loop: _Loop, inputs: tuple[Scalar, Scalar]) -> tuple[_Loop, TruthSignals]:
         target, applied_load = inputs
         table = loop.table.position
-        measured = table + sensor.noise * jax.random.normal(jax.random.fold_in(key, loop.index), dtype=jnp.float64)
+        measured = table + sensor.noise * jax.random.normal(jax.random.fold_in(key, loop.sample), dtype=jnp.float64)
         if sensor.resolution is not None:
             measured = sensor.resolution * jnp.round(measured / sensor.resolution)
         error = target - measured
-        last = jnp.where(loop.index == 0, error, loop.error)
+        last = jnp.where(loop.sample == 0, error, loop.error)
         command = gains.kp * error + gains.kd * (error - last) * rate
         limit = jnp.inf if actuator.force_limit is None else actuator.force_limit
         forces = (jnp.clip(command, -limit, limit), *loop.forces)
         next_table = advance(drive, loop.table, forces[-1], forces[-2], applied_load, period, steps)
-        return _Loop(next_table, forces[:-1], error, loop.index + 1), TruthSignals(measured, command, table)
+        return _Loop(next_table, forces[:-1], error, loop.sample + 1), TruthSignals(measured, command, table)
 
     holding = drive.friction.bristle_stiffness.towards(deflection) * deflection - drive.plant.constant_force
     rest_position = reference[0] - holding / gains.kp

@@ -97,7 +97,8 @@ def _run_solver(
     theta = jnp.zeros(len(gains.free))
     state = _begin(solver, residuals, theta, problem)
     jax.block_until_ready(_step(solver, residuals, theta, problem, state))  # compiled before the clock starts
-    start, best, feasible = time.perf_counter(), (np.inf, np.asarray(theta)), (np.inf, None)
+    start, best, feasible = time.perf_counter(), (np.inf, np.asarray(theta)), np.inf
+    feasible_theta: np.ndarray | None = None
     history: list[BaselineVisit] = []
     status = ""
     while not status:
@@ -105,13 +106,13 @@ def _run_solver(
         point: DesignPoint = evaluate(gains, theta, problem)
         penalised, objective = float(point.penalised_objective), float(point.objective)
         best = min(best, (penalised, np.asarray(theta)), key=lambda candidate: candidate[0])
-        if float(point.violation) <= FEASIBILITY_TOLERANCE and objective < feasible[0]:
-            feasible = (objective, np.asarray(theta))
-        history.append(BaselineVisit(len(history) + 1, time.perf_counter() - start, best[0], feasible[0]))
+        if float(point.violation) <= FEASIBILITY_TOLERANCE and objective < feasible:
+            feasible, feasible_theta = objective, np.asarray(theta)
+        history.append(BaselineVisit(len(history) + 1, time.perf_counter() - start, best[0], feasible))
         if bool(finished) or not np.isfinite(np.asarray(theta)).all():
             status = "converged" if bool(finished) else "diverged"
         elif len(history) >= budget.simulations:
             status = f"stopped after {len(history)} steps"
         elif history[-1].seconds >= budget.seconds:
             status = f"stopped after {history[-1].seconds:.0f} s"
-    return BaselineResult(best[1], best[0], feasible[1], status, history)
+    return BaselineResult(best[1], best[0], feasible_theta, status, history)

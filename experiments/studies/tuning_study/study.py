@@ -298,9 +298,9 @@ def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> Non
     )  # fmt: skip
     report.table("parameters", columns, rows, "Cost to come within 5 % of the better of both")
     figure, axes = new_figure(1, 2, width=10.0, height=3.4, share_x=False)
-    for axis, gradient_cost, cma_cost, what in ((axes[0], 3, 5, "evaluations"), (axes[1], 4, 6, "s")):
-        axis.plot([row[0] for row in rows], [row[gradient_cost] or np.nan for row in rows], "o-", label="gradient")
-        axis.plot([row[0] for row in rows], [row[cma_cost] or np.nan for row in rows], "s-", label="CMA-ES")
+    for axis, ours, theirs, what in ((axes[0], 3, 5, "evaluations"), (axes[1], 4, 6, "s")):
+        axis.plot([row[0] for row in rows], [row[ours] or np.nan for row in rows], "o-", label="gradient")
+        axis.plot([row[0] for row in rows], [row[theirs] or np.nan for row in rows], "s-", label="CMA-ES")
         axis.set(xlabel="parameters", ylabel=f"{what} to within 5 %", yscale="log")
     axes[0].legend()
     figure.suptitle("no mark: did not come within 5 % of the better of both", fontsize="small")

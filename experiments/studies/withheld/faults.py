@@ -59,7 +59,7 @@ def _applied_load(rng: np.random.Generator, size: float) -> InjectedFault:
 
 
 def _friction_shape(rng: np.random.Generator, size: float) -> InjectedFault:
-    which = rng.choice(["stribeck_velocity", "stribeck_exponent", "breakaway_gap", "viscous"])
+    which = str(rng.choice(["stribeck_velocity", "stribeck_exponent", "breakaway_gap", "viscous"]))
     share = 0.3 if which == "stribeck_exponent" else 0.15  # of which little shows
     factor = float(np.exp(rng.choice([-1.0, 1.0]) * min(share * size, 0.7)))
     drive_factors = {which: factor} | ({"damping": factor} if which == "viscous" else {})

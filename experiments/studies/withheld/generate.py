@@ -68,7 +68,7 @@ def _simulate_log(case: WithheldCase, log: int, peak: float | None = None) -> Lo
     faults, structure = log_faults(case, log, peak)
     position, command = run(case.true, faults, structure, case.gains, case.resolution, inputs, case.rate)
     time = np.arange(len(position)) / case.rate
-    return Log("ab"[log], time, position, command, reference=inputs.reference, load=inputs.load)
+    return Log("ab"[log], time, position, command, reference=np.asarray(inputs.reference), load=np.asarray(inputs.load))
 
 
 def _is_visible(case: WithheldCase, logs: list[Log], peak: float | None) -> bool:

@@ -118,14 +118,17 @@ class MachineState(NamedTuple):
     elements: Float[Array, " e"]
 
 
+Signal = Float[Array, " n"] | Float[np.ndarray, " n"]
+
+
 class MachineInputs(NamedTuple):
     """Reference, load, noise and disturbances of one log, [n] each."""
 
-    reference: Float[Array, " n"]  # m
-    load: Float[Array, " n"]  # N
-    noise: Float[Array, " n"]  # m
-    disturbance: Float[Array, " n"]  # N, outside the catalogue
-    friction_share: Float[Array, " n"]  # share of Coulomb friction, outside the catalogue
+    reference: Signal  # m
+    load: Signal  # N
+    noise: Signal  # m
+    disturbance: Signal  # N, outside the catalogue
+    friction_share: Signal  # share of Coulomb friction, outside the catalogue
 
 
 _RateArguments = tuple[Drive, FaultParameters, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
@@ -192,7 +195,8 @@ def _rates(t: Scalar, s: MachineState, args: _RateArguments, *, structure: Machi
     external_force = external_force + process_force * _window(t, f.process_start, f.process_end, 0.01)
     friction, rate, _ = _friction(drive, f, structure, s, s.v, s.z, s.x, load, friction_share, t)
     zero = jnp.zeros_like(s.x)
-    motor_acceleration, motor_rate = zero, zero
+    motor_acceleration: Scalar = zero
+    motor_rate: Scalar = zero
     if structure.elastic:
         motor_friction, motor_rate, _ = _friction(drive, f, structure, s, s.v + s.w, s.y, s.x, load, friction_share, t)
         table_mass, motor_mass = (1.0 - f.motor_share) * mass, f.motor_share * mass
@@ -298,7 +302,8 @@ def _run(
         return (next_state, forces, error, k + 1.0), (measured, command)
 
     zero = jnp.zeros(())
-    start = MachineState(inputs.reference[0], *([zero] * 8), f.rested + zero, jnp.zeros(ELEMENTS))
+    at_rest = MachineState(zero, zero, zero, zero, zero, zero, zero, zero, zero, f.rested + zero, jnp.zeros(ELEMENTS))
+    start = at_rest._replace(x=inputs.reference[0])
     carry = (start, jnp.zeros(MAX_DELAY + 2), zero, zero)
     return lax.scan(sample, carry, inputs)[1]
 

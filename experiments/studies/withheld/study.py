@@ -103,8 +103,9 @@ def _answer_cases(
         command = [sys.executable, *ANSWER_COMMAND, "cases", "answers", str(workers), "without.json", ATTENDED]
         paths = os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
         environment = os.environ | {"PYTHONPATH": paths}
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        with subprocess.Popen(command, cwd=workspace, env=environment, text=True, **pipes) as process:
+        with subprocess.Popen(
+            command, cwd=workspace, env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as process:
             assert process.stdout is not None
             try:
                 for line in process.stdout:
