@@ -80,7 +80,7 @@ class _Critical(NamedTuple):
 def _critical_frequencies(sampled: Response) -> _Critical:
     cubic = _Cubic.interpolate(sampled)
 
-    def nearest(candidates: Bool[Array, " i"], distance: Array, log: Array) -> tuple[Scalar, Scalar]:
+    def nearest(candidates: Bool[Array, " i"], distance: Array, log: Array) -> tuple[Scalar, Bool[Array, ""]]:
         chosen = jnp.argmin(jnp.where(candidates, distance, jnp.inf))
         return jnp.exp(jnp.where(candidates, log, 0.0)[chosen]), jnp.any(candidates)  # 1 Hz where there is none
 

@@ -24,7 +24,7 @@ LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of th
 # s: the integrator is of second order, and here its error is the rounding of a position of a metre
 FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / SUBSTEP_ERROR))
 ROUNDING = 1e-6  # largest rounding error of a smoothed limit, as a share of its width
-Scalar = Float[Array, ""] | float
+Scalar = Float[Array, ""] | float | int  # a check at run time does not take an int for a float
 Tree = TypeVar("Tree")
 
 
