@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,7 +32,7 @@ class CheckedLogs:
         return [(log, finding) for log, finding in self.findings if finding.severity != "note"]
 
 
-def as_logs(axis: Axis, sources: Any) -> tuple[Log, ...]:
+def as_logs(axis: Axis, sources: object) -> tuple[Log, ...]:
     """One or several logs: as they are, or read with the axis's columns and units. Raises `LogError`."""
     listed = sources if isinstance(sources, list | tuple) else [sources]
     if not listed:

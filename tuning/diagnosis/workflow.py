@@ -12,7 +12,6 @@ from diffdrive.axis import Axis
 from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.catalogue import EFFECTS, in_order
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.logs import Log
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.model.parameters import Drive
 from diffdrive.results import Result, Status
@@ -93,13 +92,13 @@ class DiagnosisResult(Result):
         cut = [*wrapped[: LINES - 1], "... and more: see details"] if len(wrapped) > LINES else wrapped
         return "\n".join(cut)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         return dict(self.details)
 
 
 def diagnose(
     axis: Axis,
-    logs: Log | Any | Sequence[Any],
+    logs: object,
     *,
     without: Sequence[str] = (),
     most_effects: int = MOST_EFFECTS,

@@ -27,6 +27,7 @@ from tuning.identification.estimates import ReportedParameter, reported_paramete
 from tuning.identification.filter_gain import filter_lanes
 from tuning.identification.identify import UNDETERMINED, Identification
 from tuning.identification.prediction import Lanes
+from tuning.identification.problem import IdentificationProblem
 from tuning.identification.refinement import RefinedFit, linearised
 from tuning.identification.uncertainty import LEVEL
 
@@ -132,7 +133,7 @@ def propose_motions(
     if not open_ones or not motions or isinstance(controller, UnknownController):
         return found
     width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))
-    known = _information(*linearised(wide.residuals, jnp.asarray(wide.search.theta), as_arrays(wide.problem)), 1)[0]
+    known = _information(wide, wide.problem, 1)[0]
     offered = _candidate_information(identified, controller, sampling, list(motions.values()))
     for k, free in open_ones:
         informed = (known, *(known + more for more in offered))
@@ -162,8 +163,9 @@ def _width(information: Float[np.ndarray, "k k"], prior: Float[np.ndarray, " k"]
     return float(np.sqrt(np.linalg.inv(information + np.diag(prior**2))[k, k]))
 
 
-def _information(value: Array, slope: Array, lanes: int) -> Float[np.ndarray, "lanes k k"]:
-    """Fisher information of each lane; the last rows, the prior, left out."""
+def _information(fit: RefinedFit, problem: IdentificationProblem, lanes: int) -> Float[np.ndarray, "lanes k k"]:
+    """Fisher information of each lane at the end of a fit; the last rows, the prior, left out."""
+    _, slope = linearised(fit.residuals, jnp.asarray(fit.search.theta), as_arrays(problem))
     count = slope.shape[1]
     rows = np.asarray(slope)[:-count].reshape(lanes, -1, count)
     return np.einsum("lnk,lnj->lkj", rows, rows)
@@ -178,12 +180,11 @@ def _candidate_information(
     stack = [loop_inputs(motion, load) for motion in motions]
     inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stack)
     frames = _simulated(*as_arrays((smooth(identified.drive), smooth(controller))), inputs, sampling)
-    shape = frames.position.shape
-    lanes = Lanes(
-        frames.position, frames.command, jnp.zeros(shape), jnp.zeros(shape), jnp.ones(shape), jnp.zeros(shape[0])
-    )
+    position, command = jnp.asarray(frames.position), jnp.asarray(frames.command)
+    shape = position.shape
+    lanes = Lanes(position, command, jnp.zeros(shape), jnp.zeros(shape), jnp.ones(shape), jnp.zeros(shape[0]))
     drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.theta), wide.problem)
     fine = wide.residuals.sampling
     filtered = filter_lanes(drive, unknowns.delay, identified.process_force, identified.noise, lanes, fine)
     problem = wide.problem._replace(lanes=lanes, gains=jax.tree.map(np.asarray, filtered.gains))
-    return _information(*linearised(wide.residuals, jnp.asarray(wide.search.theta), as_arrays(problem)), shape[0])
+    return _information(wide, problem, shape[0])

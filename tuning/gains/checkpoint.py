@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from diffdrive.errors import CheckpointError
 from diffdrive.support.atomic_write import write_text
@@ -21,7 +22,7 @@ class Checkpoint:
     to the last bit, and the file is replaced as a whole.
     """
 
-    def __init__(self, path: Path | None, problem: Any) -> None:
+    def __init__(self, path: Path | None, problem: PyTree) -> None:
         """Read what is at `path`, if anything; raises `CheckpointError` if it is another problem's, or damaged."""
         self.path = path
         self.identity = _identity(problem)
@@ -61,7 +62,7 @@ def _search_state(fields: dict[str, Any]) -> SearchState:
     return SearchState(**{**fields, "theta": tuple(fields["theta"]), "history": history, "best": best})
 
 
-def _identity(problem: Any) -> str:
+def _identity(problem: PyTree) -> str:
     """A hash of every number and every setting."""
     leaves, tree = jax.tree.flatten(problem)
     digest = hashlib.sha256(str(tree).encode())

@@ -108,8 +108,8 @@ class ConstrainedGains:
         ]
         return LinearisedPoint(
             point=DesignPoint(self.objective(signals), constraints),
-            gradient=sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root),
-            hessian=sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root),
+            gradient=jnp.asarray(sum(jnp.einsum("ln,kln->k", value, slope) for value, slope in root)),
+            hessian=jnp.asarray(sum(jnp.einsum("jln,kln->jk", slope, slope) for _, slope in root)),
             constraint_jacobians={name: slope.T for name, slope in jacobians.items()},
             products=_products(problem.requirements, signals, slopes),
         )

@@ -1,7 +1,6 @@
 """Tuned gains as a commissioning engineer types them in: SI and the controller's own units, with what they rest on."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -9,6 +8,7 @@ import tomli_w
 from diffdrive.axis import Axis
 from diffdrive.loop.margins import Margins
 from diffdrive.support.atomic_write import write_text
+from diffdrive.support.typing import TomlTable
 from tuning.gains.tune import GainSearch
 
 LABELS = {
@@ -18,11 +18,11 @@ LABELS = {
 PER_VOLT = ("kp", "kd", "kv", "ki", "reach")  # gains in newtons of command per something
 
 
-def handover(description: Axis, tuned: GainSearch, margins: Margins, conditions: dict[str, Any]) -> dict[str, Any]:
+def handover(description: Axis, tuned: GainSearch, margins: Margins, conditions: TomlTable) -> TomlTable:
     """The hand-over as nested tables: gains in SI, in command volts where the drive file says N/V; margins."""
     gains = {LABELS.get(name, name): float(value) for name, value in zip(tuned.names, tuned.after, strict=True)}
     per_volt = description.mapping.force_per_volt
-    tables: dict[str, Any] = {"gains_si": gains}
+    tables: TomlTable = {"gains_si": gains}
     if per_volt is not None:
         volts = {name: value / per_volt for name, value in gains.items() if name in PER_VOLT}
         tables["gains_in_command_volts"] = {"force_per_volt": per_volt, **volts}
@@ -43,6 +43,6 @@ def worst_margins(margins: Margins) -> dict[str, float]:
     return {name: round(float(value), 6) for name, value in found.items() if np.isfinite(value)}
 
 
-def write_handover(path: Path, tables: dict[str, Any]) -> None:
+def write_handover(path: Path, tables: TomlTable) -> None:
     """Write it as TOML."""
     write_text(path, tomli_w.dumps(tables))

@@ -104,15 +104,15 @@ class Objective(NamedTuple):
 
         def root(slope: Array, signal: Array) -> Array:
             safe = jnp.where(jnp.abs(signal) > TINY, signal, 1.0)
-            return safe_sqrt(jnp.where(jnp.abs(signal) > TINY, jnp.maximum(slope / safe, 0.0), 0.0))
+            return jnp.asarray(safe_sqrt(jnp.where(jnp.abs(signal) > TINY, jnp.maximum(slope / safe, 0.0), 0.0)))
 
-        slopes = jax.grad(self)(signals)
+        slopes = jax.grad(self.__call__)(signals)
         return jax.tree.map(lambda slope, signal: lax.stop_gradient(root(slope, signal)), slopes, signals)
 
 
 def rms(signal: Float[Array, "lanes n"]) -> Lanes:
     """Root mean square of each lane."""
-    return safe_sqrt(jnp.mean(signal**2, axis=1))
+    return jnp.asarray(safe_sqrt(jnp.mean(signal**2, axis=1)))
 
 
 def peak(signal: Float[Array, "lanes n"]) -> Lanes:

@@ -3,11 +3,11 @@
 import warnings
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
@@ -82,7 +82,7 @@ def perturbed(drive: Drive, spread: float, rng: np.random.Generator) -> Drive:
     declared = quantities(machine)
     names = [name for name, _, value in declared if name.startswith(("plant.", "friction.")) and value is not None]
 
-    def parts(tree: Drive) -> list[Any]:
+    def parts(tree: Drive) -> list[PyTree]:
         return [attrgetter(name)(tree) for name in names]
 
     return eqx.tree_at(
@@ -102,7 +102,7 @@ def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
     motion = plan.motion_at(1.0, description.sampling.rate)
     constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(plan.min_load, plan.max_load, plan.loads)]
-    found = []
+    found: list[Scenario] = []
     for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
         for name, weight in constant:
             found.append(Scenario(f"{_machine_name(m)}, {name}", machine, motion, weight, len(found) + 1))
@@ -111,8 +111,8 @@ def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
         "load steps on": load.step(time, at=0.5 * plan.settle, to=half, before=plan.min_load),
         "load ramps on": load.ramp(time, start=0.0, end=motion.duration, to=half, before=plan.min_load),
     }
-    for name, weight in changing.items():
-        found.append(Scenario(f"nominal, {name}", description.drive, motion, weight, len(found) + 1))
+    for name, over_time in changing.items():
+        found.append(Scenario(f"nominal, {name}", description.drive, motion, over_time, len(found) + 1))
     _require_possible(description, found)
     return found
 

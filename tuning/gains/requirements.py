@@ -17,9 +17,10 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays
 from diffdrive.observers.convergence import convergence_gain, innovation_load_observer
 from diffdrive.observers.friction_observer import KalmanObserver
+from diffdrive.observers.load_estimator import InnovationLoad
 from tuning.gains.objective import rms
 from tuning.gains.scenarios import LoopSignals
 
@@ -94,12 +95,12 @@ class Constraints(eqx.Module):
         excess_growth = (margins_found.growth - NEUTRAL_GROWTH) / UNSTABLE
         stable = margins_found.growth < NEUTRAL_GROWTH
 
-        def unless_unstable(excess: Array, at_most: Array | float) -> Array:
+        def unless_unstable(excess: Scalar, at_most: Scalar) -> Array:
             # an unstable loop has no margins: it misses them by as much as a loop at the brink of instability
             return jnp.where(stable, excess, at_most)
 
-        constraints = {
-            "stability": excess_growth,
+        constraints: dict[str, Float[Array, " p"]] = {
+            "stability": jnp.asarray(excess_growth),
             "gain margin up": unless_unstable(limits.gain_up / margins_found.gain_up - 1.0, limits.gain_up - 1.0),
             "gain margin down": unless_unstable(
                 limits.gain_down / margins_found.gain_down - 1.0, limits.gain_down - 1.0
@@ -119,6 +120,8 @@ class Constraints(eqx.Module):
         """Eq. (20) must forget an error within `settling` wherever it is at work (and G be positive for that)."""
         estimator, mu = observer.load_estimator, observer.friction.load_coefficient
         velocity, load = jnp.asarray(self.points.velocity), jnp.asarray(self.points.load)
+        assert isinstance(estimator, InnovationLoad)
+        assert self.limits.settling is not None
         at_work = jnp.abs(velocity) > estimator.min_speed
         sliding = jnp.where(at_work, velocity, 1.0)
         found = jax.vmap(lambda v, w: convergence_gain(observer, v, self.sampling.period, w))(sliding, load)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -55,12 +55,12 @@ class Ensemble(eqx.Module):
             frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
             late, before = slice(self.first_counted, None), slice(self.first_counted - 1, None)
             limit = force_limit(drive)
-            known = frame.estimate is not None and frame.estimate.load is not None
+            command, load = jnp.asarray(frame.command), None if frame.estimate is None else frame.estimate.load
             return LoopSignals(
-                error=(inputs.reference.position - frame.position)[late],
-                command_change=jnp.diff(frame.command[before]) / np.sqrt(2.0),
-                force_excess=None if limit is None else jnp.maximum(jnp.abs(frame.command[late]) - limit, 0.0),
-                load_error=(frame.estimate.load - inputs.load)[late] if known else None,
+                error=jnp.asarray(inputs.reference.position - frame.position)[late],
+                command_change=jnp.diff(command[before]) / np.sqrt(2.0),
+                force_excess=None if limit is None else jnp.maximum(jnp.abs(command[late]) - limit, 0.0),
+                load_error=None if load is None else jnp.asarray(load - inputs.load)[late],
             )
 
         return jax.vmap(lane_signals)(self.drives, self.inputs, self.seeds)
@@ -103,7 +103,10 @@ def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float
     )
 
 
-def _stacked(trees: Sequence[object]) -> object:
+Tree = TypeVar("Tree")
+
+
+def _stacked(trees: Sequence[Tree]) -> Tree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 

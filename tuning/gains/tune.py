@@ -3,6 +3,7 @@
 starts -> unstable ones made stable, side by side -> searched, the most promising first -> the best
 """
 
+import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,7 +135,10 @@ def tune(
     points = _start_points(len(space.free), starts, seed)
     checkpoints = Checkpoint(checkpoint, (space, problem, objective, points))
     started = time.perf_counter()
-    start_points = [jax.block_until_ready(evaluate(gains, jnp.asarray(point), problem)) for point in points]
+    start_points = [
+        jax.block_until_ready(evaluate(gains, jnp.asarray(point), problem))  # type: ignore[no-untyped-call]
+        for point in points
+    ]
     screening = time.perf_counter() - started
     order = np.argsort([float(point.penalised_objective) for point in start_points])
     results: list[SearchResult] = []
@@ -147,7 +151,7 @@ def tune(
             start,
             max_steps=max_steps,
             progress=progress,
-            keep=lambda state, k=k: checkpoints.save(int(k), state),
+            keep=functools.partial(checkpoints.save, int(k)),
         )
         results.append(result)
         objectives[k] = (

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -187,10 +187,10 @@ def verify(axis: Axis, after: Controller, prepared: TuningSetup, settle: float) 
 
 def tuned_axis(axis: Axis, controller: Controller) -> Axis:
     """The axis with tuned gains: its friction is what observers believe, tuned along or not."""
-    observer = getattr(controller, "observer", None)
+    friction = getattr(getattr(controller, "observer", None), "friction", None)
     drive = axis.drive
-    if isinstance(getattr(observer, "friction", None), Friction):
-        drive = replace(drive, friction=observer.friction)
+    if isinstance(friction, Friction):
+        drive = replace(drive, friction=friction)
     return replace(axis, drive=drive, controller=controller)
 
 
@@ -306,7 +306,7 @@ class TuningResult(Result):
         rows += [f"{name:<12}{was:>12.5g} -> {now:.5g}" for name, (was, now) in self.gains.items()]
         return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         return {
             "accepted": self.accepted,
             "gains": {name: {"before": was, "after": now} for name, (was, now) in self.gains.items()},

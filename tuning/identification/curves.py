@@ -123,7 +123,7 @@ def _cruise(
     """Which samples cruise, and the number of the pass to which each belongs."""
     bristle = _bristle(drive, measured.velocity, measured.load)
     if max_acceleration is None:
-        level = np.asarray(coulomb(drive.friction, measured.velocity, measured.load))
+        level = np.asarray(coulomb(drive.friction, jnp.asarray(measured.velocity), jnp.asarray(measured.load)))
         light = INERTIA_SHARE * level / float(drive.plant.mass)
         limit = np.minimum(light, SPEED_CHANGE * measured.velocity**2 / bristle)
     else:
@@ -143,8 +143,9 @@ def _cruise(
 def _bristle(drive: Drive, direction: np.ndarray, load: np.ndarray) -> np.ndarray:
     """How far the bristle bends at breakaway, F_S / sigma_0, m, in the direction of a velocity."""
     friction = drive.friction
-    level = coulomb(friction, direction, load) + friction.breakaway_gap.towards(direction)
-    return np.asarray(level / friction.bristle_stiffness.towards(direction))
+    towards = jnp.asarray(direction)
+    level = coulomb(friction, towards, jnp.asarray(load)) + friction.breakaway_gap.towards(towards)
+    return np.asarray(level / friction.bristle_stiffness.towards(towards))
 
 
 def _binned(

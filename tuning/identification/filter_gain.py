@@ -6,7 +6,8 @@ lacks is a white force on the table of `process` N (standard deviation per contr
 likelihood of the innovations tells: nothing for an exact model, newtons for a machine.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,15 +26,19 @@ PROCESS_FORCES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
 INITIAL_VELOCITY_STD = 1e-3  # m/s, standard deviation at the first sample
 
 
+Carry = tuple[plant.PlantState, Triangle]
+LinearisedPeriod = Callable[[plant.PlantState, Scalar, Scalar], tuple[plant.PlantState, Matrix]]
+
+
 class FilterResult(NamedTuple):
     """Gains along the log, and how likely its innovations are."""
 
     gains: FilterGains
     innovation: Float[Array, "lanes n"]  # m
-    deviance: Scalar  # -2 log likelihood of the innovations, up to a constant
+    deviance: Float[Array, ""]  # -2 log likelihood of the innovations, up to a constant
 
 
-def _linearised_period(drive: Drive, sampling: Sampling) -> Any:
+def _linearised_period(drive: Drive, sampling: Sampling) -> LinearisedPeriod:
     """One control period and its derivative with respect to the state before it."""
 
     def ahead(velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar) -> plant.PlantState:
@@ -44,7 +49,7 @@ def _linearised_period(drive: Drive, sampling: Sampling) -> Any:
         _, velocity, bristle = state
         unit, zero = jnp.ones_like(velocity), jnp.zeros_like(velocity)
 
-        def along(direction: tuple[Scalar, Scalar]) -> Any:
+        def along(direction: tuple[Scalar, Scalar]) -> tuple[plant.PlantState, plant.PlantState]:
             return jax.jvp(lambda v, z: ahead(v, z, force, load), (velocity, bristle), direction)
 
         moved, by_velocity = along((unit, zero))
@@ -63,27 +68,26 @@ def run_filter(
     velocity_variance = (process * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
-    def body(carry: tuple[plant.PlantState, Triangle], sample: tuple[Scalar, Scalar, Scalar]) -> Any:
+    def body(carry: Carry, sample: tuple[Array, Array, Array]) -> tuple[Carry, tuple[FilterGains, Array]]:
         state, covariance = carry
         measured, force, load = sample
         innovation = measured - state.position
         innovation_std = jnp.sqrt(covariance[0][0] + measured_variance)
-        pull = kalman_gain(covariance, measured_variance)
-        state = plant.PlantState(*(value + k * innovation for value, k in zip(state, pull, strict=True)))
-        covariance = update_covariance(covariance, pull, measured_variance)
+        gains = kalman_gain(covariance, measured_variance)
+        state = plant.PlantState(*(value + k * innovation for value, k in zip(state, gains, strict=True)))
+        covariance = update_covariance(covariance, gains, measured_variance)
         state, covariance = once((state, covariance))
         state, moved = period(state, force, load)
         covariance = predict_covariance(covariance, moved, (0.0, velocity_variance, 0.0))
-        return (state, covariance), (FilterGains(*pull, innovation_std), innovation)
+        position, velocity, bristle = (jnp.asarray(value) for value in gains)
+        return (state, covariance), (FilterGains(position, velocity, bristle, innovation_std), innovation)
 
-    def filter_lane(lane: Lanes) -> Any:
+    def filter_lane(lane: Lanes) -> tuple[FilterGains, Array]:
         begin = initial_state(drive, lane)
         level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
             drive.friction.initial_load + lane.load[0]
         )
-        bristle_std = (
-            0.5 * level / drive.friction.bristle_stiffness.positive
-        )  # how far the bristle may be off at the start
+        bristle_std = 0.5 * level / drive.friction.bristle_stiffness.positive  # of its deflection at the start
         spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
         force = applied_force(drive, lane, delay)
         return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
@@ -98,13 +102,11 @@ def run_filter(
 @eqx.filter_jit
 def _deviances(
     drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
-) -> Any:
+) -> Float[Array, " p"]:
     return jax.vmap(lambda process: run_filter(drive, delay, process, noise, lanes, sampling).deviance)(processes)
 
 
-@eqx.filter_jit
-def _run_filter(*arguments: Any) -> FilterResult:
-    return run_filter(*arguments)
+_run_filter = eqx.filter_jit(run_filter)
 
 
 class MostLikely(NamedTuple):
@@ -118,7 +120,7 @@ class MostLikely(NamedTuple):
     filter_result: FilterResult
 
 
-def most_likely(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling: Sampling) -> MostLikely:
+def most_likely(drive: Drive, delay: Scalar, noise: float, lanes: Lanes, sampling: Sampling) -> MostLikely:
     """Filter the lanes under the likeliest of `PROCESS_FORCES`.
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
@@ -134,7 +136,7 @@ def most_likely(drive: Drive, delay: float, noise: float, lanes: Lanes, sampling
 
 
 def filter_lanes(
-    drive: Drive, delay: float, process: float, noise: float, lanes: Lanes, sampling: Sampling
+    drive: Drive, delay: Scalar, process: float, noise: float, lanes: Lanes, sampling: Sampling
 ) -> FilterResult:
     """Filter the lanes under a given process force (N)."""
     return _run_filter(drive, jnp.asarray(delay), jnp.asarray(process), jnp.asarray(noise), lanes, sampling)

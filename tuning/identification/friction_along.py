@@ -32,14 +32,15 @@ def friction_along(
     friction.
     """
 
-    def body(deflection: Scalar, sample: tuple[Scalar, Scalar, Scalar, Acts]) -> tuple[Scalar, FrictionAlong]:
+    def body(deflection: Array, sample: tuple[Array, Array, Array, Acts]) -> tuple[Array, FrictionAlong]:
         now, ahead, applied, acts = sample
         friction = with_friction_offset(drive, acts).friction
         force = friction_force(lugre_coefficients(friction, now, deflection, applied), now, deflection)
         mean = 0.5 * (now + ahead)
         rate = lugre_coefficients(friction, mean, deflection, applied).rate
         resisting = force + drive.plant.damping.towards(now) * now
-        return deflection_after(deflection, mean, rate, period), FrictionAlong(resisting, deflection)
+        following = jnp.asarray(deflection_after(deflection, mean, rate, period))
+        return following, FrictionAlong(jnp.asarray(resisting), deflection)
 
     ahead = jnp.concatenate([velocity[1:], velocity[-1:]])
     nothing = Acts(*(jnp.zeros_like(velocity) for _ in Acts._fields))

@@ -117,7 +117,7 @@ class InverseDynamics:
         return self.values.get("constant_force")
 
     def _directional(self, name: str) -> Directional:
-        both = self.values.get(name)
+        both = self.values.get(name, float("nan"))
         return Directional(self.values.get(f"{name}.positive", both), self.values.get(f"{name}.negative", both))
 
 
@@ -147,10 +147,10 @@ def identify(
     used = np.concatenate([table.used for table in tables])
     speed = max(float(np.max(np.abs(table.kinematics.velocity))) for table in tables)
     if not used.any() or speed <= 0:
-        names = ", ".join(dict.fromkeys(source.log for source in sources))
+        logs_used = ", ".join(dict.fromkeys(source.log for source in sources))
         raise LogError(
-            f"{names}: the table does not move faster than {min_speed:g} m/s for long enough (its peak is {speed:.3g} "
-            "m/s): nothing to identify; use a log of a motion"
+            f"{logs_used}: the table does not move faster than {min_speed:g} m/s for long enough (its peak is "
+            f"{speed:.3g} m/s): nothing to identify; use a log of a motion"
         )
     columns = np.concatenate([table.columns for table in tables])
     force = np.concatenate([table.force for table in tables])

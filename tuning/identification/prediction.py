@@ -85,7 +85,7 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
 
 def applied_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]:
     """The force (N) on the table of one lane: the command limited and delayed, and the known disturbance."""
-    return delayed(saturate(drive.actuator, lane.command), delay) + lane.disturbance
+    return delayed(jnp.asarray(saturate(drive.actuator, lane.command)), delay) + lane.disturbance
 
 
 def initial_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:
@@ -123,13 +123,13 @@ def predict(drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampl
     """
     require_double_precision()
 
-    def body(state: plant.PlantState, sample: tuple[Scalar, ...]) -> tuple[plant.PlantState, Prediction]:
+    def body(state: plant.PlantState, sample: tuple[Array, ...]) -> tuple[plant.PlantState, Prediction]:
         measured, force, load, *pull = sample
         innovation = measured - state.position
         state = plant.PlantState(*(value + gain * innovation for value, gain in zip(state, pull, strict=True)))
         state = once(state)
         ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
-        return ahead, Prediction(innovation, state.velocity)
+        return ahead, Prediction(innovation, jnp.asarray(state.velocity))
 
     def predict_lane(lane: Lanes, gains: FilterGains) -> Prediction:
         force = applied_force(drive, lane, delay)

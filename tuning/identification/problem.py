@@ -38,7 +38,7 @@ def lanes_of(logs: list[Log]) -> Lanes:
         return np.stack([padded(getattr(log, name), log, piece) for log, piece in stretches])
 
     counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
-    begins = [initial_velocity(log.position[piece], log.rate) for log, piece in stretches]
+    begins = [initial_velocity(jnp.asarray(log.position[piece]), log.rate) for log, piece in stretches]
     arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
     return Lanes(*(jnp.asarray(array) for array in arrays))
 

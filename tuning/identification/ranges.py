@@ -46,7 +46,7 @@ def free_space(
     if not free:
         raise ParameterError("every parameter is fixed: leave at least one free")
     prior = np.array([_width(parameter) / _width(_default_bounds(problem, parameter.path)) for parameter in free])
-    within = problem._replace(unknowns=unknowns, origin=search_space(unknowns, free).origin, prior=prior)
+    within = problem._replace(unknowns=unknowns, origin=np.asarray(search_space(unknowns, free).origin), prior=prior)
     return within, tuple(free), notes
 
 
@@ -90,7 +90,7 @@ def _user_bounds(
                 continue
             offset, unit = 0.0, 1.0
             if name == "viscous":  # only the sum with the damping acts
-                offset = value_at(problem.believed.plant, path.replace("viscous", "damping"))
+                offset = float(getattr(problem.believed.plant.damping, path.split(".")[1]))
             if name == "coulomb_screw":
                 slope = value_at(before, path.replace("coulomb", "load_coefficient"))
                 offset = slope * float(friction.initial_load)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Array, Float
 
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive, Scalar, as_arrays
 from tuning.identification.filter_gain import PROCESS_FORCES, MostLikely, filter_lanes, most_likely
 from tuning.identification.prediction import Prediction
 from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of
@@ -127,7 +127,7 @@ def was_interrupted(search: LeastSquaresResult) -> bool:
 
 def _drive_and_delay(
     fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem
-) -> tuple[Drive, float]:
+) -> tuple[Drive, Scalar]:
     drive, unknowns = fine.unpack(jnp.asarray(theta), problem)
     return drive, unknowns.delay
 
@@ -158,8 +158,8 @@ def search_once(
         if store is not None and not was_interrupted(search):
             store.write(key, {name: np.asarray(array) for name, array in dataclasses.asdict(search).items()})
     else:
-        values = {name: array if name == "theta" else array.tolist() for name, array in stored.items()}
-        search = LeastSquaresResult(**values)
+        values = {name: array.tolist() for name, array in stored.items() if name != "theta"}
+        search = LeastSquaresResult(theta=stored["theta"], **values)
         try:
             progress(search.steps, max_steps, search.cost)
         except KeyboardInterrupt:  # as in the search itself
@@ -175,10 +175,12 @@ def _predict(fine: Innovations, theta: Float[Array, " k"], problem: Identificati
 
 
 @eqx.filter_jit
-def linearised(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Any:
+def linearised(
+    fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem
+) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
     """The residuals at theta, [m], and their derivative, [m, k]."""
 
-    def along(direction: Float[Array, " k"]) -> Any:
+    def along(direction: Float[Array, " k"]) -> tuple[Array, Array]:
         return jax.jvp(lambda theta: fine(theta, problem), (theta,), (direction,))
 
     return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))

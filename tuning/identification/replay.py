@@ -6,25 +6,25 @@ differ by what the model's friction lacks. A log may begin in motion, and may ha
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.loop.run import Status
 from diffdrive.loop.simulate import Inputs, LoopState, rollout
 from diffdrive.model.actuator import saturate, steady_state
 from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
 from diffdrive.motion.builders import from_array
 from diffdrive.numerics.pipeline import require_shorter
+from diffdrive.results import Status
 from tuning.identification.prediction import FilterGains, Lanes, initial_state, predict
 from tuning.identification.problem import FINE_SUBSTEP, MIN_LANE_SAMPLES, lanes_of, sampling_of
 
@@ -76,13 +76,13 @@ def _row(log: Log, piece: slice, longest: int) -> tuple[Reference, Reference, np
     past_time = np.arange(-WARM_UP, 0.0) / log.rate
     position, speed, acceleration = (signal[0] for signal in signals)
     past = Reference(
-        position + speed * past_time + 0.5 * acceleration * past_time**2,
-        speed + acceleration * past_time,
-        np.full(WARM_UP, acceleration),
+        jnp.asarray(position + speed * past_time + 0.5 * acceleration * past_time**2),
+        jnp.asarray(speed + acceleration * past_time),
+        jnp.full(WARM_UP, acceleration),
     )
     first = log.position[piece][: max(WARM_UP, round(INITIAL_WINDOW * log.rate))]
     bend, slope, _ = np.polyfit(np.arange(len(first)) / log.rate, first, 2)
-    padded = Reference(*(np.pad(signal, (0, longest - len(signal)), mode="edge") for signal in signals))
+    padded = Reference(*(jnp.asarray(np.pad(signal, (0, longest - len(signal)), mode="edge")) for signal in signals))
     return padded, past, first[0] + slope * past_time + bend * past_time**2, float(slope)
 
 
@@ -96,7 +96,7 @@ def initial_loop_state(drive: Drive, controller: Controller, lane: ReplayInputs,
     """
     force = saturate(drive.actuator, lane.lanes.command[0])
 
-    def before(state: Any, sample: tuple[Reference, Scalar]) -> tuple[Any, None]:
+    def before(state: PyTree, sample: tuple[Reference, Scalar]) -> tuple[PyTree, None]:
         return controller.step(state, *sample, force, period)[0], None
 
     warm, _ = lax.scan(before, controller.init(lane.past_position[0]), (lane.past_reference, lane.past_position))
@@ -114,7 +114,7 @@ def replay(drive: Drive, controller: Controller, given: ReplayInputs, sampling: 
         inputs = Inputs(lane.reference, lane.lanes.load, lane.lanes.disturbance)
         begin = initial_loop_state(drive, controller, lane, sampling.period)
         frame = rollout(drive, controller, inputs, sampling, begin=begin)
-        return ReplayOutput(frame.position, frame.command)
+        return ReplayOutput(jnp.asarray(frame.position), jnp.asarray(frame.command))
 
     return lax.map(replay_lane, given)
 

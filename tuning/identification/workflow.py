@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
-from diffdrive.logs import Log
 from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, as_logs, check_logs, require_sound
 from tuning.identification.estimates import ParameterEstimate
@@ -85,7 +84,7 @@ class IdentificationResult(Result):
             )
         return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         return {
             "estimates": [estimate._asdict() for estimate in self.estimates],
             "adequacy": self.fit.adequacy._asdict(),
@@ -98,7 +97,7 @@ class IdentificationResult(Result):
 
 def identify(
     axis: Axis,
-    logs: Log | Any | Sequence[Any],
+    logs: object,
     *,
     fixed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,

@@ -7,7 +7,7 @@ scipy) stands for them here; a generation is one compiled program of simulations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ import numpy as np
 import scipy.optimize
 import scipy.stats
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from tuning.optimisation.least_squares import Residuals
 from tuning.optimisation.space import SearchSpace
@@ -87,7 +87,7 @@ def evolve(
         progress(history[-1])
         return found
 
-    def stop(intermediate_result: Any) -> None:
+    def stop(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         nonlocal status
         simulations, seconds, cost = history[-1]
         if cost <= budget.cost:
@@ -100,12 +100,12 @@ def evolve(
             return
         raise StopIteration
 
-    first: Any = "latinhypercube"
+    first: str | Float[np.ndarray, "s k"] = "latinhypercube"
     if screened:
         points = np.vstack([start, scipy.stats.qmc.Sobol(len(start), seed=seed).random(screened)])
         sampled = np.concatenate([generation(some.T) for some in np.array_split(points, max(1, screened // BLOCK))])
         first = np.clip(points[np.argsort(sampled)[: population * len(start)]], 2 * EDGE, 1.0 - 2 * EDGE)
-    found = scipy.optimize.differential_evolution(
+    found = scipy.optimize.differential_evolution(  # type: ignore[call-overload]  # arrays of costs, members as rows
         generation,
         [(EDGE, 1.0 - EDGE)] * len(start),
         x0=np.clip(start, 2 * EDGE, 1.0 - 2 * EDGE),
@@ -123,11 +123,11 @@ def evolve(
 
 
 @eqx.filter_jit
-def _norms(residuals: Residuals, points: Float[Array, "s k"], args: Any, block: int) -> Float[Array, " s"]:
+def _norms(residuals: Residuals, points: Float[Array, "s k"], args: PyTree, block: int) -> Float[Array, " s"]:
     return lax.map(lambda theta: jnp.linalg.norm(residuals(theta, args)), points, batch_size=block)
 
 
-def norm_costs(residuals: Residuals, space: SearchSpace, args: Any, block: int = BLOCK) -> Costs:
+def norm_costs(residuals: Residuals, space: SearchSpace, args: PyTree, block: int = BLOCK) -> Costs:
     """The root of the sum of squares of `residuals(theta, args)`, the cost of `tuning.optimisation.least_squares`, over
     `space`.
     """

@@ -6,21 +6,21 @@ From one start, or from many in one vmapped program.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
+import lineax as lx  # type: ignore[import-untyped]
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.support.resources import require_memory
 
 StepProgress = Callable[[int, int, float], None]
-Residuals = Callable[[Float[Array, " k"], Any], Float[Array, " m"]]
+Theta = Float[Array, " k"]
+Residuals = Callable[[Theta, PyTree], Float[Array, " m"]]
 
 
 def no_progress(step: int, most: int, cost: float) -> None:
@@ -40,7 +40,7 @@ class LeastSquaresResult:
     history: list[float]
 
 
-class LevenbergMarquardt(optx.AbstractGaussNewton):
+class LevenbergMarquardt(optx.AbstractGaussNewton[Array, Array, None]):
     """optimistix's, but its damping falls tenfold after each step that goes at least half as well as foreseen.
 
     The stock one waits for steps that go 99 % as well, which a simulation of friction hardly ever grants.
@@ -48,9 +48,9 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
 
     rtol: float
     atol: float
-    norm: Callable[[Any], Any] = optx.max_norm
-    descent: optx.DampedNewtonDescent = optx.DampedNewtonDescent(linear_solver=lx.QR())
-    search: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion(
+    norm: Callable[[PyTree], Array] = optx.max_norm
+    descent: optx.DampedNewtonDescent[Array] = optx.DampedNewtonDescent(linear_solver=lx.QR())
+    search: optx.ClassicalTrustRegion[Array] = optx.ClassicalTrustRegion(
         high_cutoff=0.5, low_cutoff=0.01, high_constant=10.0, low_constant=0.1
     )
     verbose: Callable[..., None] = eqx.field(static=True, default=lambda **_: None)
@@ -68,14 +68,14 @@ def with_jacobian(residuals: Residuals) -> Residuals:
     """
 
     @jax.custom_jvp
-    def value(theta: Any, args: Any) -> Any:
+    def value(theta: Theta, args: PyTree) -> Float[Array, " m"]:
         return residuals(theta, args)
 
     @value.defjvp
-    def both(primals: Any, tangents: Any) -> Any:
+    def both(primals: tuple[Theta, PyTree], tangents: tuple[Theta, PyTree]) -> tuple[Array, Array]:
         theta, args = primals
 
-        def along(direction: Any) -> Any:
+        def along(direction: Theta) -> tuple[Array, Array]:
             return jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,))
 
         found, columns = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(theta)))
@@ -84,14 +84,14 @@ def with_jacobian(residuals: Residuals) -> Residuals:
     return value
 
 
-OPTIONS: dict[str, Any] = {"jac": "fwd"}
+OPTIONS: dict[str, object] = {"jac": "fwd"}
 NO_TAGS: frozenset[object] = frozenset()
 
 
-def _scaled(residuals: Residuals) -> Any:
+def _scaled(residuals: Residuals) -> Callable[[Theta, PyTree], tuple[Float[Array, " m"], None]]:
     linearised = with_jacobian(residuals)
 
-    def fn(theta: Any, args: Any) -> tuple[Any, None]:
+    def fn(theta: Theta, args: PyTree) -> tuple[Float[Array, " m"], None]:
         unit, scaled_args = args
         return linearised(theta, scaled_args) / unit, None
 
@@ -102,18 +102,21 @@ def _scaled(residuals: Residuals) -> Any:
 
 
 @eqx.filter_jit
-def _norm(residuals: Residuals, theta: Any, args: Any) -> Any:
+def _norm(residuals: Residuals, theta: Theta, args: PyTree) -> Float[Array, ""]:
     return jnp.linalg.norm(residuals(theta, args))
 
 
 @eqx.filter_jit
-def _begin(residuals: Residuals, solver: Any, theta: Any, args: Any) -> Any:
+def _begin(residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args: PyTree) -> PyTree:
     fn = _scaled(residuals)
-    return solver.init(fn, theta, args, OPTIONS, *eqx.filter_eval_shape(fn, theta, args), NO_TAGS)
+    f_struct, aux_struct = eqx.filter_eval_shape(fn, theta, args)
+    return solver.init(fn, theta, args, OPTIONS, f_struct, aux_struct, NO_TAGS)
 
 
 @eqx.filter_jit
-def _step(residuals: Residuals, solver: Any, theta: Any, args: Any, state: Any) -> Any:
+def _step(
+    residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args: PyTree, state: PyTree
+) -> tuple[Theta, PyTree, Array, Array, optx.RESULTS]:
     fn = _scaled(residuals)
     theta, state, _ = solver.step(fn, theta, args, OPTIONS, state, NO_TAGS)
     finished, result = solver.terminate(fn, theta, args, OPTIONS, state, NO_TAGS)
@@ -123,7 +126,7 @@ def _step(residuals: Residuals, solver: Any, theta: Any, args: Any, state: Any) 
 def levenberg_marquardt(
     residuals: Residuals,
     theta: Float[np.ndarray, " k"],
-    args: Any,
+    args: PyTree,
     *,
     max_steps: int,
     tolerance: float,
@@ -176,29 +179,38 @@ _LANES = eqx.if_array(0)
 
 
 @eqx.filter_jit
-def _begin_lanes(residuals: Residuals, solver: Any, points: Any, args: Any) -> Any:
+def _begin_lanes(
+    residuals: Residuals, solver: LevenbergMarquardt, points: Float[Array, "s k"], args: PyTree
+) -> tuple[Float[Array, " s"], PyTree]:
     units = jax.vmap(lambda theta: jnp.linalg.norm(residuals(theta, args)))(points) / START_NORM
     fn = _scaled(residuals)
-    shapes = eqx.filter_eval_shape(fn, points[0], (units[0], args))
+    f_struct, aux_struct = eqx.filter_eval_shape(fn, points[0], (units[0], args))
 
-    def init_lane(theta: Any, unit: Any) -> Any:
-        return solver.init(fn, theta, (unit, args), OPTIONS, *shapes, NO_TAGS)
+    def init_lane(theta: Theta, unit: Float[Array, ""]) -> PyTree:
+        return solver.init(fn, theta, (unit, args), OPTIONS, f_struct, aux_struct, NO_TAGS)
 
     return units, eqx.filter_vmap(init_lane, out_axes=_LANES)(points, units)
 
 
 @eqx.filter_jit
-def _step_lanes(residuals: Residuals, solver: Any, points: Any, units: Any, args: Any, state: Any) -> Any:
+def _step_lanes(
+    residuals: Residuals,
+    solver: LevenbergMarquardt,
+    points: Float[Array, "s k"],
+    units: Float[Array, " s"],
+    args: PyTree,
+    state: PyTree,
+) -> tuple[Float[Array, "s k"], PyTree, Float[Array, " s"]]:
     fn = _scaled(residuals)
 
-    def step_lane(theta: Any, unit: Any, state: Any) -> Any:
+    def step_lane(theta: Theta, unit: Float[Array, ""], state: PyTree) -> tuple[Theta, PyTree, Array]:
         theta, state, _ = solver.step(fn, theta, (unit, args), OPTIONS, state, NO_TAGS)
         return theta, state, unit * jnp.sqrt(2.0 * state.f_info.as_min())
 
     return eqx.filter_vmap(step_lane, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
 
 
-def require_search_memory(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: Any) -> None:
+def require_search_memory(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: PyTree) -> None:
     """Raise `ParameterError` where searches from all these starts at once do not fit into memory.
 
     Each holds its residuals and their derivative by every parameter.
@@ -212,7 +224,7 @@ def require_search_memory(residuals: Residuals, starts: Float[np.ndarray, "s k"]
 def multistart(
     residuals: Residuals,
     starts: Float[np.ndarray, "s k"],
-    args: Any,
+    args: PyTree,
     *,
     steps: int,
     progress: StepProgress = no_progress,

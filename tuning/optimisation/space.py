@@ -35,7 +35,7 @@ class SearchSpace(NamedTuple):
     """
 
     free: tuple[FreeParameter, ...]
-    origin: Float[np.ndarray, " k"]
+    origin: Float[np.ndarray, " k"] | Float[Array, " k"]
 
     @property
     def names(self) -> list[str]:
@@ -89,7 +89,7 @@ def _value(model: object, path: str) -> float:
     return float(node.positive)
 
 
-def search_space(model: object, bounds: Sequence[FreeParameter]) -> SearchSpace:
+def search_space(model: eqx.Module, bounds: Sequence[FreeParameter]) -> SearchSpace:
     """The space of these free parameters, started where `model` has them."""
     known = {name for name, *_ in quantities(model)}
     origin = []
@@ -106,7 +106,7 @@ def search_space(model: object, bounds: Sequence[FreeParameter]) -> SearchSpace:
     return SearchSpace(tuple(bounds), np.array(origin))
 
 
-def space_around(model: object, factors: dict[str, float]) -> SearchSpace:
+def space_around(model: eqx.Module, factors: dict[str, float]) -> SearchSpace:
     """A space in which each named parameter may move by its factor, up or down; those that are zero stay."""
     values = {path: _value(model, path) for path in factors}
     return search_space(

@@ -49,7 +49,7 @@ class FolderStore:
         """Keep a part."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with atomic_write(self._path(key)) as file:
-            np.savez(file, **piece)
+            np.savez(file, allow_pickle=True, **piece)
 
     def remove(self) -> None:
         """Remove all parts, once what they are parts of is written."""

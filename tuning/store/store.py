@@ -7,7 +7,8 @@ finished, ends with the same numbers as one that was not stopped, and no piece i
 import dataclasses
 import hashlib
 from collections.abc import Callable
-from typing import Any, Protocol
+from types import FunctionType
+from typing import Protocol, cast
 
 import jax
 import numpy as np
@@ -25,18 +26,19 @@ class Store(Protocol):
         """Keep a piece."""
 
 
-def digest(*inputs: Any) -> str:
+def digest(*inputs: object) -> str:
     """A digest of every number, name and setting in `inputs`. Raises `TypeError` for what it cannot tell apart."""
     found = hashlib.blake2b(digest_size=20)
     _feed(found.update, inputs)
     return found.hexdigest()
 
 
-def _feed(update: Callable[[bytes], None], value: Any) -> None:
+def _feed(update: Callable[[bytes | memoryview], object], value: object) -> None:
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         array = np.asarray(value)
         update(f"{array.dtype.str}{array.shape}".encode())
-        update(np.ascontiguousarray(array).data if array.size else b"")
+        if array.size:
+            update(np.ascontiguousarray(array).data)
     elif value is None or isinstance(value, bool | int | float | str):
         update(f"{type(value).__name__} {value!r};".encode())
     elif isinstance(value, type):
@@ -49,14 +51,15 @@ def _feed(update: Callable[[bytes], None], value: Any) -> None:
         update(f"dict {len(value)};".encode())
         for item in value.items():
             _feed(update, item)
-    elif dataclasses.is_dataclass(value):
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = tuple((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
         _feed(update, (type(value), fields))
     elif isinstance(value, np.ufunc):
         update(f"ufunc {value.__name__};".encode())
-    elif callable(value) and hasattr(value, "__code__") and not value.__closure__:
-        code = value.__code__
-        update(f"function {value.__module__}.{value.__qualname__} {code.co_consts!r} {code.co_names!r};".encode())
+    elif callable(value) and hasattr(value, "__code__") and not getattr(value, "__closure__", None):
+        function = cast(FunctionType, value)
+        code = function.__code__
+        update(f"function {function.__module__}.{function.__qualname__} {code.co_consts!r} {code.co_names!r};".encode())
         update(code.co_code)
     else:
         raise TypeError(f"no digest of a {type(value).__qualname__}")

@@ -26,7 +26,7 @@ def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout=CONNECTION_TIMEOUT)
+        return Client(address, timeout=CONNECTION_TIMEOUT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as problem:  # ValueError: a scheme that Dask does not know
         raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
 
@@ -43,6 +43,10 @@ def _wait(client: Any, done: Any, place: str, notify: Notify) -> None:
                 notified = True
                 notify(f"waiting for workers: {place} has none; start some as `dask worker {client.scheduler.address}`")
         time.sleep(0.02)
+
+
+def _nothing() -> ComputedParts:
+    yield from ()
 
 
 def on_cluster(spec: SweepSpec, address: str) -> Engine:
@@ -62,12 +66,12 @@ def on_cluster(spec: SweepSpec, address: str) -> Engine:
         text, identity = to_text(spec), plan.identity()
         place = f"--cluster {address}"
         if not wanted:
-            return (part for part in ())
+            return _nothing()
         client = _client(address)
 
         def parts() -> ComputedParts:
             with client:
-                waiting, part_of = iter(wanted), {}
+                waiting, part_of = iter(wanted), dict[Any, int]()
 
                 def submitted() -> list[Any]:
                     """As many as the workers of this moment are short of: some join late, some go."""
@@ -79,7 +83,7 @@ def on_cluster(spec: SweepSpec, address: str) -> Engine:
                         futures.append(future)
                     return futures
 
-                done = as_completed(submitted())
+                done: Any = as_completed(submitted())  # type: ignore[no-untyped-call]
                 while not done.is_empty():
                     _wait(client, done, place, notify)
                     future = next(done)

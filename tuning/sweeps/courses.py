@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -101,10 +100,18 @@ def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:
 def shared_cycle(course: DutyCycle, settle: float, limits: Limits) -> engine.LaneCycle:
     """The course of all machines, as the engine takes it; its first `settle` seconds do not count."""
     motion, load = course
-    reference = Reference(motion.position, motion.velocity, motion.acceleration)
-    counts = (motion.time >= settle).astype(float)
-    cycle = engine.LaneCycle(reference, load, counts, np.asarray(divergence_bound(motion.position, limits)))
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), cycle)
+    position, velocity, acceleration, loads, mask, max_error = (
+        jnp.asarray(signal, float)
+        for signal in (
+            motion.position,
+            motion.velocity,
+            motion.acceleration,
+            load,
+            motion.time >= settle,
+            divergence_bound(motion.position, limits),
+        )
+    )
+    return engine.LaneCycle(Reference(position, velocity, acceleration), loads, mask, max_error)
 
 
 def stacked_cycles(courses: Sequence[DutyCycle], settle: float, limits: Limits) -> engine.LaneCycle:
@@ -118,7 +125,8 @@ def stacked_cycles(courses: Sequence[DutyCycle], settle: float, limits: Limits) 
         loads[k, :end], loads[k, end:] = load, load[-1]
         counts[k, :end] = motion.time >= settle
     reach = np.array([divergence_bound(motion.position, limits) for motion, _ in courses])
-    return engine.LaneCycle(Reference(position, velocity, acceleration), loads, counts, reach)
+    reference = Reference(position, velocity, acceleration)  # type: ignore[arg-type]  # numpy, until a block is run
+    return engine.LaneCycle(reference, loads, counts, reach)  # type: ignore[arg-type]  # the same
 
 
 def _rounded_up(count: int) -> int:

@@ -1,13 +1,13 @@
 """The costs of many machines: lanes side by side in blocks that stay in cache, shared out among the devices."""
 
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.loop.simulate import Costs, Inputs, running_costs
@@ -36,7 +36,7 @@ class SweepLanes(NamedTuple):
     None where all have the same.
     """
 
-    drive: Any
+    drive: PyTree  # a drive whose other leaves are None
     ramp: Ramp
     key: Array | None
     cycle: LaneCycle | None = None
@@ -50,6 +50,7 @@ def _costs(
         def simulate_lane(lane: SweepLanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
             own = course if lane.cycle is None else lane.cycle
+            assert own is not None  # all have one, or each has its own
             inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
             return running_costs(
                 drive, controller, inputs, own.mask, sampling, lane.key, lane.ramp, divergence_bound=own.max_error
@@ -57,7 +58,7 @@ def _costs(
 
         return jax.lax.map(simulate_lane, lanes, batch_size=block_size(lanes.cycle is not None))
 
-    apart, everywhere = PartitionSpec("lanes"), PartitionSpec()
+    apart, everywhere = PartitionSpec("lanes"), PartitionSpec()  # type: ignore[no-untyped-call]
     return jax.shard_map(
         share,
         mesh=Mesh(np.array(jax.devices()[:devices]), ("lanes",)),
@@ -87,7 +88,7 @@ def lane_costs(
 
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
-    count, of_each = len(ramp.load), block_size(np.ndim(course.load) == 2)
+    count, of_each = np.shape(ramp.load)[0], block_size(np.ndim(course.load) == 2)
     devices = min(len(jax.devices()), -(-count // of_each))
     total = -(-count // (of_each * devices)) * of_each * devices
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
@@ -97,4 +98,4 @@ def lane_costs(
         lanes = jax.tree.map(lambda leaf: leaf[np.arange(total) % count], lanes)
     models = (lanes, fixed, as_arrays(controller), common)
     found = _costs(*in_precision_of(jnp.zeros((), precision), models), sampling, devices)
-    return Costs(*(None if cost is None else np.asarray(cost)[:count] for cost in found))
+    return jax.tree.map(lambda cost: np.asarray(cost)[:count], found)

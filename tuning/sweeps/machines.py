@@ -1,13 +1,14 @@
 """From shares of the probability to machines side by side."""
 
+import functools
 from collections.abc import Sequence
-from typing import Any
+from types import EllipsisType
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive
 from diffdrive.motion.load import Ramp
@@ -16,9 +17,9 @@ from tuning.sweeps.varied import LOAD, VariedQuantity, with_effects
 Values = dict[str, Float[np.ndarray, " n"]]
 
 
-def _node_at(drive: Drive, name: str) -> Any:
+def _node_at(drive: Drive, name: str) -> PyTree:
     """The number or pair of that name."""
-    node: Any = drive
+    node: PyTree = drive
     for part in name.split("."):
         node = (
             next(part_of for part_of in node if part_of.name == part)
@@ -28,12 +29,10 @@ def _node_at(drive: Drive, name: str) -> Any:
     return node
 
 
-def _varied_value(value: Any, quantity: VariedQuantity, drawn: Float[np.ndarray, " n"]) -> Any:
+def _varied_value(value: PyTree, quantity: VariedQuantity, drawn: Float[np.ndarray, " n"]) -> Array | Directional:
     """A value of the drive file, or a pair, under what was drawn."""
     if isinstance(value, Directional):
-        return Directional(
-            _varied_value(value.positive, quantity, drawn), _varied_value(value.negative, quantity, drawn)
-        )
+        return Directional(*(jnp.asarray(quantity.apply(side, drawn)) for side in (value.positive, value.negative)))
     return jnp.asarray(quantity.apply(value, drawn))
 
 
@@ -48,16 +47,15 @@ def machines(
     names = {quantity.name.split(".")[1] for quantity in varied if quantity.name.startswith("effects.")}
     machine = as_arrays(with_effects(drive, names))
     values: Values = {}
-    ends = dict.fromkeys(LOAD, 0.0) | {"load.to": 1.0}
+    ends: dict[str, float | Float[np.ndarray, " n"]] = {**dict.fromkeys(LOAD, 0.0), "load.to": 1.0}
     for k, quantity in enumerate(varied):
         drawn = quantity.quantile(shares[:, k])
         if quantity.name in LOAD:
             ends[quantity.name] = values[quantity.name] = drawn
             continue
         varied_value = _varied_value(_node_at(machine, quantity.name), quantity, drawn)
-        machine = eqx.tree_at(
-            lambda tree, n=quantity.name: _node_at(tree, n), machine, varied_value, is_leaf=lambda leaf: leaf is None
-        )
+        node = functools.partial(_node_at, name=quantity.name)
+        machine = eqx.tree_at(node, machine, varied_value, is_leaf=lambda leaf: leaf is None)
         values[quantity.name] = np.asarray(
             varied_value.positive if isinstance(varied_value, Directional) else varied_value
         )
@@ -66,6 +64,6 @@ def machines(
     return machine, Ramp(*(jnp.broadcast_to(jnp.asarray(end, float), (count,)) for end in ends.values())), values
 
 
-def lane(drive: Drive, number: int | np.ndarray) -> Drive:
+def lane(drive: Drive, number: int | np.ndarray | EllipsisType) -> Drive:
     """One of the machines, or some of them."""
     return jax.tree.map(lambda leaf: leaf[number] if np.ndim(leaf) else leaf, drive)

@@ -5,12 +5,14 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import EllipsisType
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Array
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
@@ -34,7 +36,7 @@ from tuning.sweeps.courses import (
     stacked_cycles,
     variable_settings,
 )
-from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, block_size, lane_costs
+from tuning.sweeps.engine import LEAST_IN_A_PART, LaneCycle, Precision, block_size, lane_costs
 from tuning.sweeps.machines import Values, lane, machines
 from tuning.sweeps.possible import require_buildable, require_on_guides, require_ordered
 from tuning.sweeps.samples import Method, correlate, correlation_root, unit_samples
@@ -135,7 +137,8 @@ class SweepPlan:
                 raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
             found.append(course)
         least = np.array([np.min(course.load) for course in found])
-        require_on_guides(numbers, *self._build(numbers), least, lambda k: [found[k]])
+        machines, ramps = self._build(numbers)
+        require_on_guides(numbers, machines, ramps, least, lambda k: [found[k]])
         return found
 
     def require_possible(self, parts: Iterable[int]) -> None:
@@ -152,14 +155,14 @@ class SweepPlan:
     def require_machines(self, numbers: np.ndarray, courses: Sequence[DutyCycle]) -> None:
         """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
         least = min((float(np.min(course.load)) for course in courses), default=np.inf)
-        made = require_buildable(numbers, self._build)
-        require_on_guides(numbers, *made, np.full(len(numbers), least), lambda _: courses)
+        machines, ramps = require_buildable(numbers, self._build)
+        require_on_guides(numbers, machines, ramps, np.full(len(numbers), least), lambda _: courses)
 
     def _build(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
         require_ordered(ramp)
         require_feasible(machine, self._envelope)
-        highest = self._highest_load + ramp.load + np.maximum(ramp.change, 0.0)
+        highest = jnp.asarray(self._highest_load + ramp.load + np.maximum(ramp.change, 0.0))
         try:
             require_resolved_friction(machine, highest, self._envelope.speed or 0.0, self.axis.sampling)
         except MotionError as problem:
@@ -232,7 +235,7 @@ class SweepPlan:
         """Numbers of the machines of a part."""
         return np.arange(part * self.part_size, min(self.samples, (part + 1) * self.part_size))
 
-    def keys(self, numbers: np.ndarray) -> Any:
+    def keys(self, numbers: np.ndarray) -> Array | None:
         """Keys of the measuring noise of these machines; None where the scale has none."""
         if not float(self.axis.drive.sensor.noise) > 0.0 and not any(
             quantity.name == "sensor.noise" for quantity in self.varied
@@ -246,7 +249,7 @@ class SweepPlan:
         part = int(numbers[0]) // self.part_size
         return self.unit_samples(part)[numbers - part * self.part_size]
 
-    def machines(self, numbers: np.ndarray) -> tuple[Drive, Ramp, Values, Any]:
+    def machines(self, numbers: np.ndarray) -> tuple[Drive, Ramp, Values, Array | None]:
         """Machines of one part by their numbers: drives, loads, the values of what varies, the keys of their noise."""
         own = [k for k in range(len(self.varied)) if k not in self._setting_indices]
         varied = [self.varied[k] for k in own]
@@ -263,10 +266,12 @@ class SweepPlan:
         drives, ramps, _, keys = self.machines(numbers)
         sampling, limits = self.axis.sampling, self.axis.limits
 
-        def under(controller: str, course: Any, samples: np.ndarray, some: Any = ...) -> SweepCosts:
-            beside = jax.tree.map(lambda leaf: leaf[some], (ramps, keys))
+        def under(
+            controller: str, course: LaneCycle, samples: np.ndarray, some: np.ndarray | EllipsisType = ...
+        ) -> SweepCosts:
+            some_ramps, some_keys = jax.tree.map(lambda leaf: leaf[some], (ramps, keys))
             control = self.controllers[controller]
-            found = lane_costs(lane(drives, some), *beside, control, course, sampling, self.precision)
+            found = lane_costs(lane(drives, some), some_ramps, some_keys, control, course, sampling, self.precision)
             return _outcome(found, samples, sampling.period)
 
         if not self._setting_indices:
@@ -347,7 +352,7 @@ class SweepPlan:
                 )
             ).encode()
         )
-        settings = [
+        settings: list[object] = [
             arithmetic_signature(),
             self.method,
             self.seed,

@@ -1,7 +1,7 @@
 """What keeps a machine of a sweep from being, found before any of them runs: hours later would be late."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -12,10 +12,11 @@ from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
 from tuning.sweeps.courses import DutyCycle
 
+Made = TypeVar("Made")
 Numbers = Int[np.ndarray, " n"]
 
 
-def require_buildable(numbers: Numbers, make: Callable[[Numbers], Any]) -> Any:
+def require_buildable(numbers: Numbers, make: Callable[[Numbers], Made]) -> Made:
     """What `make` makes of these machines. Raises `ParameterError` that names the first that it cannot make."""
     try:
         return make(numbers)

@@ -1,19 +1,24 @@
 """Any machine of a sweep again, from its number: its drive, its load, its noise, and every signal of its run."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from diffdrive.effects.stages import force_limit
 from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.motion.load import Ramp
 from tuning.sweeps.machines import lane
 from tuning.sweeps.plan import SweepCosts, SweepPlan
+
+if TYPE_CHECKING:
+    import xarray
 
 SIGNALS = {
     "reference": "m",
@@ -37,8 +42,8 @@ class SweepMachine(NamedTuple):
     number: int
     drive: Drive
     values: dict[str, float]
-    ramp: Any
-    key: Any
+    ramp: Ramp
+    key: Array | None  # of its measuring noise
 
 
 def sweep_machine(plan: SweepPlan, number: int, motion: str) -> SweepMachine:
@@ -59,15 +64,14 @@ def sweep_machine(plan: SweepPlan, number: int, motion: str) -> SweepMachine:
 def choose_names(plan: SweepPlan, controller: str | None, motion: str | None) -> tuple[str, str]:
     """The controller and the motion of these names, or the first ones; raises `ParameterError` for one that is not."""
     controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
-    _lookup(plan.controllers, controller, "--controller")
-    _lookup(plan.motions, motion, "--motion")
+    _require_known(plan.controllers, controller, "--controller")
+    _require_known(plan.motions, motion, "--motion")
     return controller, motion
 
 
-def _lookup(choices: Mapping[str, Any], name: str, what: str) -> Any:
+def _require_known(choices: Mapping[str, object], name: str, what: str) -> None:
     if name not in choices:
         raise ParameterError(f"{what} '{name}': is not of this sweep; known: {', '.join(choices)}")
-    return choices[name]
 
 
 def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion: str, every: int = 1) -> Run:
@@ -104,7 +108,7 @@ def traces(
     motion: str,
     signals: Iterable[str],
     every: int = 1,
-) -> Any:
+) -> "xarray.Dataset":
     """Signals of some machines along a motion as an xarray.Dataset: [controller, machine, time] each.
 
     A signal that a controller does not have is NaN, and so is one after the end of a course that is shorter.
@@ -115,7 +119,7 @@ def traces(
 
     names, numbers, controllers = list(signals), list(numbers), list(controllers)
     for name in names:
-        _lookup(SIGNALS, name, "signal")
+        _require_known(SIGNALS, name, "signal")
     drawn = [sweep_machine(plan, number, motion) for number in numbers]
     runs = [[machine_run(plan, machine, controller, motion, every) for machine in drawn] for controller in controllers]
     time = max((run.time for run in runs[0]), key=len)

@@ -11,7 +11,7 @@ quantities without any influence.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -75,7 +75,9 @@ def influences_on_event(
 
 
 def _p_value(values: Float[np.ndarray, " n"], happened: np.ndarray) -> float:
-    method = "auto" if len(values) <= MAX_EXACT else "asymptotic"  # the exact one takes the square of their number
+    method: Literal["auto", "asymptotic"] = (
+        "auto" if len(values) <= MAX_EXACT else "asymptotic"
+    )  # the exact one takes the square of their number
     return float(mannwhitneyu(values[happened], values[~happened], method=method).pvalue)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ class SweepSpec:
     """Drives as the tables of their files, motions as their texts or the whole text of their files."""
 
     name: str
-    drive: dict[str, Any]  # what the first controller believes
+    drive: Mapping[str, object]  # what the first controller believes
     motions: dict[str, str]
     vary: tuple[str, ...]
     samples: int
@@ -33,8 +33,10 @@ class SweepSpec:
     seed: int = 0
     load: str = "0"
     settle: float = 0.0
-    machine: dict[str, Any] | None = None  # what the machines vary about, where it is not the drive
-    against: dict[str, dict[str, Any]] = field(default_factory=dict)  # further controllers, by the name of their file
+    machine: Mapping[str, object] | None = None  # what the machines vary about, where it is not the drive
+    against: Mapping[str, Mapping[str, object]] = field(
+        default_factory=dict
+    )  # further controllers, by the name of their file
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     most_in_a_part: int = LEAST_IN_A_PART
     precision: Precision = "double"

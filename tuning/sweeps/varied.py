@@ -5,10 +5,10 @@ import difflib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 from scipy import stats
 
 from diffdrive.effects.catalogue import EFFECTS
@@ -50,7 +50,7 @@ class VariedQuantity:
     mode: Mode
     quantile: Callable[[Values], Values]
 
-    def apply(self, value: Any, drawn: Any) -> Any:
+    def apply(self, value: PyTree, drawn: Values) -> Values:
         """A value as the files have it, under what was drawn."""
         if self.mode == "is":
             return drawn
@@ -144,7 +144,7 @@ def parse_varied(
     """
     name, equals, rest = text.partition("=")
     name, (kind, _, values) = name.strip(), (part.strip() for part in rest.partition(":"))
-    known = known_quantities(drive) | settings
+    known = known_quantities(drive) | dict(settings)
     if not equals:
         raise ParameterError(f"vary: '{text}' has no distribution; write for example '{name}=uniform:-5%..5%'")
     if name not in known:

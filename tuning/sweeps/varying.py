@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -80,8 +81,8 @@ def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
     """What an identification left open: its file uncertainty.toml."""
     tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
     try:
-        vary = [f"{name}={text}" for name, text in tables["vary"].items()]
-        correlations = tables.get("correlation", {})
+        vary = [f"{name}={text}" for name, text in cast(Mapping[str, str], tables["vary"]).items()]
+        correlations = cast(Correlation, tables.get("correlation", {}))
         return vary, {
             quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()
         }

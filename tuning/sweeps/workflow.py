@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.dataset as ds
 
 from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
@@ -118,11 +119,11 @@ class SweepResult(Result):
                 rows += [f"  spread of {controller}: {', '.join(drive)}"] if drive else []
         return "\n".join(rows)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         found = []
         for motion in self.plan.motions:
             for controller in self.controllers:
-                row: dict[str, Any] = {"controller": controller, "motion": motion}
+                row: dict[str, object] = {"controller": controller, "motion": motion}
                 row |= {f"{self.by}_{share:g}": self.quantile(controller, share, motion) for share in (0.5, 0.95, 0.99)}
                 if self.tolerance is not None:
                     row["exceedance"] = self.exceedance(controller, motion)._asdict()
@@ -259,8 +260,6 @@ def varied_values(plan: SweepPlan, group: Group) -> np.ndarray:
     return np.stack([group.column(name) for name in plan.units], axis=1)
 
 
-def as_dataset(frame: pa.Table) -> Any:
+def as_dataset(frame: pa.Table) -> ds.Dataset:
     """The rows as `groups` takes them."""
-    import pyarrow.dataset as ds
-
     return ds.dataset(frame)
