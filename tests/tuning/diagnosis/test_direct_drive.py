@@ -76,6 +76,7 @@ def test_of_two_sizes_of_one_kind_only_the_likelier_is_fitted():
     assert [one.candidate for one in _likeliest(screened)] == [strong, gain]  # about the drive file's numbers, too
 
 
+@pytest.mark.slow  # a diagnosis of two long logs, which `diffdrive real-axes` makes, too
 @pytest.mark.skipif(laas.find_folder() is None, reason="needs shared/data/laas_cogging beside the checkout")
 def test_the_motor_of_laas_cogs_a_tenth_as_much_with_its_compensation():
     folder = laas.find_folder()
