@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 Signal = Float[np.ndarray, " n"]
+Samples = Float[np.ndarray, " m"]  # of another length than the signals beside it
 
 
 class Channel(NamedTuple):

@@ -8,7 +8,7 @@ from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.grid import fit_count_grid, noise_std
 from diffdrive.logs.checks.statistics import SIGMA_PER_MAD, longest_piece, robust_fit
 from diffdrive.logs.checks.stuck import clipped_samples
-from diffdrive.logs.log import CHANNELS, Log, Signal
+from diffdrive.logs.log import CHANNELS, Log, Samples, Signal
 
 # Robust standard deviations: heavy tails of real noise reach 8, a reversal's jerk 10.
 SPIKE = 20.0
@@ -57,7 +57,7 @@ def lengths(log: Log) -> Iterator[Finding]:
         )
 
 
-def _second_difference(signal: Signal) -> Signal:
+def _second_difference(signal: Signal) -> Samples:
     """Half the second difference: how far each inner sample lies off the line between its neighbours."""
     return signal[1:-1] - (signal[:-2] + signal[2:]) / 2
 
@@ -81,7 +81,7 @@ def spike_indices(second_difference: Signal, floor: float) -> np.ndarray:
     return k[returns_at_once]
 
 
-def _quantile_around(values: Signal, places: np.ndarray, reach: int = 50, batch_size: int = 10_000) -> Signal:
+def _quantile_around(values: Signal, places: np.ndarray, reach: int = 50, batch_size: int = 10_000) -> Samples:
     """The 90 % quantile of the samples around each of some places, mirrored at the ends."""
     padded = np.pad(values, min(reach, len(values) - 1), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, len(padded) - len(values) + 1)

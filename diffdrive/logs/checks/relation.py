@@ -27,7 +27,7 @@ from diffdrive.logs.checks.replay import (
 )
 from diffdrive.logs.checks.statistics import RobustFit, longest_piece, robust_fit, sampling_period
 from diffdrive.logs.checks.stuck import clipped_samples
-from diffdrive.logs.log import Log, Signal
+from diffdrive.logs.log import Log, Samples, Signal
 
 LONGEST = 40_000  # samples that hypotheses are judged by: what happened to a log shows anywhere in it
 FEWEST = 50  # samples that a fit is made of
@@ -96,7 +96,7 @@ class ControllerRelation:
             commands += list(command[:count, ::upsampling])
         return commands
 
-    def valid_samples(self, signal: Signal) -> Signal:
+    def valid_samples(self, signal: Signal) -> Samples:
         """A signal without its ends, the controller's initial transient, and the excluded samples."""
         within = slice(len(signal) // 2 if self.after_transient else SETTLE, -SETTLE)
         return signal[within][~self.excluded[within]]

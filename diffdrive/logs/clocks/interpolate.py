@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from diffdrive.logs.log import Signal
+from diffdrive.logs.log import Samples, Signal
 
 HELD = ("command", "disturbance", "injected")  # constant from one sample to the next
 # a spline: a monotone cubic flattens every reversal, by some um of a 20 mm stroke where five samples are missing
 SMOOTH = ("position", "reference", "motor_position")
 
 
-def interpolate(channel: str, time: Signal, values: Signal, new_times: Signal) -> Signal:
+def interpolate(channel: str, time: Signal, values: Signal, new_times: Samples) -> Samples:
     """The channel at `new_times` (s) within [time[0], time[-1]]; held channels keep the value of the sample before."""
     if len(time) < 2:
         return np.full(len(new_times), values[0])
@@ -20,7 +20,7 @@ def interpolate(channel: str, time: Signal, values: Signal, new_times: Signal) -
     return (CubicSpline if channel in SMOOTH else PchipInterpolator)(time, values)(new_times)
 
 
-def resample(channel: str, time: Signal, values: Signal, new_times: Signal) -> Signal:
+def resample(channel: str, time: Signal, values: Signal, new_times: Samples) -> Samples:
     """The channel at the uniform `new_times` (s) within [time[0], time[-1]].
 
     A held channel becomes its mean over the period that follows, so that what it does in that period is kept: the value

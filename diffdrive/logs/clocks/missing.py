@@ -4,14 +4,14 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs.clocks.interpolate import interpolate
-from diffdrive.logs.log import READABLE, Signal
+from diffdrive.logs.log import READABLE, Samples, Signal
 
 LONGEST_REPAIR = 5  # samples in a row
 MOST_REPAIRED = 1e-3  # of all samples of a channel
 MOST_ABSENT = 0.1  # of the samples of an optional channel; beyond, the channel is left out instead of the samples
 
 
-def repair_missing(source: str, signals: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:
+def repair_missing(source: str, signals: dict[str, Signal]) -> tuple[dict[str, Samples], list[str]]:
     """The signals with every sample finite; the times of samples left out are missing, which makes them gaps.
 
     `signals` holds strictly increasing times beside the channels. Raises `LogError` where a required channel is empty.

@@ -11,7 +11,7 @@ from diffdrive.logs.clocks.rate import rate_notes
 from diffdrive.logs.clocks.uniform_clock import EXACT, ROUNDED, UniformClock, fit_clock
 from diffdrive.logs.column_unit import Conversion
 from diffdrive.logs.formats.table import Table
-from diffdrive.logs.log import Signal
+from diffdrive.logs.log import Samples, Signal
 
 FEWEST = 3  # samples
 REPEATED = 0.01  # share of repeated stamps beyond which the clock's resolution is coarser than the period
@@ -21,7 +21,7 @@ MOST_GAPS = 0.02  # of all samples: so many among jittered stamps are no gaps
 _WRAPS = (8, 15, 16, 24, 31, 32)  # bits
 
 
-def ordered_times(table: Table, stamps: Signal, clock: Conversion) -> tuple[Signal, np.ndarray, list[str]]:
+def ordered_times(table: Table, stamps: Signal, clock: Conversion) -> tuple[Samples, np.ndarray, list[str]]:
     """Times, which rows to keep, and notes: no stamp missing or repeated, none earlier than the one before it.
 
     Stamps of a clock coarser than the period become uniform. Raises `LogError` naming the row.
@@ -125,7 +125,7 @@ def _uniform_times(table: Table, times: Signal, rows: np.ndarray) -> Signal:
 
 def on_uniform_clock(
     source: str, signals: dict[str, Signal], rate: float | None, time_unit: float = 1.0
-) -> tuple[dict[str, Signal], tuple[int, ...], list[str]]:
+) -> tuple[dict[str, Samples], tuple[int, ...], list[str]]:
     """The signals on the uniform clock behind their times, the gaps, and notes; `rate` (Hz) is that of the drive file.
 
     The times were read in a `time_unit` of so many seconds.
@@ -164,7 +164,7 @@ def on_uniform_clock(
     return pieces, gaps, notes
 
 
-def _resample_segments(signals: dict[str, Signal], clock: UniformClock) -> tuple[dict[str, Signal], tuple[int, ...]]:
+def _resample_segments(signals: dict[str, Signal], clock: UniformClock) -> tuple[dict[str, Samples], tuple[int, ...]]:
     edges = [0, *clock.gaps, len(clock.times)]
     parts: dict[str, list[Signal]] = {name: [] for name in signals}
     for begin, end in itertools.pairwise(edges):
