@@ -16,7 +16,7 @@ from diffdrive.controllers import Controller
 from diffdrive.model.parameters import Scalar
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Constraints
-from tuning.gains.scenarios import Ensemble, LoopSignals
+from tuning.gains.scenarios import Ensemble, EnsembleSignals
 from tuning.optimisation.space import FreeParameter, SearchSpace
 
 PENALTY, DIVERGED_COST = 10.0, 1e6
@@ -78,7 +78,7 @@ class ConstrainedGains:
 
     def signals_and_constraints(
         self, theta: Float[Array, " k"], problem: TuningProblem
-    ) -> tuple[LoopSignals, ConstraintValues]:
+    ) -> tuple[EnsembleSignals, ConstraintValues]:
         controller = SearchSpace(self.free, problem.origin).insert(problem.controller, theta)
         signals = problem.scenarios.signals(controller)
         return signals, problem.requirements.loop_constraints(controller) | problem.requirements.signal_constraints(
@@ -95,7 +95,7 @@ class ConstrainedGains:
 
         def along(
             direction: Array,
-        ) -> tuple[tuple[LoopSignals, ConstraintValues], tuple[LoopSignals, ConstraintValues]]:
+        ) -> tuple[tuple[EnsembleSignals, ConstraintValues], tuple[EnsembleSignals, ConstraintValues]]:
             return jax.jvp(lambda theta: self.signals_and_constraints(theta, problem), (theta,), (direction,))
 
         (signals, constraints), (slopes, jacobians) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(theta)))
@@ -116,7 +116,7 @@ class ConstrainedGains:
 
 
 def _products(
-    requirements: Constraints, signals: LoopSignals, slopes: LoopSignals
+    requirements: Constraints, signals: EnsembleSignals, slopes: EnsembleSignals
 ) -> dict[str, Float[Array, "lanes i j"]]:
     values, derivatives = requirements.limited_signals(signals), jax.vmap(requirements.limited_signals)(slopes)
     both = {name: jnp.concatenate([values[name][None], derivatives[name]]) for name in values}

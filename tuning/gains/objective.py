@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import ParameterError
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.model.parameters import Scalar
-from tuning.gains.scenarios import LoopSignals
+from tuning.gains.scenarios import EnsembleSignals
 
 PEAK_NORM = 16  # the p-norm that stands for the largest
 MAXIMUM_SHARPNESS = 20.0  # of the smooth maximum over lanes, relative to their mean
@@ -84,13 +84,13 @@ class Objective(NamedTuple):
     load_error: float = 0.0  # per N of RMS load error
     aggregation: str = "mean"
 
-    def __call__(self, signals: LoopSignals) -> Scalar:
+    def __call__(self, signals: EnsembleSignals) -> Scalar:
         """The number."""
         if self.aggregation not in AGGREGATIONS:
             raise ParameterError(f"no aggregation '{self.aggregation}'; known: {', '.join(AGGREGATIONS)}")
         return AGGREGATIONS[self.aggregation](self.lane_costs(signals))
 
-    def lane_costs(self, signals: LoopSignals) -> Lanes:
+    def lane_costs(self, signals: EnsembleSignals) -> Lanes:
         """The cost of each lane."""
         costs = self.error * rms(signals.error)
         if self.peak:
@@ -99,7 +99,7 @@ class Objective(NamedTuple):
             costs = costs + self.load_error * rms(signals.load_error)
         return costs
 
-    def weights(self, signals: LoopSignals) -> LoopSignals:
+    def weights(self, signals: EnsembleSignals) -> EnsembleSignals:
         """Square roots of the weights with which the squares of the signals have the gradient of the objective."""
 
         def root(slope: Array, signal: Array) -> Array:

@@ -22,7 +22,7 @@ from diffdrive.observers.convergence import convergence_gain, innovation_load_ob
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from tuning.gains.objective import rms
-from tuning.gains.scenarios import LoopSignals
+from tuning.gains.scenarios import EnsembleSignals
 
 MAX_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a loop gain of more, 1 is rounding
 UNSTABLE = 20.0  # 1/s of growth that counts as much as a margin that is missed altogether
@@ -128,7 +128,7 @@ class Constraints(eqx.Module):
         per_step = estimator.gain * jnp.where(velocity >= 0, mu.positive, mu.negative) * found
         return jnp.where(at_work, 1.0 - per_step * self.limits.settling / self.sampling.period, -1.0)
 
-    def limited_signals(self, signals: LoopSignals) -> dict[str, Float[Array, "lanes n"]]:
+    def limited_signals(self, signals: EnsembleSignals) -> dict[str, Float[Array, "lanes n"]]:
         """Signals whose RMS is limited, by name, in units of their limits; linear in the signals."""
         limits, found = self.limits, {}
         if limits.command_noise is not None:
@@ -137,7 +137,7 @@ class Constraints(eqx.Module):
             found["load error"] = signals.load_error / jnp.reshape(limits.load_error, (-1, 1))
         return found
 
-    def signal_constraints(self, signals: LoopSignals) -> dict[str, Float[Array, " lanes"]]:
+    def signal_constraints(self, signals: EnsembleSignals) -> dict[str, Float[Array, " lanes"]]:
         """Requirements on the simulated signals, by name."""
         constraints = {name: rms(signal) - 1.0 for name, signal in self.limited_signals(signals).items()}
         if signals.force_excess is not None:

@@ -30,7 +30,7 @@ class Scenario:
     seed: int = 0
 
 
-class LoopSignals(NamedTuple):
+class EnsembleSignals(NamedTuple):
     """What a roll-out shows after it has settled, [lanes, n] each; all of them are better when smaller."""
 
     error: Float[Array, "lanes n"]  # m, tracking error
@@ -48,15 +48,15 @@ class Ensemble(eqx.Module):
     sampling: Sampling = eqx.field(static=True)
     first_counted: int = eqx.field(static=True)
 
-    def signals(self, controller: Controller) -> LoopSignals:
+    def signals(self, controller: Controller) -> EnsembleSignals:
         """Roll every lane. Pure: for use under `jit`, `vmap` and `jacfwd`."""
 
-        def lane_signals(drive: Drive, inputs: Inputs, seed: Array) -> LoopSignals:
+        def lane_signals(drive: Drive, inputs: Inputs, seed: Array) -> EnsembleSignals:
             frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
             late, before = slice(self.first_counted, None), slice(self.first_counted - 1, None)
             limit = force_limit(drive)
             command, load = jnp.asarray(frame.command), None if frame.estimate is None else frame.estimate.load
-            return LoopSignals(
+            return EnsembleSignals(
                 error=jnp.asarray(inputs.reference.position - frame.position)[late],
                 command_change=jnp.diff(command[before]) / np.sqrt(2.0),
                 force_excess=None if limit is None else jnp.maximum(jnp.abs(command[late]) - limit, 0.0),

@@ -27,7 +27,7 @@ from tuning.gains.constrained import ConstrainedGains, TuningProblem, evaluate, 
 from tuning.gains.objective import Objective
 from tuning.gains.plan import OFF_GRID_FACTOR, SETTLE, machines, reversal
 from tuning.gains.requirements import Constraints, LoopLimits, operating_points
-from tuning.gains.scenarios import Ensemble, LoopSignals, Scenario, ensemble
+from tuning.gains.scenarios import Ensemble, EnsembleSignals, Scenario, ensemble
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.gains.tune import GainSearch, default_space, tune
 from tuning.optimisation.evolution import Budget
@@ -200,7 +200,7 @@ def _mean_rms(controller: Controller, several: list[Scenario]) -> tuple[float, f
 
 
 @eqx.filter_jit
-def _signals(controller: Controller, lanes: Ensemble) -> LoopSignals:
+def _signals(controller: Controller, lanes: Ensemble) -> EnsembleSignals:
     return lanes.signals(controller)
 
 

@@ -16,7 +16,7 @@ from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
 from tests.support.small_tuning import MOTION, SAMPLING, controller, drive, lanes, scenarios
 from tuning.gains.objective import AGGREGATIONS, Objective, peak, rms
-from tuning.gains.scenarios import LoopSignals, Scenario, ensemble
+from tuning.gains.scenarios import EnsembleSignals, Scenario, ensemble
 
 
 def made_up(seed, lanes=5, n=200):
@@ -24,7 +24,7 @@ def made_up(seed, lanes=5, n=200):
     error, change, missed = (
         jnp.asarray(rng.normal(size=(lanes, n)) * rng.uniform(0.1, 3.0, (lanes, 1))) for _ in range(3)
     )
-    return LoopSignals(1e-8 * error, change, None, 100.0 * missed)
+    return EnsembleSignals(1e-8 * error, change, None, 100.0 * missed)
 
 
 OBJECTIVES = [
