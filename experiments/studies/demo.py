@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.axis import Axis
@@ -36,7 +37,8 @@ def sensitivities(axis: Axis) -> list[tuple[str, float]]:
     def gradient(models: tuple[Drive, Controller]) -> tuple[Drive, Controller]:
         def rms(models: tuple[Drive, Controller]) -> Scalar:
             drive, controller = models
-            return metrics.rms(inputs.reference.position - rollout(drive, controller, inputs, axis.sampling).position)
+            position = rollout(drive, controller, inputs, axis.sampling).position
+            return metrics.rms(jnp.asarray(inputs.reference.position) - position)
 
         return jax.grad(rms)(models)
 

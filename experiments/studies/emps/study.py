@@ -257,8 +257,8 @@ def _friction_figure(report: Report, drives: Mapping[str, Drive], log: Log) -> N
     speed = np.geomspace(1e-4, 0.14, 200)
     velocity = jnp.asarray(np.concatenate([-speed[::-1], speed]))
     for name, drive in drives.items():
-        force = steady_friction(drive.friction, velocity) - float(drive.plant.constant_force)
-        axis.plot(1e3 * velocity, force, lw=1, label=name)
+        steady = steady_friction(drive.friction, velocity) - float(drive.plant.constant_force)
+        axis.plot(1e3 * velocity, steady, lw=1, label=name)
     axis.set(xlabel="velocity, mm/s", ylabel="force, N", title="EMPS: the force that a constant velocity takes")
     axis.legend(fontsize=8)
     report.figure("emps_friction", figure)

@@ -122,8 +122,8 @@ def hysteresis(
 
     def body(deflection: Array, v: Array) -> tuple[Array, Array]:
         bristle = lugre_coefficients(friction, v, deflection, weight)
-        deflection = deflection_after(deflection, v, bristle.rate, step)
-        return jnp.asarray(deflection), jnp.asarray(friction_force(bristle, v, deflection))
+        deflection = jnp.asarray(deflection_after(deflection, v, bristle.rate, step))
+        return deflection, jnp.asarray(friction_force(bristle, v, deflection))
 
     _, force = jax.lax.scan(body, jnp.zeros(()), jnp.asarray(velocity))
     settled = slice(8_000, None)
@@ -171,7 +171,7 @@ def settled_rms(signal: np.ndarray, run: Run, start: float = 4.0) -> float:
 
 def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[object]]:
     """Estimation error (N), tracking error (um) and estimated load (kN), RMS: the paper's beside ours."""
-    rows = []
+    rows: list[list[object]] = []
     for kilonewtons, runs in experiments.items():
         published = dict(zip(("e FC", "e LE", "t FC", "t LE", "W LE"), paper.TABLE_4[kilonewtons], strict=True))
         for name in runs:

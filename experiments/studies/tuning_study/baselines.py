@@ -11,7 +11,7 @@ All share one interface: they begin at theta = 0, minimise one penalised number
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -181,7 +181,7 @@ def nelder_mead(
 ) -> BaselineResult:
     """Nelder-Mead. The first simplex has a corner in the start; `seed` draws whether its edges go up or down."""
     edges = INITIAL_SPREAD * np.random.default_rng(seed).choice([-1.0, 1.0], k)
-    options = {
+    options: dict[str, Any] = {
         "initial_simplex": np.vstack([np.zeros(k), np.diag(edges)]),
         "xatol": MIN_SIMPLEX,
         "fatol": np.inf,  # the size of the simplex alone tells: costs have any scale
@@ -217,7 +217,10 @@ def random_search(
 
 @eqx.filter_jit
 def _block_costs(
-    gains: ConstrainedGains, problem: TuningProblem, points: Float[Array, "b k"], counts: Int[Array, " devices"]
+    gains: ConstrainedGains,
+    problem: TuningProblem,
+    points: Float[Array, "b k"] | Float[np.ndarray, "b k"],
+    counts: Int[Array, " devices"] | Int[np.ndarray, " devices"],
 ) -> Float[Array, "b three"]:
     """Of the points of each device the first `counts`: so one program serves batches of all sizes."""
     arrays, rest = eqx.partition(problem, eqx.is_array)
@@ -233,7 +236,7 @@ def _block_costs(
 
         return lax.fori_loop(0, counts[0], evaluate_row, jnp.full((len(points), 3), jnp.nan))
 
-    sharded, replicated = PartitionSpec("points"), PartitionSpec()
+    sharded, replicated = PartitionSpec("points"), PartitionSpec()  # type: ignore[no-untyped-call]  # jax declares no types of it
     return jax.shard_map(
         device_costs,
         mesh=Mesh(np.array(jax.devices()), ("points",)),

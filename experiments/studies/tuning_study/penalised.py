@@ -19,6 +19,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from diffdrive.model.parameters import Scalar
 from experiments.studies.tuning_study.baselines import BaselineResult, BaselineVisit
 from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, evaluate
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
@@ -35,7 +36,7 @@ class _Scalar:
 
     gains: ConstrainedGains
 
-    def __call__(self, theta: Float[Array, " k"], problem: TuningProblem) -> Float[Array, ""]:
+    def __call__(self, theta: Float[Array, " k"], problem: TuningProblem) -> Scalar:
         return self.gains.evaluate(theta, problem).penalised_objective
 
 
@@ -96,7 +97,8 @@ def _run_solver(
     """Step by step, so that the budget is kept and the best point within the requirements is known."""
     theta = jnp.zeros(len(gains.free))
     state = _begin(solver, residuals, theta, problem)
-    jax.block_until_ready(_step(solver, residuals, theta, problem, state))  # compiled before the clock starts
+    # compiled before the clock starts
+    jax.block_until_ready(_step(solver, residuals, theta, problem, state))  # type: ignore[no-untyped-call]  # jax declares no types of it
     start, best, feasible = time.perf_counter(), (np.inf, np.asarray(theta)), np.inf
     feasible_theta: np.ndarray | None = None
     history: list[BaselineVisit] = []

@@ -6,7 +6,7 @@ of at most 20 N; from the paper's gains.
 """
 
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -149,7 +149,8 @@ def _compiled(bench: TuningBenchmark, space: SearchSpace) -> tuple[ConstrainedGa
     gains = ConstrainedGains(space.free, Objective())
     problem = tuning_problem(as_arrays(smooth(bench.controller)), space, bench.lanes, bench.requirements)
     theta = jnp.zeros(len(space.free))
-    jax.block_until_ready((evaluate(gains, theta, problem), linearise_at(gains, theta, problem)))
+    compiled = evaluate(gains, theta, problem), linearise_at(gains, theta, problem)
+    jax.block_until_ready(compiled)  # type: ignore[no-untyped-call]  # jax declares no types of it
     return gains, problem
 
 
@@ -225,6 +226,7 @@ def _true_load(report: Report) -> None:
     bench = benchmark(load_error=300.0)
     tuned = tune(bench.controller, bench.lanes, bench.requirements, default_space(bench.controller))
     signals = _signals(as_arrays(smooth(tuned.controller)), bench.lanes)
+    assert signals.load_error is not None
     errors = np.sqrt(np.mean(np.square(signals.load_error), axis=1))
     report.values("true_load", objective_um=float(tuned.point.objective), feasible=tuned.feasible,
                   worst_nominal_load_error_N=float(np.max(errors[: len(LOADS)])))  # fmt: skip
@@ -233,7 +235,7 @@ def _true_load(report: Report) -> None:
 def _starts(report: Report, bench: TuningBenchmark, space: SearchSpace, best: float, starts: int) -> None:
     """Random starts over two decades of each gain, each tuned as `diffdrive tune` does."""
     rng = np.random.default_rng(0)
-    rows = []
+    rows: list[list[Any]] = []
     with report.progress("random starts", starts) as advance:
         for k in range(starts):
             shift = _random_shift(space, rng)

@@ -61,7 +61,8 @@ def _diagnose_batch(tasks: Sequence[DiagnosisTask]) -> None:
         _write_answer(case, path, without, answer)
         found = [cause["effect"] for cause in answer["causes"] if cause["found"]]
         print(f"{case.name} {answer['verdict']} {found}", flush=True)
-    jax.clear_caches()  # other lengths and rates have other programs: they would pile up
+    # other lengths and rates have other programs: they would pile up
+    jax.clear_caches()  # type: ignore[no-untyped-call]  # jax declares no types of it
 
 
 def _batches(tasks: Sequence[DiagnosisTask]) -> list[list[DiagnosisTask]]:

@@ -132,7 +132,8 @@ class MachineInputs(NamedTuple):
 
 
 _RateArguments = tuple[Drive, FaultParameters, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-_Carry = tuple[MachineState, Array, Array, Array]  # state, forces newest first, last error, count
+_Value = Array | np.ndarray
+_Carry = tuple[MachineState, Array, _Value, Array]  # state, forces newest first, last error, count
 
 
 def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
@@ -262,7 +263,7 @@ def _run(
         )
     )
 
-    def sample(carry: _Carry, sample_inputs: MachineInputs) -> tuple[_Carry, tuple[Array, Array]]:
+    def sample(carry: _Carry, sample_inputs: MachineInputs) -> tuple[_Carry, tuple[_Value, _Value]]:
         state, forces, last_error, k = carry
         reference, load, noise, disturbance, friction_share = sample_inputs
         time = k * period
