@@ -18,7 +18,7 @@ from diffdrive.logs.checks.explanation import (
 from diffdrive.logs.checks.factors import unit_error_text
 from diffdrive.logs.checks.finding import CAUSES, Finding
 from diffdrive.logs.checks.hypotheses import DECIMATION_FACTORS, is_on_grid
-from diffdrive.logs.checks.relation import ControllerRelation, LoopSignals
+from diffdrive.logs.checks.relation import ControllerRelation, ControllerSignals
 from diffdrive.logs.checks.repair import Repair, ScaleChannel, SwapChannels
 from diffdrive.logs.checks.rivals import causes_of, rivals_text
 from diffdrive.logs.checks.statistics import derivative, longest_piece, sampling_period
@@ -54,7 +54,9 @@ def check_force_balance(log: Log, axis: Axis) -> Iterator[Finding]:
         )
 
 
-def _evaluate(relation: ControllerRelation, faults: tuple[ChannelFault, ...], signals: LoopSignals) -> LogExplanation:
+def _evaluate(
+    relation: ControllerRelation, faults: tuple[ChannelFault, ...], signals: ControllerSignals
+) -> LogExplanation:
     """The explanation and its cost; columns that look swapped need a fault to explain it."""
     explanation = evaluate_explanation(relation, faults, signals, None)
     causes = {fault.cause for fault in faults}
@@ -67,7 +69,7 @@ def _evaluate(relation: ControllerRelation, faults: tuple[ChannelFault, ...], si
 
 def _hypotheses(
     relation: ControllerRelation, dynamics: DynamicsFit
-) -> Iterator[tuple[tuple[ChannelFault, ...], LoopSignals]]:
+) -> Iterator[tuple[tuple[ChannelFault, ...], ControllerSignals]]:
     """The faults of each hypothesis, and the signals as they would be without them."""
     logged = relation.logged
     yield (), logged
@@ -118,7 +120,7 @@ def looks_swapped(relation: ControllerRelation) -> bool:
     return is_on_grid(logged.reference, float(resolution)) and not is_on_grid(logged.position, float(resolution))
 
 
-def _leads_reference(signals: LoopSignals) -> bool:
+def _leads_reference(signals: ControllerSignals) -> bool:
     """Whether the position leads the reference: in a loop it lags."""
     error, speed = signals.reference - signals.position, derivative(signals.position, signals.period, 1)
     return np.std(error) > 0 and np.std(speed) > 0 and float(np.corrcoef(error, speed)[0, 1]) < LEADS

@@ -19,7 +19,7 @@ from diffdrive.logs.checks.explanation import (
     rivals_of,
 )
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
-from diffdrive.logs.checks.relation import LONGEST, ControllerRelation, LoopSignals
+from diffdrive.logs.checks.relation import LONGEST, ControllerRelation, ControllerSignals
 from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit, robust_fit
 from diffdrive.logs.checks.switching import find_switched_force
@@ -265,7 +265,7 @@ def _explanations_with_pulses(relation: ControllerRelation, best: LogExplanation
     return explanations
 
 
-def _pulses_acted(relation: ControllerRelation, signals: LoopSignals, pulses: Signal) -> float:
+def _pulses_acted(relation: ControllerRelation, signals: ControllerSignals, pulses: Signal) -> float:
     """Whether the pulses in the command move the table: 1 or 0, or 0.5 where the balance of forces is undecided."""
     with_pulses = relation.dynamics(signals)
     without_pulses = relation.dynamics(signals._replace(command=signals.command - pulses))

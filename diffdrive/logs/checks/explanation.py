@@ -18,7 +18,7 @@ import numpy as np
 
 from diffdrive.logs.checks.dynamics import CHANGED_STD, DynamicsFit
 from diffdrive.logs.checks.hypotheses import Hypothesis
-from diffdrive.logs.checks.relation import ControllerRelation, LoopSignals
+from diffdrive.logs.checks.relation import ControllerRelation, ControllerSignals
 from diffdrive.logs.checks.repair import AddToChannel, RepairStep, ScaleChannel
 from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit
@@ -59,7 +59,7 @@ class LogExplanation:
 
     faults: tuple[ChannelFault, ...]
     fit: RobustFit | None
-    signals: LoopSignals
+    signals: ControllerSignals
     dynamics: DynamicsFit | None
     cost: float
     relation: ControllerRelation | None = None  # while mass and friction are not yet evaluated
@@ -143,7 +143,7 @@ def _zero_offset(relation: ControllerRelation, metres: float) -> ChannelFault:
     return ChannelFault("offset", "reference", {"metres": metres}, (AddToChannel("reference", metres),))
 
 
-SignalRepair = Callable[[LoopSignals], LoopSignals]
+SignalRepair = Callable[[ControllerSignals], ControllerSignals]
 
 
 def _factor_interpretations(
@@ -151,7 +151,7 @@ def _factor_interpretations(
 ) -> list[tuple[tuple[ChannelFault, ...], SignalRepair]]:
     """Interpretations of the factor between the logged command and the controller's."""
 
-    def unchanged(signals: LoopSignals) -> LoopSignals:
+    def unchanged(signals: ControllerSignals) -> ControllerSignals:
         return signals
 
     is_large = not 1 / 3 < abs(ratio) < 3
@@ -193,14 +193,14 @@ def ratio_tolerance(relation: ControllerRelation, fit: RobustFit) -> float:
     return max(OFF, 3 * fit.error / float(np.sqrt(max(1.0, len(fit.residual) / SAMPLES_PER_INDEPENDENT))))
 
 
-def _has_constant(relation: ControllerRelation, signals: LoopSignals, fit: RobustFit) -> bool:
+def _has_constant(relation: ControllerRelation, signals: ControllerSignals, fit: RobustFit) -> bool:
     """Whether the command has a constant beside the controller's; one with states may have begun with it."""
     threshold = max(0.02, 3 * fit.error) * float(np.std(signals.command))
     return is_memoryless(relation.axis.controller) and abs(float(fit.coefficients[-1])) > threshold
 
 
 def _constant_interpretations(
-    relation: ControllerRelation, signals: LoopSignals, fit: RobustFit, ratio: float, constant: float
+    relation: ControllerRelation, signals: ControllerSignals, fit: RobustFit, ratio: float, constant: float
 ) -> list[tuple[tuple[ChannelFault, ...], float]]:
     """Interpretations of the constant beside the controller's command, and what to subtract from the command (N)."""
     if ratio == 0 or not _has_constant(relation, signals, fit):
@@ -220,7 +220,7 @@ def _constant_interpretations(
 
 
 def evaluate_explanation(
-    relation: ControllerRelation, faults: tuple[ChannelFault, ...], signals: LoopSignals, fit: RobustFit | None
+    relation: ControllerRelation, faults: tuple[ChannelFault, ...], signals: ControllerSignals, fit: RobustFit | None
 ) -> LogExplanation:
     """The explanation with its cost, but for what mass and friction cost, which `rank_explanations` adds."""
     cost = FAULT_COST * len(faults)
@@ -241,7 +241,7 @@ def _with_dynamics(explanation: LogExplanation) -> LogExplanation:
     return replace(explanation, dynamics=dynamics, cost=explanation.cost + dynamics_cost, relation=None)
 
 
-def _size_cost(fault: ChannelFault, signals: LoopSignals) -> float:
+def _size_cost(fault: ChannelFault, signals: ControllerSignals) -> float:
     """What the size of a fault costs: gains are near the drive file's, and an amplifier's offset is small."""
     if fault.cause == "other controller":
         factors = [value for name, value in fault.parameters.items() if name == "ratio" or name.startswith("part")]
@@ -256,7 +256,7 @@ def _size_cost(fault: ChannelFault, signals: LoopSignals) -> float:
     )
 
 
-def _tracking_cost(signals: LoopSignals) -> float:
+def _tracking_cost(signals: ControllerSignals) -> float:
     """What the position leaves of the reference: a loop follows it."""
     amplitude = float(np.std(signals.reference))
     if amplitude == 0:

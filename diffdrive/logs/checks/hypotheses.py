@@ -16,7 +16,7 @@ from diffdrive.controllers import Cascade, Controller, UnknownController
 from diffdrive.logs.checks.dynamics import NOMINAL_STD
 from diffdrive.logs.checks.factors import FACTORS
 from diffdrive.logs.checks.grid import COARSER, coarse_step, fit_count_grid
-from diffdrive.logs.checks.relation import ControllerRelation, LoopSignals
+from diffdrive.logs.checks.relation import ControllerRelation, ControllerSignals
 from diffdrive.logs.checks.repair import RepairStep, ScaleChannel, ShiftChannel, SwapChannels, shift_signal
 from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit, window_length
@@ -44,13 +44,13 @@ class Hypothesis:
 
     cause: str
     channel: str
-    signals: LoopSignals
+    signals: ControllerSignals
     steps: tuple[RepairStep, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     regressors: tuple[Signal, ...] = ()
     gain_count: int = 0  # how many of the regressors are parts of the controller's command
     # which must explain less: all channels through the filter that one channel is supposed to have passed
-    control_signals: LoopSignals | None = None
+    control_signals: ControllerSignals | None = None
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class ChannelFilter:
         sums = np.concatenate([[0.0], np.cumsum(padded)])
         return first + (sums[self.length :] - sums[: -self.length]) / self.length
 
-    def apply_to_all(self, signals: LoopSignals) -> LoopSignals:
+    def apply_to_all(self, signals: ControllerSignals) -> ControllerSignals:
         """All channels through it."""
-        return LoopSignals(
+        return ControllerSignals(
             self.apply(signals.reference), self.apply(signals.position), self.apply(signals.command), signals.period
         )
 
@@ -206,7 +206,7 @@ def rounded(relation: ControllerRelation) -> Iterator[Hypothesis]:
             parameters = {"step": grid.step, "ratio": grid.step / float(resolution)}
             for seconds in SMOOTHING_WINDOWS:
                 length = min(window_length(1.0 / logged.period, seconds), len(logged.position) // 2 * 2 - 1)
-                repaired = LoopSignals(
+                repaired = ControllerSignals(
                     savgol_filter(logged.reference, length, 2),
                     savgol_filter(logged.position, length, 2),
                     savgol_filter(logged.command, length, 2),

@@ -36,7 +36,7 @@ LANES = 16  # replays that run side by side: a fixed number, so that one compile
 SHORTEST = 0.5
 
 
-class LoopSignals(NamedTuple):
+class ControllerSignals(NamedTuple):
     """The signals of a log that the controller relates to one another, [n] each, at samples `period` (s) apart."""
 
     reference: Signal  # the position itself where none was logged
@@ -55,11 +55,11 @@ class ControllerRelation:
     after_transient: bool = False
 
     @property
-    def logged(self) -> LoopSignals:
+    def logged(self) -> ControllerSignals:
         """The stretch as it was logged."""
         log, piece = self.log, self.piece
         reference = log.position if log.reference is None else log.reference
-        return LoopSignals(reference[piece], log.position[piece], log.command[piece], sampling_period(log))
+        return ControllerSignals(reference[piece], log.position[piece], log.command[piece], sampling_period(log))
 
     @cached_property
     def arrays(self) -> ControllerAndDrive:
@@ -72,7 +72,7 @@ class ControllerRelation:
         disturbance = self.log.disturbance
         return None if disturbance is None or np.std(disturbance[self.piece]) == 0 else disturbance[self.piece]
 
-    def controller_commands(self, cases: Sequence[LoopSignals]) -> list[Signal]:
+    def controller_commands(self, cases: Sequence[ControllerSignals]) -> list[Signal]:
         """The controller's command (N) [n] for each of the signals, all of one length and period.
 
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
@@ -115,7 +115,7 @@ class ControllerRelation:
         known = [] if self.disturbance is None else [self.valid_samples(self.disturbance)]
         return robust_fit([*(self.valid_samples(column) for column in columns), *known], self.valid_samples(command))
 
-    def dynamics(self, signals: LoopSignals) -> DynamicsFit | None:
+    def dynamics(self, signals: ControllerSignals) -> DynamicsFit | None:
         """Mass and friction that the signals imply."""
         log, piece = self.log, self.piece
         load = 0.0 if log.load is None else log.load[piece]
