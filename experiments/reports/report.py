@@ -200,7 +200,8 @@ class Report:
     def result_first(self) -> Iterator[Callable[[str], None]]:
         """Yields a function for the sentence with the result; whatever else is printed within comes after it."""
         sentences: list[str] = []
-        self._later = later = []
+        later: list[tuple[Sequence[str], str]] = []
+        self._later = later
         try:
             yield sentences.append
         finally:
