@@ -37,9 +37,9 @@ Points = Float[np.ndarray, "s k"]
 class PenalisedCosts(NamedTuple):
     """What points of the search are worth, [s] each."""
 
-    penalised: Float[np.ndarray, " s"]  # what is minimised
+    penalised_objective: Float[np.ndarray, " s"]  # what is minimised
     objective: Float[np.ndarray, " s"]
-    missed: Float[np.ndarray, " s"]  # by how much the requirement that is missed most is missed
+    violation: Float[np.ndarray, " s"]  # of the requirement that is violated most
 
 
 CostFunction = Callable[[Points], PenalisedCosts]

@@ -75,7 +75,7 @@ def test_requirements_are_kept_at_their_price(search):
     near = 0.2 if search is random_search else 0.02
     np.testing.assert_allclose(found.theta, [0.2, -0.4], atol=near)
     priced = half_plane(found.feasible[None])
-    assert priced.missed[0] <= FEASIBILITY_TOLERANCE
+    assert priced.violation[0] <= FEASIBILITY_TOLERANCE
     assert priced.objective[0] == found.history[-1].feasible == pytest.approx(1.25, abs=near**2 + 0.01)
 
 
