@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "lacks": [one._asdict() for one in found.lacks],
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
-    return dict(plain(told))
+    return cast(dict[str, Any], plain(told))  # of a mapping, it is one
 
 
 def _size(found: Diagnosis) -> str:
@@ -207,5 +207,5 @@ def _in_closed_loop(found: Diagnosis) -> str:
     floor = _in_loop(found.rungs[-1], "position_floor")
     if before is None or after is None or floor is None:
         return ""
-    before, after, floor = (f"{1e6 * one:.3g} um" for one in (before, after, floor))
-    return f". In closed loop the position is {before} off recalibrated, {after} with what was found, the floor {floor}"
+    off, left, least = (f"{1e6 * one:.3g} um" for one in (before, after, floor))
+    return f". In closed loop the position is {off} off recalibrated, {left} with what was found, the floor {least}"

@@ -3,7 +3,7 @@
 import dataclasses
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Directional, Drive
 
@@ -40,8 +40,9 @@ def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
 
     friction = dataclasses.replace(friction, stribeck_exponent=jnp.asarray(friction.exponent))
     names = dict.fromkeys(name.split(".")[0] for name in NAMES[1:])
+    pairs: dict[str, PyTree] = {name: scaled(getattr(friction, name), name) for name in names}
     return dataclasses.replace(
         drive,
         plant=dataclasses.replace(plant, mass=plant.mass * factor["mass"], damping=scaled(plant.damping, "viscous")),
-        friction=dataclasses.replace(friction, **{name: scaled(getattr(friction, name), name) for name in names}),
+        friction=dataclasses.replace(friction, **pairs),
     )

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from diffdrive.effects import actuator, forces, friction, machine, scale, transmission
-from diffdrive.effects.base import Effect
+from diffdrive.effects import actuator, forces, friction, transmission
+from diffdrive.effects.base import Effect, MachineEffect, ScaleEffect
 from tuning.diagnosis.priors import Parameter
 
 SWINGS = 5.0  # of a process, in the log in which it lasts longest: fewer are no wave
@@ -66,7 +66,7 @@ class Candidate(NamedTuple):
     @property
     def twists(self) -> bool:
         """Whether a second encoder would see it, `second_encoder.foreseen`."""
-        return issubclass(self.effect, transmission.Transmission | scale.ScaleEffect)
+        return issubclass(self.effect, transmission.Transmission | ScaleEffect)
 
     @property
     def unseen(self) -> bool:
@@ -78,10 +78,10 @@ class Candidate(NamedTuple):
     @property
     def noisy(self) -> bool:
         """Whether it may pass for noise of the measurement."""
-        return issubclass(self.effect, scale.ScaleEffect)
+        return issubclass(self.effect, ScaleEffect)
 
     @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
-        alike = (machine.MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)
+        alike = (MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)
         return issubclass(self.effect, alike)

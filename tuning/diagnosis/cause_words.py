@@ -72,7 +72,7 @@ def _spans(name: str, cause: dict[str, Any]) -> list[Span]:
 
 
 def _telling(spans: list[Span]) -> float:
-    halves = [(abs(at), 0.5 * (high - low)) for at, low, high in spans if None not in (low, high)]  # type: ignore[operator]
+    halves = [(abs(at), 0.5 * (high - low)) for at, low, high in spans if low is not None and high is not None]
     return max((PLAIN if half * PLAIN <= at else at / half for at, half in halves), default=0.0)
 
 
@@ -87,8 +87,7 @@ def _wave(cause: dict[str, Any], harmonic: str) -> Told:
     amplitudes, phases = list[Span](), []
     for cosine, sine in zip(*(_spans(f"{part}{harmonic}", cause) for part in ("cosine", "sine")), strict=True):
         (c, half_c), (s, half_s) = (
-            (at, None if None in (low, high) else 0.5 * (high - low))
-            for at, low, high in (cosine, sine)  # type: ignore[operator]
+            (at, None if low is None or high is None else 0.5 * (high - low)) for at, low, high in (cosine, sine)
         )
         amplitude = float(np.hypot(c, s))
         phases.append(f"{np.degrees(np.arctan2(s, c)):.0f}")

@@ -5,6 +5,8 @@ actuator answers as late as the machine's and yet differently, by a delay in the
 go with the commands of the samples before them, little as each is off.
 """
 
+from typing import cast
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -89,7 +91,7 @@ def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     logged = fitted.model.logged
     delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
     late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
-    command = saturate(logged.drive.actuator, logged.lanes.command)
+    command = cast(Array, saturate(logged.drive.actuator, logged.lanes.command))  # of an array, it is one
     held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
     count = command.shape[1]
     return jnp.stack([jnp.pad(command, ((0, 0), (k, 0)), mode="edge")[:, :count] for k in held_back], axis=-1)

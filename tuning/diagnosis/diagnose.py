@@ -29,13 +29,14 @@ from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
-from tuning.diagnosis.ladder import Rung, Split, climb, known_floor
+from tuning.diagnosis.ladder import Rung, climb, known_floor
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.leftover import SLIDING, credible, furthest
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
+from tuning.diagnosis.splitting import Split
 from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
@@ -92,7 +93,8 @@ def _padded(lanes: Lanes) -> Lanes:
     def longer(signal: Any, mode: str = "edge") -> Any:
         return jnp.pad(signal, ((0, 0), (0, more), *((0, 0),) * (signal.ndim - 2)), mode=mode)
 
-    padded = jax.tree.map(longer, lanes._replace(velocity=None, counts=None))
+    signals = lanes._replace(velocity=None, counts=None)  # type: ignore[arg-type]  # None is no leaf: neither is padded
+    padded = jax.tree.map(longer, signals)
     return padded._replace(velocity=lanes.velocity, counts=longer(lanes.counts, "constant"))
 
 

@@ -44,11 +44,11 @@ def _machines(
 
 @eqx.filter_jit
 def _changed(
-    drive: Drive, acting: Exposure, columns: Float[Array, "p m"], bend: Exposure, ways: Ways, steps: Vector
+    drive: Drive, acting: Exposure, columns: Float[np.ndarray, "p m"], bend: Exposure, ways: Ways, steps: Vector
 ) -> tuple[Drive, Exposure]:
     """A drive and what acts on it, so many steps along each of several ways."""
 
-    def one(way: Int[Array, ""], step: Float[Array, ""]) -> tuple[Drive, Exposure]:
+    def one(way: Int[Array | np.ndarray, ""], step: Float[Array | np.ndarray, ""]) -> tuple[Drive, Exposure]:
         moved = jax.tree.map(lambda at, along: at + step * along[..., way], acting._replace(ripple=None), bend)
         return with_numbers(drive, numbers(drive) + step * columns[:, way]), moved._replace(ripple=acting.ripple)
 
@@ -104,7 +104,7 @@ def by_numbers(
 
     Each to the side away from the prior's edge; `course` is the one that led to the track.
     """
-    logged, process = model.logged, Process(*jnp.asarray(process))
+    logged, forces = model.logged, Process(*jnp.asarray(process))
     counts = np.asarray(logged.lanes.counts)
 
     def over(ways: Ways, steps: Vector) -> Columns:
@@ -115,7 +115,7 @@ def by_numbers(
             us = u + np.eye(model.size)[few] * by[:, None]
             effects = stacked([model.apart(model.effects(one)) for one in us])
             drives, acting = _machines(logged, model.tolerance * us[:, : len(NAMES)], effects, course)
-            found.append(np.asarray(_innovations(drives, acting, effects[1], logged, course, process)))
+            found.append(np.asarray(_innovations(drives, acting, effects[1], logged, course, forces)))
         return _slope(found, np.asarray(track.innovation), steps, track, logged)
 
     sides = np.where(u > 0.0, -1.0, 1.0)
@@ -127,13 +127,13 @@ def by_acts(
     columns: Float[np.ndarray, "p m"], bend: Exposure,
 ) -> Float[np.ndarray, "lanes n m"]:  # fmt: skip
     """Of the same innovations to changes of the drive's numbers (`columns`) and of what acts ([lanes, n, m])."""
-    logged, process = model.logged, Process(*jnp.asarray(process))
+    logged, forces = model.logged, Process(*jnp.asarray(process))
     counts, coupled = np.asarray(logged.lanes.counts), model.apart(model.effects(u))[1]
 
     def innovations(ways: Ways, steps: Vector) -> np.ndarray:
         drives, acts = _changed(drive, acting, columns, bend, ways, steps)
         beside = stacked([coupled] * len(ways))
-        return np.asarray(_innovations(drives, acts, beside, logged, track.course, process))
+        return np.asarray(_innovations(drives, acts, beside, logged, track.course, forces))
 
     here = innovations(np.zeros(AT_ONCE, int), np.zeros(AT_ONCE))[0]  # along the last course, as the others are
 

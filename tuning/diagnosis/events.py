@@ -46,7 +46,7 @@ def least_foreseen(fitted: Fitted) -> Event:
     sums, freedom = (_summed(one, wide) for one in (np.where(astray, 0.0, off) ** 2 * counted, counted))
     logs = np.where(freedom > 0.0, chi2.logsf(sums, np.maximum(freedom, 1.0)), 0.0)
     lane, begins = np.unravel_index(int(logs.argmin()), logs.shape)
-    decades = (logs[lane, begins] + np.log(max(np.count_nonzero(freedom), 1))) / np.log(10.0)
+    decades = (logs[lane, begins] + np.log(max(int(np.count_nonzero(freedom)), 1))) / np.log(10.0)
     return Event(int(lane), int(begins), wide, float(min(decades, 0.0)))
 
 

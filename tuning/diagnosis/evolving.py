@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from diffdrive.effects.base import Effect
 from diffdrive.effects.stages import Effects
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive
@@ -74,7 +75,8 @@ def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stret
         values = np.asarray(signal)
         return jnp.asarray(np.stack([values[lane, first : first + length] for lane, first in begins]))
 
-    lanes = jax.tree.map(piece, logged.lanes._replace(velocity=None))
+    signals = logged.lanes._replace(velocity=None)  # type: ignore[arg-type]  # None is no leaf: it has no samples to cut
+    lanes = jax.tree.map(piece, signals)
     settled = jnp.asarray((np.arange(length) >= lead).astype(float))
     lanes = lanes._replace(counts=lanes.counts * settled, velocity=initial_velocity(lanes.position, rate))
     return Stretches(lanes, jax.tree.map(piece, under), tuple(logged.owner[lane] for lane, _ in begins))
@@ -82,7 +84,12 @@ def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stret
 
 @eqx.filter_jit
 def _deviances(
-    drive: Drive, stretches: Stretches, coupled: Effects, push: Float[Array, " s"], process: Any, logged: Logged
+    drive: Drive,
+    stretches: Stretches,
+    coupled: Effects,
+    push: Float[np.ndarray, " s"],
+    process: Float[np.ndarray, "s 2"],
+    logged: Logged,
 ) -> Float[Array, " s"]:
     def one(coupled: Effects, push: Float[Array, ""], process: Float[Array, " 2"]) -> Float[Array, ""]:
         under = stretches.under
@@ -146,7 +153,7 @@ def evolved(
         return values(first), forces(first)
     stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), places)
 
-    def in_stretches(share: Float[np.ndarray, " k"]) -> Effects:
+    def in_stretches(share: Float[np.ndarray, " k"]) -> Effect:
         return effect_in_lanes(candidate.effect, values(share), stretches.owner)
 
     lanes = np.array([logged.owner.index(k) for k in stretches.owner])
@@ -163,6 +170,6 @@ def evolved(
         return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
 
     budget = Budget(SIMULATIONS, np.inf, -np.inf)
-    begun = {"screened": SAMPLE} if seed is None else {"seed": seed}
-    found = evolve(costs, first, budget, population=POPULATION, **begun)
+    screened = SAMPLE if seed is None else 0
+    found = evolve(costs, first, budget, population=POPULATION, screened=screened, seed=seed or 0)
     return values(found.share), forces(found.share)

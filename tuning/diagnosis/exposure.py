@@ -5,7 +5,7 @@ compiled filter (`following`) serves them all. Those that act by the table's own
 them, are stepped within it.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -96,7 +96,7 @@ def exposure(
             shift = acts.shift + sum(stages.slope_displacement(machine, push.slope, period / parts) for push in pushes)
             beside = pushed + acts.force
             one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
-            return states, Exposure(*(value + 0.0 * force for value in one), ripple)
+            return states, Exposure._make((*(value + 0.0 * force for value in one), ripple))
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
         signals = (count, course, asked, lane.disturbance, lane.load)
@@ -115,11 +115,12 @@ def _asked(
     """
     asked = lane.period_commands
     if asked is None:
-        late = any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects)
-        asked = in_parts(lane.command, sampling.plant_steps if late else 1)
+        changes = any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects)
+        asked = in_parts(lane.command, sampling.plant_steps if changes else 1)
     count, parts = asked.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
-    force = _held_back(saturate(drive.actuator, asked.reshape(-1)), jnp.maximum(late, 0.0) * parts)
+    limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one
+    force = _held_back(limited, jnp.maximum(late, 0.0) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
 
 

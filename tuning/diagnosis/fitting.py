@@ -196,8 +196,8 @@ class Fitter:
             first = exposure_by_machine(logged, b, effects, point.course)
             then = exposure_slopes(logged, point.own, effects, tangents, point.course)
             bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
-        found = answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period)
-        return kept[:, None] * np.asarray(found).reshape(residual.size, -1)
+        found = np.asarray(answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period))
+        return kept[:, None] * found.reshape(residual.size, -1)
 
     def step(
         self, model: Model, point: Point, damping: float, free: Vector, jacobian: np.ndarray

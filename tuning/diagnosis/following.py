@@ -9,7 +9,8 @@ and that answer is a linear recursion along the log (`answers`), cheap enough fo
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from jaxtyping import Array, Float, Int
 
 from diffdrive.effects import stages
 from diffdrive.effects.base import Effect, TableEffect
+from diffdrive.effects.transmission import Sensitivity
 from diffdrive.model import plant
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive, Sampling, Scalar
@@ -153,6 +155,7 @@ def follow(
         innovation = measured - acts.scale - state[0]
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
         lost = jnp.abs(innovation) > LOST * scatter
+        motor: Sequence[Scalar]
         motor = hidden.regained(coupled, hidden.read(coupled, effects), lost, drive, acts.force - acts.beside)
         state = (*state, *motor)
         covariance = tuple(
@@ -166,13 +169,14 @@ def follow(
         position, velocity, deflection, lacking, *motor = state
         effects = hidden.written(coupled, effects, tuple(motor))
         machine = stages.with_friction_offset(drive, acts)
-        resisting = stages.resistance(machine, velocity, deflection, load)
-        now, answers = Course(position, velocity, deflection, resisting, lacking), ()
+        resisting = cast(Array, stages.resistance(machine, velocity, deflection, load))  # of the scan's carry
+        now = Course(position, velocity, deflection, resisting, lacking)
+        answers: tuple[Sensitivity, ...] = ()
         if coupled:
             seen = acts.seen(time, now, load)
             effects, more, answers = hidden.stepped(coupled, effects, seen, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
-            acts = Exposure(*both, acts.scale, acts.beside, None if shielded else acts.ripple)
+            acts = Exposure._make((*both, acts.scale, acts.beside, None if shielded else acts.ripple))
             machine = stages.with_friction_offset(drive, acts)
 
         nil = jnp.zeros_like(velocity)
@@ -209,7 +213,8 @@ def follow(
         return _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
 
     def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], states: Any) -> Any:
-        cut = jax.tree.map(pieces.cut, lane._replace(velocity=None))
+        signals = lane._replace(velocity=None)  # type: ignore[arg-type]  # None is no leaf: it has no samples to cut
+        cut = jax.tree.map(pieces.cut, signals)
         velocity = initial_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
         beside = (cut._replace(velocity=velocity), jax.tree.map(pieces.cut, acts), time, states)
         found = jax.vmap(segment, (0, 0, 0, 0, None))(*beside, coupled)
@@ -231,7 +236,7 @@ def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:
     return jnp.repeat(acts.ripple, sampling.plant_steps // acts.ripple.shape[-1], axis=-1)
 
 
-def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Scalar, Scalar]:
+def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """-2 log likelihood up to a constant, and the square of the scale of all noises, which is free."""
     squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
     size = jnp.maximum(jnp.sum(counts * squares) / jnp.sum(counts), QUIETEST)

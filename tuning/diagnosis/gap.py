@@ -192,7 +192,10 @@ def loop_gap(
         for k in range(2):
             off[k].append((found[k] - true[k]).ravel())
             off[k + 2].append(np.diff(found[k], axis=0).ravel())
-    return LoopGap(*(float(np.sqrt(np.mean(np.concatenate(one) ** 2))) for one in off))
+    position_rms, command_rms, position_floor, command_floor = (
+        float(np.sqrt(np.mean(np.concatenate(one) ** 2))) for one in off
+    )
+    return LoopGap(position_rms, command_rms, position_floor, command_floor)
 
 
 @eqx.filter_jit

@@ -25,6 +25,12 @@ def screw_of(effects: Effects) -> int | None:
     return next((k for k, effect in enumerate(effects) if isinstance(effect, Transmission)), None)
 
 
+def _transmission(effects: Effects, which: int) -> Transmission:
+    effect = effects[which]
+    assert isinstance(effect, Transmission)  # by `screw_of`
+    return effect
+
+
 def unknown(effects: Effects, drive: Drive, force: Scalar) -> tuple[Scalar, ...]:
     """Variances of deflection and rate of a motor of which nothing is known but its usual `force` (N); nothing where
     none is hidden.
@@ -32,13 +38,13 @@ def unknown(effects: Effects, drive: Drive, force: Scalar) -> tuple[Scalar, ...]
     which = screw_of(effects)
     if which is None:
         return ()
-    return (effects[which].screw.lost_motion(drive, force) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
+    return (_transmission(effects, which).screw.lost_motion(drive, force) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
 
 
 def jolted(effects: Effects, jolt: Scalar) -> tuple[Scalar, ...]:
     """What a force that shakes the table by a variance `jolt` of its velocity adds, acting on the motor, to those."""
     which = screw_of(effects)
-    return () if which is None else (0.0, jolt / effects[which].screw.motor_share ** 2)
+    return () if which is None else (0.0, jolt / _transmission(effects, which).screw.motor_share ** 2)
 
 
 def read(effects: Effects, states: States) -> tuple[Scalar, ...]:
@@ -56,7 +62,7 @@ def regained(
     which = screw_of(effects)
     if which is None:
         return ()
-    side, (deflection, rate) = effects[which].screw.lost_motion(drive, force), motor
+    side, (deflection, rate) = _transmission(effects, which).screw.lost_motion(drive, force), motor
     return jnp.where(lost, jnp.clip(deflection, -side, side), deflection), jnp.where(lost, 0.0, rate)
 
 
@@ -80,7 +86,7 @@ def stepped(
         return states, acts, ()
     others, theirs = ((*some[:which], *some[which + 1 :]) for some in (effects, states))
     theirs, acts, before = stages.table_action_in_order(others, theirs, seen, drive, period)
-    motor, own, answers = effects[which].step_with_sensitivities(states[which], *before, period)
+    motor, own, answers = _transmission(effects, which).step_with_sensitivities(states[which], *before, period)
     return (*theirs[:which], motor, *theirs[which:]), acts.plus(own), answers
 
 

@@ -12,6 +12,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from diffdrive.effects import stages
 from diffdrive.effects.base import Acts
@@ -37,7 +38,7 @@ def force_error(drive: Drive, log: Log, dynamics: float = DYNAMICS, of: Log | No
     return 100.0 * float(np.linalg.norm(off) / np.linalg.norm(force))
 
 
-def _decimated(signal: np.ndarray, source: Stretch, dynamics: float) -> np.ndarray:
+def _decimated(signal: np.ndarray | Array, source: Stretch, dynamics: float) -> np.ndarray:
     """A signal of a stretch without what the filters spoil."""
     ratio = max(1, round(0.8 * source.rate / 2 / (2 * dynamics)))
     return decimate(np.asarray(signal)[source.border : len(signal) - source.border], ratio)
@@ -51,7 +52,7 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     command = log.command[np.searchsorted(log.time, source.time)]
     position, load = jnp.asarray(source.position), jnp.asarray(source.load)
     signals = (position, jnp.asarray(command), jnp.asarray(source.force - command), load, jnp.ones_like(load))
-    lanes = Lanes(*(one[None] for one in signals), velocity=velocity[:1])
+    lanes = Lanes._make((*(one[None] for one in signals), velocity[:1], None))
     machine = stages.with_machine_effects(own, effects)
     period = 1.0 / source.rate
     rigid = friction_along(machine, velocity, load, period)

@@ -53,7 +53,7 @@ def known_floor(rungs: list[Rung], rung: Rung) -> float | None:
 
 
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
-    lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))
+    lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))  # type: ignore[arg-type]  # jit takes numpy's too
     twist = fitter.twist and fitter.twist._replace(counts=fitter.twist.counts * (np.asarray(counts) > 0))
     return Fitter(fitter.logged._replace(lanes=lanes), twist, fitter.store)
 

@@ -23,7 +23,7 @@ class Lap(NamedTuple):
 
     logs: tuple[int, int]
     begins: tuple[int, int]
-    count: int
+    count: int  # type: ignore[assignment]  # in the place of tuple.count
 
 
 class Laps(NamedTuple):
@@ -58,14 +58,14 @@ def period_of(reference: Float[np.ndarray, " n"], rate: float) -> int | None:
 
 def pairs_of(logs: Sequence[Log]) -> list[Lap]:
     """Neighbouring laps within each log, and logs with one reference; logs with gaps are left alone."""
-    whole = [k for k, log in enumerate(logs) if log.reference is not None and len(log.pieces()) == 1]
+    whole = {k: log.reference for k, log in enumerate(logs) if log.reference is not None and len(log.pieces()) == 1}
     found = []
-    for k in whole:
-        period, n = period_of(logs[k].reference, logs[k].rate), len(logs[k].time)
+    for k, reference in whole.items():
+        period, n = period_of(reference, logs[k].rate), len(logs[k].time)
         if period is not None:
             found += [Lap((k, k), (a, a + period), min(period, n - a - period)) for a in range(0, n - period, period)]
     for a, b in itertools.pairwise(whole):
-        one, other = logs[a].reference, logs[b].reference
+        one, other = whole[a], whole[b]
         if len(one) == len(other) and np.ptp(one) > 0.0 and np.abs(one - other).max() < SAME:
             found.append(Lap((a, b), (0, 0), len(one)))
     return found

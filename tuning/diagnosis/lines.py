@@ -4,6 +4,7 @@ A grid fine enough for a period that is known to a hundredth of a cycle over the
 catalogue: the spectrum of the missing force tells where to look.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -106,7 +107,7 @@ def lines_in_position(
         transform = np.abs(fft.rfft(held, 4 * edges)[bins]) ** 2
         power += transform
         # half the square of the wave's amplitude, for as long as the lane lasts
-        energy += there.sum() * 2.0 * transform / max(np.count_nonzero(number), 1) ** 2
+        energy += there.sum() * 2.0 * transform / max(int(np.count_nonzero(number)), 1) ** 2
     energy /= max(float(np.sum(signal**2 * counts)), 1e-300)
     found = []
     for k, p in _stand_out(power):
@@ -145,6 +146,7 @@ def _wave(
 ) -> _Wave:
     """The wave at a line, about which its value is sought more finely."""
     time = np.arange(signal.shape[1]) / rate
+    lags: Iterable[float]
     if line.dimension == "frequency":
         near, lags = line.value + 0.5 * np.linspace(-1, 1, REFINED) / time[-1], [0.0]
     else:

@@ -189,10 +189,15 @@ class Model:
             here = np.array([log is None or log == owner for owner in self.logged.owner], float)
             here *= parameter.slope(float(number))
             zero = jax.tree.map(np.zeros_like, base)
-            rows.append(eqx.tree_at(lambda tree, i=index, n=name: getattr(tree[i], n), zero, here))
+            rows.append(eqx.tree_at(partial(_field, index=index, name=name), zero, here))
         if not rows:
             return base, 0
         return stacked(rows), len(rows)
+
+
+def _field(effects: tuple[Effect, ...], index: int, name: str) -> np.ndarray:
+    """A parameter of one of the effects."""
+    return getattr(effects[index], name)
 
 
 def stacked(trees: Sequence[A]) -> A:

@@ -222,10 +222,10 @@ def _told(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps
     logged, drive = truth.model.logged, drive_of(truth, 0)
     drive = dataclasses.replace(drive, sensor=Sensor(None, float(logged.noise)))  # quantisation is a part of that noise
     frame = _rollout(*as_arrays((drive, description.controller)), inputs, logged.control, jax.random.key(0))
-    position = frame.measured
+    position, command = jnp.asarray(frame.measured), jnp.asarray(frame.command)
     flat = jnp.zeros_like(position)
-    signals = (position, frame.command, flat, flat, jnp.ones_like(position))
-    lanes = thinned(Lanes(*(one[None] for one in signals), velocity=jnp.zeros(1)), logged.thinning)
+    signals = (position, command, flat, flat, jnp.ones_like(position))
+    lanes = thinned(Lanes._make((*(one[None] for one in signals), jnp.zeros(1), None)), logged.thinning)
     fitter = Fitter(logged._replace(lanes=lanes, owner=(0,), starts=jnp.zeros(1)))
     flat = jnp.zeros(lanes.position.shape[1])
     costs = []

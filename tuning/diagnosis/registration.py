@@ -54,7 +54,7 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
             for one in candidate.parameters
             if one.session and (one.amplitude or abs(one.standard(values[one.name][0])) < AWAY)
         )
-        if effect.name == ConstantForce.name:
+        if isinstance(effect, ConstantForce):
             free = (Parameter("force", float(effect.force), TOLERANCE * at.friction),)
         fixed = tuple((name, float(value[0])) for name, value in values.items() if name not in {p.name for p in free})
         member = Member(candidate._replace(parameters=free), fixed)

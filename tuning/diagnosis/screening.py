@@ -5,6 +5,7 @@ along these, once the parameters that are free already have taken their part, is
 projection for each point of its grid, no fit (Rao's score test).
 """
 
+import operator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -91,7 +92,7 @@ def _directions(
     for one, log in labels:
         here = np.array([log is None or log == owner for owner in logged.owner], float) * one.spread
         zero = jax.tree.map(np.zeros_like, effect)
-        rows.append(eqx.tree_at(lambda tree, n=one.name: getattr(tree, n), zero, here))
+        rows.append(eqx.tree_at(operator.attrgetter(one.name), zero, here))
     tangents = stacked(rows)
     bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
     columns = jnp.zeros((fitted.linear.machine.shape[-1], len(rows)))
@@ -104,8 +105,9 @@ def _directions(
         model, u, process, track = fitted.model, fitted.u, fitted.process, fitted.track
         found = by_acts(model, u, process, track, fitted.drive, fitted.acting, np.asarray(columns), bend)
     else:
-        found = answered(fitted.track, fitted.linear, columns, bend, logged.lanes.counts, logged.sampling.period)
-    return np.asarray(found) / np.sqrt(float(fitted.track.size)), labels
+        counts, period = logged.lanes.counts, logged.sampling.period
+        found = np.asarray(answered(fitted.track, fitted.linear, columns, bend, counts, period))
+    return found / np.sqrt(float(fitted.track.size)), labels
 
 
 def _pushed(fitted: Fitted) -> Logged:
@@ -154,8 +156,8 @@ def _screened(fitted: Fitted, candidate: Candidate, point: Values, left: Vector)
     for (one, log), value in zip(labels, amount, strict=True):
         row = values.setdefault(one.name, np.zeros(logged.logs))
         row[slice(None) if log is None else log] = value * one.spread
-    moved = [fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left)]
-    return Screened(candidate, gain, evidence, values, *moved, fitted.process * TRIED)
+    rest, aside = (fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left))
+    return Screened(candidate, gain, evidence, values, rest, aside, fitted.process * TRIED)
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
@@ -179,8 +181,8 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
 
     found = [tried_from(fitted.u, values) for values in points]
     if not model.coupled:
-        best = sorted(found, key=lambda one: one[0].cost)[:BEST]  # not all lie where a fit finds down
-        found += [_made_way(fitter, fitted, model, one) for one in best]
+        cheapest = sorted(found, key=lambda one: one[0].cost)[:BEST]  # not all lie where a fit finds down
+        found += [_made_way(fitter, fitted, model, one) for one in cheapest]
     if astray:
         found += [tried_from(before, values) for values in points]
     found.sort(key=lambda one: one[0].cost)

@@ -29,7 +29,8 @@ class Setting(NamedTuple):
     speed: float  # m/s, fastest
     command: float  # N, largest
     peak: float  # N, largest of a single control period that the drive file lets pass
-    count: float = 0.0  # m, of the scale: its resolution, or as coarse a one as the log's scatter is
+    # m, of the scale: its resolution, or as coarse a one as the log's scatter is
+    count: float = 0.0  # type: ignore[assignment]  # in the place of tuple.count
 
 
 def setting(drive: Drive, lanes: Lanes, period: float, thinning: int = 1, starts: ArrayLike = 0.0) -> Setting:

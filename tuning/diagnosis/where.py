@@ -102,7 +102,7 @@ def ranked(regions: Sequence[Region], unlisted: int = 0) -> list[Region]:
     if not regions:
         return []
     each = np.array([one.p_value for one in regions])
-    paid = scipy.stats.false_discovery_control(np.r_[each, np.ones(unlisted)])[: len(regions)]
+    paid = np.asarray(scipy.stats.false_discovery_control(np.r_[each, np.ones(unlisted)]))[: len(regions)]
     found = [one._replace(p_value=float(p)) for one, p in zip(regions, paid, strict=True)]
     return sorted(found, key=lambda one: (one.p_value >= SIGNIFICANT, one.is_band, one.expected - one.share))
 
