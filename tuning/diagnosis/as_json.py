@@ -117,16 +117,16 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
     }
 
 
-def _own_shrink(found: Diagnosis, before: Rung, after: Rung) -> dict[str, Any]:
+def _own_shrink(found: Diagnosis, before: Rung, after: Rung) -> dict[str, object]:
     """What one effect takes off the gap beyond the floor that the rung before it leaves; no share of nothing."""
     gone = closed(before, after, found.logged.sampling.rate)
     judged = {"judged_on": found.split.says}
     if gone is None or not after.force.told:
-        return {"shrink": None, "interval": None} | judged
+        return {"shrink": None, "interval": None, **judged}
     return {"shrink": gone.share, "interval": [gone.low, gone.high]} | judged
 
 
-def _recalibrated(found: Diagnosis) -> Iterator[dict[str, Any]]:
+def _recalibrated(found: Diagnosis) -> Iterator[dict[str, object]]:
     """The nominal parameters as the drive file has them, recalibrated, and fitted together with what was found."""
     fits = {"recalibrated": found.explanation.base}
     if found.found.model.added:
@@ -134,7 +134,7 @@ def _recalibrated(found: Diagnosis) -> Iterator[dict[str, Any]]:
     spreads = {key: deviations(one) for key, one in fits.items()}
     for k, parameter in enumerate(NAMES):
         for name, nominal, unit in _nominal(found.logged.drive, parameter):
-            row: dict[str, Any] = {"parameter": name, "unit": unit, "drive_file": nominal}
+            row: dict[str, object] = {"parameter": name, "unit": unit, "drive_file": nominal}
             for key, one in fits.items():
                 at = one.u[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
                 value, *interval = (nominal * np.exp(one.model.tolerance * at)).tolist()
@@ -154,7 +154,7 @@ def _nominal(drive: Drive, parameter: str) -> list[tuple[str, float, str]]:
     return [(f"{field}.{way}", float(getattr(value, way)), unit) for way in ways]
 
 
-def _rung(found: Diagnosis, rung: Rung) -> dict[str, Any]:
+def _rung(found: Diagnosis, rung: Rung) -> dict[str, object]:
     shrink, *span = rung.shrink if rung.force.told and found.rungs[0].force.told else (None, None, None)
     unknown = "not simulated in closed loop: the controller or the reference is not known"
     return {
@@ -173,7 +173,7 @@ def _rung(found: Diagnosis, rung: Rung) -> dict[str, Any]:
     }
 
 
-def _closed(found: Diagnosis) -> dict[str, Any]:
+def _closed(found: Diagnosis) -> dict[str, object]:
     """How much of the force's mean square that recalibration leaves beyond the floor is gone with what was found."""
     before, after, floor, gone = found.rungs[1].force, found.rungs[-1].force, found.floor, found.closed
     if len(found.rungs) == 2:

@@ -4,15 +4,15 @@ It is nowhere less than the prior's. Beside a direction that the logs tell a hun
 lost in rounding, and the matrix may be singular.
 """
 
-from typing import Any
-
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 FARTHEST = 50.0  # standard deviations of the prior in one step: beyond, the curvature meant nothing
 
 
-def solved(curvature: Float[np.ndarray, "k k"], right: Float[Any, "k ..."]) -> Float[np.ndarray, "k ..."]:
+def solved(
+    curvature: Float[np.ndarray, "k k"], right: Float[np.ndarray | Array, "k ..."]
+) -> Float[np.ndarray, "k ..."]:
     """`x` with curvature x = right, no direction bent less than the prior does; NaN where anything is not finite."""
     right = np.asarray(right, float)
     if not (np.all(np.isfinite(curvature)) and np.all(np.isfinite(right))):

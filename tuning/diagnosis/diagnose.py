@@ -6,11 +6,11 @@ logs -> recalibrate -> screen, fit, judge -> ladder on held-out data -> where ->
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
@@ -90,7 +90,7 @@ def _padded(lanes: Lanes) -> Lanes:
     """The lanes with samples that do not count at their ends."""
     more = rounded(lanes.position.shape[1]) - lanes.position.shape[1]
 
-    def longer(signal: Any, mode: str = "edge") -> Any:
+    def longer(signal: Float[Array, "lanes n ..."], mode: str = "edge") -> Float[Array, "lanes m ..."]:
         return jnp.pad(signal, ((0, 0), (0, more), *((0, 0),) * (signal.ndim - 2)), mode=mode)
 
     signals = lanes._replace(velocity=None, counts=None)  # type: ignore[arg-type]  # None is no leaf: neither is padded

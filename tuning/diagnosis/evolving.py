@@ -6,14 +6,14 @@ population does, on seconds of the log in the place of all of it.
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.effects.base import Effect
 from diffdrive.effects.stages import Effects
@@ -71,7 +71,7 @@ def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stret
     length = min(round(LENGTH * rate) + lead, n)
     begins = [(lane, int(np.clip(first - lead, 0, n - length))) for lane, first in places]
 
-    def piece(signal: Any) -> Any:
+    def piece(signal: Float[Array, "lanes n ..."]) -> Float[Array, "s m ..."]:
         values = np.asarray(signal)
         return jnp.asarray(np.stack([values[lane, first : first + length] for lane, first in begins]))
 
@@ -95,7 +95,7 @@ def _deviances(
         under = stretches.under
         pushed = under._replace(force=under.force + push, beside=under.beside + push)
 
-        def each(*stretch: Any) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
+        def each(*stretch: PyTree) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
             lanes, under, coupled = jax.tree.map(lambda leaf: leaf[None], stretch)
             track = follow(drive, under, coupled, Process(*process), logged.noise, lanes, logged.sampling)
             return track.innovation[0], track.scatter[0]

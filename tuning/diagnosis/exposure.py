@@ -5,12 +5,12 @@ compiled filter (`following`) serves them all. Those that act by the table's own
 them, are stepped within it.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
@@ -33,7 +33,7 @@ class Exposure(NamedTuple):
     # N, in each control period of a sample, of the force about its mean
     ripple: Float[Array, "lanes n k"] | None = None
 
-    def seen(self, time: Any, course: "Course", load: Scalar) -> Seen:
+    def seen(self, time: Scalar, course: "Course", load: Scalar) -> Seen:
         """One sample of it, at one of a course, as coupled effects see it."""
         position, velocity, bristle, friction, lacking = course
         force = self.force - self.beside
@@ -72,7 +72,7 @@ def exposure(
         effects, asked = _asked(drive, effects, delay, lane, sampling)
         parts = asked.shape[1]
 
-        def step(states: Any, at: tuple[Any, ...]) -> tuple[Any, Exposure]:
+        def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], Exposure]:
             count, table, forces, pushed, load = at
             pushes = []
             for k in range(parts):

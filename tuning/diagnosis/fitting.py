@@ -5,7 +5,7 @@ filter is chosen anew. The evidence is Laplace's: the cost at its least, and the
 prior.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -81,7 +81,7 @@ slopes_of = eqx.filter_jit(slopes)
 def _deviances(
     drive: Drive, acting: Exposure, coupled: Effects, processes: Float[Array, "q 2"], logged: Logged, course: Course
 ) -> Float[Array, " q"]:
-    def one(process: Any) -> Any:
+    def one(process: Float[Array, " 2"]) -> Float[Array, ""]:
         given = (logged.noise, logged.lanes, logged.sampling, course)
         return followed(drive, acting, coupled, Process(*process), *given).deviance
 
@@ -90,7 +90,12 @@ def _deviances(
 
 @eqx.filter_jit
 def answered(
-    track: Track, linear: Slopes, machine: Any, exposure: Any, counts: Any, period: float
+    track: Track,
+    linear: Slopes,
+    machine: Float[Array, "p k"],
+    exposure: Exposure | None,
+    counts: Float[Array, "lanes n"],
+    period: float,
 ) -> Float[Array, "lanes n k"]:
     """Answers of the innovations, over their scatter, to the machine's numbers ([p, k]) and to exposures."""
     forcing = jnp.einsum("lnrp,pk->lnrk", linear.machine, machine)
@@ -179,7 +184,9 @@ class Fitter:
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
         return kept * residual, kept
 
-    def jacobian(self, model: Model, point: Point, linear: Slopes | None = None, free: Any = True) -> np.ndarray:
+    def jacobian(
+        self, model: Model, point: Point, linear: Slopes | None = None, free: Vector | bool = True
+    ) -> np.ndarray:
         """Of the residuals, [m, k]; what is not `free` may be left out."""
         logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
         if model.coupled:

@@ -10,7 +10,7 @@ and that answer is a linear recursion along the log (`answers`), cheap enough fo
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from diffdrive.effects import stages
 from diffdrive.effects.base import Effect, TableEffect
@@ -55,8 +55,8 @@ class Track(NamedTuple):
     innovation: Float[Array, "lanes n"]  # m
     scatter: Float[Array, "lanes n"]  # m, standard deviation expected of it
     pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
-    deviance: Scalar  # -2 log likelihood up to a constant, the scale of all noises free
-    size: Scalar  # that scale, squared
+    deviance: Float[Array, ""]  # -2 log likelihood up to a constant, the scale of all noises free
+    size: Float[Array, ""]  # that scale, squared
     motor: Float[Array, "lanes n"] | None = None  # m, its deflection against the table, where a screw hides it
 
     @property
@@ -97,14 +97,14 @@ def _begun(
     load: Float[Array, " n"],
     begins: Int[np.ndarray, " s"],
     period: float,
-) -> tuple[Any, ...]:
+) -> tuple[PyTree, ...]:
     """States, [s] each, of a lane's coupled effects at the samples where its segments begin.
 
     What forgets within a segment's lead begins at rest; the others are where following `course` brings them.
     """
     rest = stages.initial_states(coupled, under.force[0])
 
-    def step(states: Any, at: Any) -> tuple[Any, Any]:
+    def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], tuple[PyTree, ...]]:
         count, acts, load, table, travel = at
         seen, machine = acts.seen(count * period, table, load), stages.with_friction_offset(drive, acts)
         ahead = (
@@ -150,7 +150,7 @@ def follow(
     beside = (jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)  # of all but the position
     shielded = hidden.screw_of(coupled) is not None
 
-    def body(carry: Any, at: Any) -> Any:
+    def body(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
         (state, covariance, effects), (measured, load, acts, time, coupled, again) = carry, at
         innovation = measured - acts.scale - state[0]
         scatter = jnp.sqrt(covariance[0][0] + measured_variance)
@@ -192,27 +192,33 @@ def follow(
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
 
-    def segment(lane: Lanes, acts: Exposure, time: Any, effects: Any, coupled: tuple[Effect, ...]) -> Any:
+    def segment(
+        lane: Lanes,
+        acts: Exposure,
+        time: Float[Array, " m"],
+        effects: tuple[PyTree, ...],
+        coupled: tuple[Effect, ...],
+    ) -> PyTree:
         table = initial_state(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
         usual = jnp.sqrt(jnp.mean((acts.force - acts.beside) ** 2))
         spread = (*beside, *hidden.unknown(coupled, drive, usual))
         again = diagonal((jnp.asarray(FOUND) ** 2, *spread))
 
-        def step(carry: Any, at: Any) -> Any:
+        def step(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
             return body(carry, (*at, coupled, again))
 
         along = (lane.position, lane.load, acts._replace(ripple=_in_substeps(acts, sampling)), time)
         return lax.scan(step, (begin, diagonal((measured_variance, *spread)), effects), along)[1]
 
-    def begun(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> Any:
+    def begun(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> tuple[PyTree, ...]:
         begins = pieces.samples[:, 0]
         if course is None:
             rest = stages.initial_states(coupled, acts.force[0])
             return jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
         return _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
 
-    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], states: Any) -> Any:
+    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], states: tuple[PyTree, ...]) -> PyTree:
         signals = lane._replace(velocity=None)  # type: ignore[arg-type]  # None is no leaf: it has no samples to cut
         cut = jax.tree.map(pieces.cut, signals)
         velocity = initial_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
@@ -229,7 +235,7 @@ def follow(
 followed = eqx.filter_jit(follow)  # traced once for all programs that call this
 
 
-def _in_substeps(acts: Exposure, sampling: Sampling) -> Any:
+def _in_substeps(acts: Exposure, sampling: Sampling) -> Float[Array, "*lanes n substeps"] | None:
     """The ripple of each substep of each sample."""
     if acts.ripple is None:
         return None
@@ -246,14 +252,14 @@ def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Float
 def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: Sampling) -> Slopes:
     """Derivatives of every period, at the track, with respect to the state, the machine, and the exposure."""
 
-    def period(args: Any, load: Scalar, ripple: Any) -> Any:
+    def period(args: PyTree, load: Scalar, ripple: Float[Array, " substeps"] | None) -> Float[Array, " 3"]:
         v, z, machine, force, coulomb, gap, viscous = args
         acts = Exposure(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
         bent = stages.with_friction_offset(with_numbers(drive, machine), acts)
         return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))
 
-    def at(sample: Any) -> Any:
+    def at(sample: PyTree) -> Float[Array, "3 directions"]:
         v, z, force, coulomb, gap, viscous, load, ripple = sample
         args = (v, z, numbers(drive), force, coulomb, gap, viscous)
         flat, again = ravel_pytree(args)
@@ -272,16 +278,18 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
     return Slopes(jac[..., :2], jac[..., 2:-4], jac[..., -4:])
 
 
-def answers(track: Track, linear: Slopes, forcing: Any, scale: Any, period: float) -> Float[Array, "lanes n m"]:
+def answers(
+    track: Track, linear: Slopes, forcing: Float[Array, "lanes n 3 m"], scale: Float[Array, "lanes n m"], period: float
+) -> Float[Array, "lanes n m"]:
     """Change of the innovations over their scatter, [lanes, n, m], for forcings of the table ([lanes, n, 3, m] after
     each period) and errors of the scale ([lanes, n, m]).
     """
     fade = float(np.exp(-period / LASTING))
 
-    def one(args: Any) -> Any:
+    def one(args: PyTree) -> Float[Array, "n m"]:
         pull, scatter, state, push, forced, off = args
 
-        def body(carry: Any, at: Any) -> Any:
+        def body(carry: PyTree, at: PyTree) -> tuple[PyTree, Float[Array, " m"]]:
             x, v, z, f = carry
             (kx, kv, kz, kf), s, a, p, d, shift = at
             e = -(x + shift)

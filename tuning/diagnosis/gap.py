@@ -6,7 +6,7 @@ in nothing but this noise differ by the floor.
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key, PyTree
 
 from diffdrive.controllers import Controller
 from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
@@ -108,7 +108,9 @@ def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: 
     return ForceGap(force * counts, track.course, surprise, counts, share_lost(track, every))
 
 
-def _per_sudden(fitter: Fitter, fitted: Fitted, track: Track, process: Any) -> Float[np.ndarray, "lanes n"] | float:
+def _per_sudden(
+    fitter: Fitter, fitted: Fitted, track: Track, process: Float[np.ndarray, " 2"]
+) -> Float[np.ndarray, "lanes n"] | float:
     """The sudden force (N) that the filter invents per metre of its innovations; none where it may have the least."""
     if process[1] <= fitter.least:
         return 0.0
@@ -144,12 +146,14 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
 
 
 @eqx.filter_jit
-def _simulated(drive: Drive, controller: Controller, at: ReplayInputs, sampling: Sampling, keys: Any) -> Any:
-    def one(each: ReplayInputs) -> Any:
+def _simulated(
+    drive: Drive, controller: Controller, at: ReplayInputs, sampling: Sampling, keys: Key[Array, " seeds"]
+) -> tuple[Float[Array, "lanes seeds n"], Float[Array, "lanes seeds n"]]:
+    def one(each: ReplayInputs) -> PyTree:
         inputs = Inputs(each.reference, each.lanes.load, each.lanes.disturbance)
         begin = initial_loop_state(drive, controller, each, sampling.period)
 
-        def noisy(key: Any) -> Any:
+        def noisy(key: Key[Array, ""]) -> PyTree:
             frame = rollout(drive, controller, inputs, sampling, key=key, begin=begin)
             return frame.measured, frame.command
 
@@ -171,7 +175,7 @@ def loop_gap(
 
     `counts` says which samples of each log to judge by, padded or cut to the log's own.
     """
-    off: list[Any] = [[], [], [], []]
+    off: list[list[np.ndarray]] = [[], [], [], []]
     keys = jax.random.split(jax.random.key(seed), SEEDS)
     for drive, log, judged in zip(drives, logs, counts, strict=True):
         quantised = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution) / np.sqrt(12)
@@ -199,14 +203,16 @@ def loop_gap(
 
 
 @eqx.filter_jit
-def _told(track: Track, linear: Slopes, off: Any, sudden: Any, period: float) -> Float[Array, "lanes n m"]:
+def _told(
+    track: Track, linear: Slopes, off: Float[Array, "lanes n m"], sudden: Float[Array, "... 1"], period: float
+) -> Float[Array, "lanes n m"]:
     """The force that errors of the measurement, [lanes, n, m] (m), make a filter see, with `sudden` per innovation."""
     forcing = jnp.zeros((*off.shape[:2], 3, off.shape[2]))
     error = answers(track, linear, forcing, -off, period) * track.scatter[..., None]
     fade = float(np.exp(-period / LASTING))
 
-    def one(pull: Any, error: Any) -> Any:
-        def body(force: Any, at: Any) -> Any:
+    def one(pull: Float[Array, " n"], error: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        def body(force: Float[Array, " m"], at: PyTree) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
             own, e = at
             force = fade * force + own * e
             return force, force

@@ -4,9 +4,8 @@ What strikes the table tells where the motor was. A filter that only runs it alo
 every blow after the first that it mistimed, and finds fault with the true gap as with any other.
 """
 
-from typing import Any
-
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from diffdrive.effects import stages
 from diffdrive.effects.base import Acts, Seen
@@ -17,7 +16,7 @@ from diffdrive.model.parameters import Drive, Scalar
 from diffdrive.observers.kalman import Matrix
 
 UNKNOWN_RATE = 1e-3  # m/s, standard deviation of the motor's against the table
-States = tuple[Any, ...]
+States = tuple[PyTree, ...]
 
 
 def screw_of(effects: Effects) -> int | None:

@@ -6,13 +6,14 @@ All that is free is one vector u in units of its prior: u = 0 is what was expect
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect
@@ -210,9 +211,10 @@ def effect_in_lanes(effect: type[Effect], values: dict[str, Vector], owner: tupl
     those that may be absent at zero.
     """
     rows = list(owner)
-    defaults = {field.name: field.default for field in dataclasses.fields(effect)}
+    # every parameter has a default
+    defaults = {field.name: cast(ArrayLike | None, field.default) for field in dataclasses.fields(effect)}
 
-    def in_lanes(value: Any) -> Any:
+    def in_lanes(value: ArrayLike | None) -> Float[np.ndarray, " lanes"]:
         each = np.asarray(0.0 if value is None else value, float)
         return each[rows] if each.ndim else np.full(len(rows), each)
 
