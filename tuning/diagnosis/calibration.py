@@ -40,9 +40,6 @@ def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
 
     friction = dataclasses.replace(friction, stribeck_exponent=jnp.asarray(friction.exponent))
     names = dict.fromkeys(name.split(".")[0] for name in NAMES[1:])
+    plant = dataclasses.replace(plant, mass=plant.mass * factor["mass"], damping=scaled(plant.damping, "viscous"))
     pairs: dict[str, PyTree] = {name: scaled(getattr(friction, name), name) for name in names}
-    return dataclasses.replace(
-        drive,
-        plant=dataclasses.replace(plant, mass=plant.mass * factor["mass"], damping=scaled(plant.damping, "viscous")),
-        friction=dataclasses.replace(friction, **pairs),
-    )
+    return dataclasses.replace(drive, plant=plant, friction=dataclasses.replace(friction, **pairs))
